@@ -34,7 +34,7 @@ class Stored:
     def _make_read_only(self, *names: str) -> None:
         """Replace the named fields by read-only float64 copies."""
         for name in names:
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name), name))
 
     def _make_integers(self, *names: str) -> None:
         """Replace fields by read-only int64 copies. ValueError for floats, which are not rounded."""

@@ -179,9 +179,9 @@ class ContextModel:
         object.__setattr__(self, "feature_names", tuple(self.feature_names))
         object.__setattr__(self, "classes", tuple(self.classes))
         for name in _ARRAYS:
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name), name))
         if self.transition_prob is not None:
-            object.__setattr__(self, "transition_prob", read_only(self.transition_prob))
+            object.__setattr__(self, "transition_prob", read_only(self.transition_prob, "transition_prob"))
         _check(self)
 
     @property
@@ -280,8 +280,8 @@ class ContextModel:
         values = np.ascontiguousarray(features, dtype=np.float64)  # sums depend on the memory layout in the last bits
         if values.ndim != 2 or values.shape[1] != len(self.feature_names):
             raise ValueError(
-                f"model {self.name!r} needs {len(self.feature_names)} features of each window, got shape "
-                f"{values.shape[1:]}: compute them with the feature set of the model, in the order of its feature_names"
+                f"model {self.name!r} needs {len(self.feature_names)} features of each window, a row for each, got "
+                f"{values.shape}: compute them with the feature set of the model, in the order of its feature_names"
             )
         finite = np.isfinite(values)
         if not finite.all():
@@ -415,7 +415,7 @@ class ContextModel:
             names = FORMAT.names_in(folder)
             if len(names) != 1:
                 raise ValueError(
-                    f"{folder}: the folder has {len(names)} context models, not one: give the path of a .npz in it"
+                    f"{folder}: the folder has {len(names)} context models, not one: give the path of one (.npz)"
                 )
             path = folder / f"{names[0]}.npz"
         model = load_model(path if folder.is_dir() else name_or_path)
@@ -579,7 +579,8 @@ def _check(model: ContextModel) -> None:
         raise ValueError(f"feature_scale must be above {_MIN_DIVISOR}: use 1 for a constant feature")
     if not (_MIN_DIVISOR < model.temperature < np.inf and model.feature_limit > 0):
         raise ValueError(
-            f"temperature and feature_limit must be positive, got {model.temperature} and {model.feature_limit}"
+            "temperature must be positive and finite, and feature_limit positive, got "
+            f"{model.temperature} and {model.feature_limit}"
         )
     if not 0 <= model.slip <= 1:
         raise ValueError(f"slip must be a probability, got {model.slip}")

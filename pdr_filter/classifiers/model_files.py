@@ -172,15 +172,15 @@ def _unpacked(path: Path, checksum: str) -> Arrays:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             claimed = sum(info.file_size for info in archive.infolist())
         if claimed > limits.MAX_UNPACKED_BYTES:
-            raise ValueError(f"{path.name} claims {claimed} bytes of arrays, more than {limits.MAX_UNPACKED_BYTES}")
+            raise ValueError(f"it claims {claimed} bytes of arrays, more than {limits.MAX_UNPACKED_BYTES}")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             return {name: arrays[name] for name in arrays.files}
     except Exception as error:  # a damaged zip file can raise any exception
-        raise ValueError(f"{path.name} does not hold plain arrays ({error})") from error
+        raise ValueError(f"{path.name} cannot be read as plain arrays ({error})") from error
 
 
 def _plain(value: Any) -> Any:
     """Return a NumPy number or array as a number or list for JSON. TypeError for any other object."""
     if isinstance(value, np.generic | np.ndarray):
         return cast(Any, value).tolist()
-    raise TypeError(f"JSON cannot hold a {type(value).__name__}; make it a number or a string")
+    raise TypeError(f"JSON cannot hold a {type(value).__name__}, {str(value)[:60]}; make it a number or a string")

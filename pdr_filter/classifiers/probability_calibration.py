@@ -97,7 +97,7 @@ def reliability(prob: FloatArray, correct: BoolArray, n_bins: int = 15) -> Relia
     """
     if prob.ndim != 2 or np.shape(correct) != (len(prob),) or not np.isfinite(prob).all():
         raise ValueError(
-            f"prob must be probabilities (N, K) without NaN and correct (N,), got {prob.shape} and "
+            f"prob must be finite probabilities (N, K) and correct (N,), got {prob.shape} and "
             f"{np.shape(correct)}: leave out rows with NaN"
         )
     confidence = prob.max(axis=1)
@@ -164,6 +164,6 @@ def check_classes(values: IntArray, n_classes: int, name: str) -> None:
     least, largest = np.min(values), np.max(values)
     if np.asarray(values).dtype.kind not in "iu" or least < 0 or largest >= n_classes:
         raise ValueError(
-            f"{name} must be whole numbers from 0 to {n_classes - 1}, got {least} to {largest}: leave out rows without "
-            "class"
+            f"{name} must be whole numbers from 0 to {n_classes - 1}, got {least} to {largest} of type "
+            f"{np.asarray(values).dtype}: leave out rows without class, and convert floats with astype(int)"
         )

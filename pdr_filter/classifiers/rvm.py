@@ -339,7 +339,8 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         self.classes_, label = np.unique(labels, return_inverse=True)
         if len(self.classes_) < 2:
             raise ValueError(
-                f"y must have at least two classes, got one class, {self.classes_[0]!r}: give rows of another class"
+                "y must have at least two classes, got one class in rows of positive weight, "
+                f"{self.classes_[0]!r}: give rows of another class"
             )
         weight = weight * self._class_factors(label, weight)[label]
         self.cv_log_loss_: dict[float, float] = {}
@@ -522,7 +523,9 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
             folds = list(splitter.split(rows, label, group)) if hasattr(splitter, "split") else list(splitter)
         folds = [(fit, score) for fit, score in folds if len(np.unique(label[fit])) > 1]
         if not folds:
-            raise ValueError(f"cv={self.cv!r} gives no fold with two classes: use fewer folds or give kernel_width")
+            raise ValueError(
+                f"cv={self.cv!r} gives no fold that trains on two classes: give kernel_width, or more folds or groups"
+            )
         return folds
 
     def _log_loss(

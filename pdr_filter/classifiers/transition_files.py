@@ -59,7 +59,7 @@ class Transitions:
 
     def __post_init__(self) -> None:
         for name in ("transition_prob", "counts"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name), name))
         for name in self.contexts:
             check_name_of_context(name)
         if len(set(self.contexts)) < len(self.contexts):

@@ -136,7 +136,8 @@ def in_truth_frame(recording: Recording, track: TrackRows) -> FloatArray:
     estimate_m, reference_m = _at_waypoints(recording, track)
     if not len(reference_m):
         raise ValueError(
-            f"{recording.name or 'the recording'} has no waypoints to align the track with: add truth_waypoints.csv"
+            f"{recording.name or 'the recording'} has no waypoints of known time and position to align the track with: "
+            "add truth_waypoints.csv (docs/formats.md)"
         )
     rotation, shift_m = rigid_fit(estimate_m, reference_m)
     return np.vstack([track.start_position_m, track.position_m]) @ rotation.T + shift_m

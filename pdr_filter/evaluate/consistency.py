@@ -46,7 +46,7 @@ def nees(error: FloatArray, cov: FloatArray) -> FloatArray:
     try:
         solved = np.linalg.solve(cov, error[..., None])
     except np.linalg.LinAlgError:
-        row = int(np.argmin(np.abs(np.linalg.det(cov))))
+        row = int(np.nanargmin(np.abs(np.linalg.det(cov))))
         raise ValueError(
             f"cov must be positive definite, but cov[{row}] is {cov[row].tolist()}: remove this row"
         ) from None

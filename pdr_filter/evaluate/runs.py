@@ -127,9 +127,8 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     use = label >= 0
     if not use.any():
         raise ValueError(
-            f"no step of {recording.name} is inside a label with a context of the "
-            "configuration: add truth_labels.csv "
-            "(docs/formats.md)"
+            f"no step of {recording.name or 'the recording'} is inside a label with one of the contexts "
+            f"{model.contexts}: add such labels to truth_labels.csv (docs/formats.md)"
         )
     length_m = np.array([model.lengths(step)[0] for step in steps_of(imm.steps)]).reshape(-1, len(model.modes))[use]
     known_m = length_m[np.arange(len(length_m)), label[use]].sum()

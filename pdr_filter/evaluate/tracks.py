@@ -414,7 +414,7 @@ def relative_error_m(estimate_m: FloatArray, reference_m: FloatArray, n_ahead: i
     0.0
     """
     if not 0 < n_ahead < len(estimate_m):
-        raise ValueError(f"n_ahead must be from 1 to {len(estimate_m) - 1}, got {n_ahead}")
+        raise ValueError(f"n_ahead must be at least 1 and below the number of points, {len(estimate_m)}, got {n_ahead}")
     error_m = estimate_m - reference_m
     return float(np.sqrt(((error_m[n_ahead:] - error_m[:-n_ahead]) ** 2).mean()))
 

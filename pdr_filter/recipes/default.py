@@ -142,9 +142,9 @@ def with_context_model(config: Config, model: ContextModel) -> Config:
     """
     if other := [label for label in model.labels if label not in config.contexts]:
         raise ValueError(
-            f"model {model.name!r} has the contexts {other}, for which recipe "
-            f"{config.name!r} has no modes: define their "
-            "modes in a recipe of your own with config.with_contexts(model, modes)"
+            f"model {model.name!r} classifies the {model.head} with the labels {other}, for which recipe "
+            f"{config.name!r} has no modes: give a model of the context, and define the modes of new contexts in a "
+            "recipe of your own with config.with_contexts(model, modes)"
         )
     if model.labels != config.contexts:
         return config.with_contexts(model, [m for m in config.model.modes if m.context in model.labels])
@@ -153,7 +153,8 @@ def with_context_model(config: Config, model: ContextModel) -> Config:
             contexts = replace(contexts, models=replace(contexts.models, with_gyroscope=model))
             return replace(config, sensing=replace(config.sensing, contexts=contexts))
     raise ValueError(
-        f"model {model.name!r} needs features that no feature set of this version has: train it again with this version"
+        f"model {model.name!r} needs features that no feature set of this version has: train it again with this "
+        "version, or give a model with your own features to config.with_contexts"
     )
 
 

@@ -167,7 +167,7 @@ class Calibration:
 
     def __post_init__(self) -> None:
         for name in _ARRAYS:
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name), name))
         n, s = slices_of(self.models)[1], len(self.subject_ids)
         shapes = (n,), (n, n), (n, n), (s, n), (s, n, n), (s,)
         for name, shape in zip(_ARRAYS, shapes, strict=True):

@@ -664,9 +664,11 @@ def _state_for_config(config: Config, state: State, first: State) -> State:
     """
     try:
         state = serialise.restored(state, first)
-        n_filters = len(state.tracker.pedestrian.estimates.prob)
-        if type(state.tracker) is not type(first.tracker) or n_filters != len(first.tracker.pedestrian.estimates.prob):
-            raise ValueError(f"it has {n_filters} modes and another tracker")
+        saved, expected = (
+            f"{type(s.tracker).__name__} with {len(s.tracker.pedestrian.estimates.prob)} modes" for s in (state, first)
+        )
+        if type(state.tracker) is not type(first.tracker) or saved != expected:
+            raise ValueError(f"it has {saved} instead of {expected}")
     except Exception as error:  # forged bytes can raise any exception in the classes of a caller
         raise ValueError(
             f"the filter was saved with another configuration than {config.name!r} ({error}): give the configuration "

@@ -52,7 +52,7 @@ def check_array(
     right = array.dtype.kind in "iuf" and shape in (None, array.shape)
     if not (right and np.isfinite(array).all() and _IS_KIND[kind](array)):
         words = kind if kind == "finite" else f"{kind} and finite"
-        of_shape = "" if shape is None else f"{shape}, "
+        of_shape = "" if shape is None else f"{shape or 'a number'}, "
         got = repr(value)
         if array.size > _SHOWN:
             got = f"{array.min()} to {array.max()} in an array {array.shape}"

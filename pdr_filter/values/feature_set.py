@@ -126,8 +126,8 @@ class FunctionFeatures:
         for each in found:
             if tuple(each) != self.names:
                 raise ValueError(
-                    f"features must return the same names for every window, got {tuple(each)} after {self.names}: "
-                    "return a value for each name"
+                    "features must return the same names in the same order for every window, got "
+                    f"{tuple(each)} after {self.names}: return a value for each name"
                 )
         return np.array([[float(value) for value in each.values()] for each in found])
 

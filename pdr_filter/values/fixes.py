@@ -207,7 +207,9 @@ class GridFix:
         check_array("log_likelihood", self.log_likelihood)
         shape = self.log_likelihood.shape
         if len(shape) != 2 or 0 in shape:
-            raise ValueError(f"log_likelihood must be (rows to the north, columns to the east), got {shape}")
+            raise ValueError(
+                f"log_likelihood must have rows (to the north) and columns (to the east), got shape {shape}"
+            )
         check_array("cell_m", self.cell_m, "positive")
         _check_correlation_and_floor(self)
         _check_times(self.time_s, self.received_time_s)
@@ -359,7 +361,9 @@ class Standstill:
         _take_numbers(self, "time_s", "received_time_s", "end_s")
         _check_times(self.time_s, self.received_time_s)
         if not self.time_s < self.end_s < np.inf:
-            raise ValueError(f"end_s of a Standstill must be after its time_s, got {self.time_s} to {self.end_s} s")
+            raise ValueError(
+                f"end_s of a Standstill must be finite and after its time_s, got {self.time_s} to {self.end_s} s"
+            )
 
 
 @runtime_checkable
@@ -631,7 +635,8 @@ def _check_times(time_s: float, received_time_s: float | None) -> None:
     received_s = time_s if received_time_s is None else received_time_s
     if not (np.isfinite(time_s) and np.isfinite(received_s) and received_s >= time_s):
         raise ValueError(
-            f"time_s of a fix must be finite and received_time_s not before it, got {time_s} and {received_time_s}"
+            "time_s and received_time_s of a fix must be finite, and received_time_s not before time_s, got "
+            f"{time_s} and {received_time_s}"
         )
 
 
@@ -699,13 +704,16 @@ def measured(fix: Measurement, position_m: FloatArray, heading_rad: float) -> tu
     k = residual.size
     if residual.shape != (k,) or jacobian.shape not in ((k, 2), (k, 3)) or cov.shape != (k, k) or k == 0:
         raise ValueError(
-            f"measurement of {name} must return a residual (k,), a jacobian (k, 2) or (k, 3) and a cov (k, k), got "
-            f"shapes {residual.shape}, {jacobian.shape} and {cov.shape}"
+            f"measurement of {name} must return a residual (k,), k > 0, a jacobian (k, 2) or (k, 3) and a cov (k, k), "
+            f"got shapes {residual.shape}, {jacobian.shape} and {cov.shape}"
         )
     if not (np.isfinite(residual).all() and np.isfinite(jacobian).all() and np.isfinite(cov).all()):
         raise ValueError(f"measurement of {name} must return finite numbers, got {residual}, {jacobian} and {cov}")
     if not (np.allclose(cov, cov.T) and _are_variances(np.linalg.eigvalsh(cov))):
-        raise ValueError(f"cov of {name} must be symmetric and positive definite, got {cov}")
+        raise ValueError(
+            f"cov of {name} must be symmetric and positive definite, of standard deviations from {_MIN_STD:g} to "
+            f"{_MAX_STD:g}, got {cov}"
+        )
     jacobian = np.column_stack([jacobian, np.zeros((k, 3 - jacobian.shape[1]))])
     moved = _SMALL * jacobian[np.abs(jacobian).sum(axis=1).argmax()]
     scale = math.sqrt(float(moved @ moved))

@@ -177,7 +177,10 @@ def _checksum(text: str) -> str:
 def _check_size(text: bytes) -> None:
     n_values = sum(text.count(mark) for mark in (b"{", b"[", b",", b":"))
     if len(text) > _MAX_BYTES or n_values > _MAX_VALUES:
-        raise ValueError(f"{len(text)} bytes with about {n_values} values, more than {_MAX_BYTES} and {_MAX_VALUES}")
+        raise ValueError(
+            f"saved data must have at most {_MAX_BYTES} bytes and {_MAX_VALUES} values, got {len(text)} and about "
+            f"{n_values}"
+        )
 
 
 def _inflate(blob: bytes) -> bytes:

@@ -90,10 +90,10 @@ class TrackPlacement:
             )
         if self.is_given and self.asks_for_locations:
             pair = ("origin", self.origin), ("heading_rad", self.heading_rad)
+            names = " and ".join(name for name, value in pair if value is not None)
             raise ValueError(
-                f'gnss="{self.gnss}" takes position and north from the locations of the recording, and '
-                f"{' and '.join(name for name, value in pair if value is not None)} also defines them: leave one of "
-                "the two out"
+                f'gnss="{self.gnss}" takes position and north from the locations of the recording, got {names} too: '
+                f"leave out gnss or {names}"
             )
         if self.asks_for_north and (self.heading_rad is not None or turn_rad is not None):
             raise ValueError(

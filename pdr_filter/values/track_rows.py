@@ -182,14 +182,14 @@ class TrackRows:
         """
         check_array("turn_rad", turn_rad)
         check_array("std_rad", std_rad or 0.0, "0 or more")
+        if self.knows_north:
+            raise ValueError(
+                f"the north of {self.name!r} is already true north, got turn_rad={turn_rad}: do not rotate the track"
+            )
         if self.plan is not None:
             raise ValueError(
                 f"{self.name!r} is in the frame of its floor plan and cannot be rotated, got turn_rad={turn_rad}: read "
                 "the plan in longitude and latitude, or with its origin, so that its north is true north"
-            )
-        if self.knows_north:
-            raise ValueError(
-                f"the north of {self.name!r} is already true north, got turn_rad={turn_rad}: do not rotate the track"
             )
         rotation = np.array([[cos(turn_rad), sin(turn_rad)], [-sin(turn_rad), cos(turn_rad)]])
         position_m = self.position_m @ rotation.T

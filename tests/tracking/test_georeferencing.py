@@ -113,6 +113,8 @@ def test_a_track_on_a_floor_plan_cannot_be_rotated(alone: pdr.Track) -> None:
     plan = pdr.FloorPlan("hall", storeys=())
     with pytest.raises(ValueError, match="frame of its floor plan"):
         replace(alone, plan=plan, frame="plan").turned(1.0)
+    with pytest.raises(ValueError, match="already true north"):
+        replace(alone, plan=plan, frame="plan", origin=Origin(*HERE)).turned(1.0)
 
 
 def test_the_speed_at_an_unknown_time_is_nan(alone: pdr.Track) -> None:
@@ -194,8 +196,8 @@ def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Reco
         ({"heading_rad": 0.1, "origin": Origin(*HERE, turn_rad=0.1)}, "define the same angle: leave one of them out"),
         ({"heading_rad": 0.1, "fixes": [HeadingFix(5.0, 0.0, 0.1)]}, "together with fixes in another frame"),
         ({"origin": HERE, "gnss": "on"}, "gnss must be"),
-        ({"origin": HERE, "gnss": "filter"}, r'gnss="filter" .* and origin also defines them'),
-        ({"heading_rad": 0.1, "gnss": "filter"}, "and heading_rad also defines them"),
+        ({"origin": HERE, "gnss": "filter"}, r'gnss="filter" .* got origin too: leave out gnss or origin'),
+        ({"heading_rad": 0.1, "gnss": "filter"}, "got heading_rad too"),
     ],
 )
 def test_contradicting_arguments_and_invalid_origins_are_refused(

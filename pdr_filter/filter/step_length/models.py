@@ -935,8 +935,8 @@ class StepLengthFit:
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("residual_std_m",))
-        object.__setattr__(self, "theta", read_only(self.theta))
-        object.__setattr__(self, "theta_cov", read_only(self.theta_cov))
+        object.__setattr__(self, "theta", read_only(self.theta, "theta"))
+        object.__setattr__(self, "theta_cov", read_only(self.theta_cov, "theta_cov"))
         p = self.model.n_params
         check_array("theta", self.theta, shape=(p,))
         check_array("theta_cov", self.theta_cov, shape=(p, p))

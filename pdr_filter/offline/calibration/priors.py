@@ -83,7 +83,7 @@ class StepLengthPrior:
 
     def __post_init__(self) -> None:
         for name in ("mean", "std", "between_std"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name), name))
             if getattr(self, name).shape != (self.model.n_params,):
                 kind, shape = type(self.model).__name__, getattr(self, name).shape
                 raise ValueError(

@@ -82,7 +82,7 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
         if self.model.head != "carrying_mode" or self.model.feature_names != WITHOUT_LIGHT_AND_PROXIMITY:
             raise ValueError(
                 f"model {self.model.name!r} does not classify carrying modes from the 12 features of pitch and roll: "
-                'pass load_model("guo_pose"), or train one with `python -m '
+                'pass ContextModel.load("guo_pose"), or train one with `python -m '
                 "pdr_filter.offline.training.guo2018_training`"
             )
 

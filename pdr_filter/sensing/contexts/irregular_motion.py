@@ -87,7 +87,7 @@ class IrregularGate:
     def __post_init__(self) -> None:
         check_numbers(self, signed=("intercept",))
         for name in ("mean", "scale", "weight", "still_below"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name), name))
 
     @property
     def names(self) -> tuple[str, ...]:

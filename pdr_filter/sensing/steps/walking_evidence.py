@@ -67,7 +67,7 @@ class WalkEvidence:
     def __post_init__(self) -> None:
         check_numbers(self, signed=("intercept",))
         for name in ("mean", "scale", "weight"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+            object.__setattr__(self, name, read_only(getattr(self, name), name))
 
     def log_odds(self, features: FloatArray) -> FloatArray:
         """Return the log odds of walking (K,) for features (K, 4)."""
