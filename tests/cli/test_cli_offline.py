@@ -131,7 +131,7 @@ def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) 
         ("time_s,east_m\n1,2\n", "no column 'north_m'"),
         ("time_s,east_m,north_m\n", "no fixes"),
         ("time_s,east_m,north_m\n1,,3\n", "row 1"),
-        ("time_s,east_m,north_m,std_m\n1,2,3,0\n", "std_m is 0; write a positive number"),
+        ("time_s,east_m,north_m,std_m\n1,2,3,0\n4,5,6,-1\n", "row 1: std_m is 0; write a positive number"),
     ):
         (tmp_path / "bad.csv").write_text(content, encoding="utf-8")
         result = run("smooth", walk, "--fixes", tmp_path / "bad.csv")

@@ -327,6 +327,7 @@ def test_pushed_messages_in_any_order_are_the_recording_and_two_sessions_are_two
     others = push_messages(sensor_logger_files(with_level_attitude(a_walk(seed=5))), "two")
     path.write_text("\n".join(map(json.dumps, [*others, *messages])))
     assert "holds 2 recordings (two, one)" in refusal(path)
+    assert f"read one of them, as {path}/two" in refusal(path / "three")
     assert [str(p.relative_to(path)) for p in recordings_in(path)] == ["two", "one"]
     assert_same_streams(read(path / "one"), WALK, "accelerometer", time_s=1e-9)
     path.write_text(json.dumps(messages[0]))
