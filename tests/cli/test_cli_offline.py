@@ -127,6 +127,8 @@ def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) 
     first, second = fixes_of_file(tmp_path / "own.csv")
     np.testing.assert_array_equal([first.cov_m2[0, 0], second.cov_m2[1, 1]], [0.25, 4.0])
     np.testing.assert_array_equal([*second.position_m, second.time_s], [3.0, 4.0, 9.0])
+    with pytest.raises(ValueError, match="std_m must be a positive number, got 0"):
+        fixes_of_file(tmp_path / "fixes.csv", 0.0)
     for content, words in (
         ("time_s,east_m\n1,2\n", "no column 'north_m'"),
         ("time_s,east_m,north_m\n", "no fixes"),
