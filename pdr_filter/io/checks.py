@@ -102,11 +102,15 @@ def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
 def _check_rows(samples: Samples, where: str) -> None:
     if len(samples) < limits.MIN_SAMPLES:
         raise RecordingError(
-            f"{where}: only {len(samples)} samples with a time, and {limits.MIN_SAMPLES} are needed; record for longer"
+            f"{where}: only {len(samples)} samples with a time, and {limits.MIN_SAMPLES} are needed; record for "
+            "longer, or write a time in each row"
         )
     known = ~np.isnan(samples.values)
     if columns := ", ".join(np.array(["x", "y", "z"])[~known.any(axis=0)]):
-        raise RecordingError(f"{where}: no values in column {columns}; record the accelerometer on all three axes")
+        raise RecordingError(
+            f"{where}: no values in column {columns}; record the accelerometer on all three axes, and gravity at the "
+            "same times if it is a sensor of its own"
+        )
     if not known.all(axis=1).any():
         raise RecordingError(f"{where}: no row has x, y and z together; write the three axes in one row")
 

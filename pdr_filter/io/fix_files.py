@@ -61,7 +61,7 @@ def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix | He
     if "heading_deg" not in table.fields:
         return found
     headings = table.parse(table.places(("heading_deg", "heading_std_deg")), []).values
-    for k, (row, (heading_deg, heading_std_deg)) in enumerate(zip(rows, headings.tolist(), strict=True)):
+    for k, (row, (heading_deg, heading_std_deg)) in enumerate(zip(rows, headings.tolist(), strict=False)):
         if math.isfinite(heading_deg):
             try:
                 found.append(HeadingFix(row[0], math.radians(heading_deg), math.radians(heading_std_deg)))
@@ -84,7 +84,7 @@ def ranges_of_file(
     remedy.
     """
     file = Path(path)
-    header, *lines = text_rows(read_small(file, limits.MAX_WHOLE_BYTES), str(file))
+    header, *lines = text_rows(read_small(file, limits.MAX_WHOLE_BYTES), str(file)) or [[]]
     fields = [field.strip() for field in header]
     if anchors is None:
         if "anchor" in fields and "anchor_east_m" not in fields:
@@ -99,7 +99,7 @@ def ranges_of_file(
     if "anchor" not in fields:
         raise ValueError(f"{file}: no column anchor (found: {', '.join(fields)[:160]}); write the name of each anchor")
     column = fields.index("anchor")
-    names = [line[column].strip() if column < len(line) else "" for line in lines]
+    names = [line[column].strip() if column < len(line) else "" for line in lines[: len(rows)]]
     unknown = next((k for k, name in enumerate(names) if name not in places), None)
     if unknown is not None:
         raise ValueError(
@@ -140,7 +140,8 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
             raise ValueError("no points")
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(
-            f"{file}: no GeoJSON points with a property name each ({error}); export the anchors as points from QGIS"
+            f"{file}: the anchors must be GeoJSON points, each with its own property name ({error}); correct the "
+            "file, or export the anchors as points from QGIS"
         ) from None
     flat = np.array([place[:2] for place in found.values()])
     here = None if origin is None else Origin.of(origin)
@@ -149,8 +150,8 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
         return found
     if here is None:
         raise ValueError(
-            f"{file}: the anchors are in degrees, but the geographic origin of the track is unknown; give the "
-            "anchors in metres, or --origin LAT,LON"
+            f"{file}: the anchors span at most {_MOST_DEG}, which is taken as degrees, but the geographic origin of "
+            "the track is unknown; give the origin (--origin LAT,LON), or anchors in metres that lie further apart"
         )
     return {n: np.array([*here.east_north_m(float(p[1]), float(p[0])), *p[2:]]) for n, p in found.items()}
 
@@ -188,8 +189,10 @@ def _rows(file: Path, names: tuple[str, ...], what: str, std_m: float) -> list[l
     if not len(values):
         raise ValueError(f"{file}: no {what} below the line {','.join(columns)}; write one in each line")
     if len(columns) == len(names):
+        if not 0 < std_m < math.inf:
+            raise ValueError(f"std_m must be a positive number, got {std_m:g}")
         values = np.column_stack([values, np.full(len(values), std_m)])
-    std = values[:, -1]
-    if not (std > 0).all():
-        raise ValueError(f"{file}, row {int(np.argmin(std > 0)) + 1}: std_m is {std.min():g}; write a positive number")
+    wrong = np.flatnonzero(values[:, -1] <= 0)
+    if len(wrong):
+        raise ValueError(f"{file}, row {wrong[0] + 1}: std_m is {values[wrong[0], -1]:g}; write a positive number")
     return values.tolist()

@@ -107,5 +107,5 @@ def read(path: str | Path, format: str | None = None, platform: str | None = Non
     if platform is None:
         return FORMATS[format](path)
     if format not in OF_TWO_PLATFORMS:
-        raise RecordingError(f"{path}: the signs of {format} do not depend on the platform; omit platform")
+        raise RecordingError(f"{path}: the signs of {format} are known without the platform; omit platform")
     return OF_TWO_PLATFORMS[format](path, platform)

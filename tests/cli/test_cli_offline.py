@@ -127,11 +127,13 @@ def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) 
     first, second = fixes_of_file(tmp_path / "own.csv")
     np.testing.assert_array_equal([first.cov_m2[0, 0], second.cov_m2[1, 1]], [0.25, 4.0])
     np.testing.assert_array_equal([*second.position_m, second.time_s], [3.0, 4.0, 9.0])
+    with pytest.raises(ValueError, match="std_m must be a positive number, got 0"):
+        fixes_of_file(tmp_path / "fixes.csv", 0.0)
     for content, words in (
         ("time_s,east_m\n1,2\n", "no column 'north_m'"),
         ("time_s,east_m,north_m\n", "no fixes"),
         ("time_s,east_m,north_m\n1,,3\n", "row 1"),
-        ("time_s,east_m,north_m,std_m\n1,2,3,0\n", "std_m is 0; write a positive number"),
+        ("time_s,east_m,north_m,std_m\n1,2,3,0\n4,5,6,-1\n", "row 1: std_m is 0; write a positive number"),
     ):
         (tmp_path / "bad.csv").write_text(content, encoding="utf-8")
         result = run("smooth", walk, "--fixes", tmp_path / "bad.csv")

@@ -119,6 +119,8 @@ def test_units_that_are_given_wrong_are_refused(tmp_path: Path) -> None:
         ("[gyroscope]", "[giroscope]", "unknown table 'giroscope'"),
         ('["ax", "ay", "az"]', '["ax"]', "columns is ['ax']; write 3 names"),
         ('column = "t"', "", "write column = ... or rate_hz"),
+        ('column = "t"', 'rate_hz = "50"', "rate_hz is '50'; write a number"),
+        ("[time]", '[attitude]\ncolumns = ["a", "b", "c", "d"]\nunit = "deg"\n[time]', "unit is 'deg'; leave it out"),
         ("[time]", "[time", "not TOML"),
         ("[accelerometer]", "[magnetometer]", "no [accelerometer]"),
         ("[time]", "[file]\nseparator = ','\ndecimal = ','\n[time]", "do not fit; write ';' and ','"),

@@ -76,7 +76,7 @@ def test_a_log_that_declares_mps2_and_holds_g_is_refused_with_the_remedy(tmp_pat
     text = get_sensor_data_text(WALK, scale=1 / STANDARD_GRAVITY_MPS2)
     path = log(tmp_path / "w.txt", text)
     message = refusal(path)
-    assert "declares m/s^2" in message
+    assert "should be in m/s^2" in message
     assert 'accelerometer_unit = "g" into w.toml' in message
     (tmp_path / "w.toml").write_text('accelerometer_unit = "g"\n')
     recording = read(path)

@@ -147,11 +147,11 @@ def test_json_of_something_else_is_refused_with_what_was_seen(tmp_path: Path) ->
     path.write_text(json.dumps([{"heart_rate": 60 + i, "speed": 1.5} for i in range(99)]))
     assert "Columns seen: heart_rate, speed" in refusal(path)
     path.write_text(json.dumps({"hello": "you"}))
-    assert "no format that is known by its content" in refusal(path)
+    assert "not recognised as a recording" in refusal(path)
     path.write_text(json.dumps(columns())[:-9])
     assert "damaged or cut off" in refusal(path)
     for text in ("[" * 100_000, '{"a":' * 100_000):
         path.write_text(text)
-        assert "no format that is known" in refusal(path)
+        assert "not recognised as a recording" in refusal(path)
     path.write_text(lines([{f"c{i}": 1.0 for i in range(2000)}] * 20))
     assert "columns" in refusal(path)

@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, table_text, write_folder, write_text
 
+from pdr_filter.io.files.errors import RecordingError
 from pdr_filter.io.formats import read
-from pdr_filter.io.tables.any_table import read_guessed
+from pdr_filter.io.tables.any_table import read_guessed, read_mapped
+from pdr_filter.io.tables.column_mapping import read_mapping
 from pdr_filter.io.tables.text_sheets import unlike
 
 WALK = on_one_clock(a_walk(50.0))
@@ -188,6 +190,22 @@ def test_a_table_without_a_time_is_asked_for_its_column_or_its_rate(tmp_path: Pa
     assert "no column of times" in message
     assert 'column = "..."' in message
     assert "rate_hz = ..." in message
+
+
+def test_of_several_tables_that_without_a_time_is_named(tmp_path: Path) -> None:
+    files = {"Accelerometer.csv": {"time": TIME_S} | axes("%", FORCE), "Gyroscope.csv": axes("%", RATE)}
+    path = write_folder(tmp_path / "walk", {name: table_text(columns) for name, columns in files.items()})
+    assert "Gyroscope.csv: there is no column of times (columns: x, y, z)" in refusal(path)
+    mapping = tmp_path / "map.toml"
+    mapping.write_text('[time]\ncolumn = "time"\n[accelerometer]\ncolumns = ["ax", "ay", "az"]\n')
+    with pytest.raises(RecordingError, match="columns ax, ay, az are in 0 tables; correct them"):
+        read_mapped(path, read_mapping(mapping))
+
+
+def test_an_axis_without_values_is_not_taken_for_an_acceleration_without_gravity(tmp_path: Path) -> None:
+    columns = {"time": TIME_S} | axes("a% (m/s^2)", FORCE * [1.0, 1.0, np.nan])
+    message = refusal(write_text(tmp_path / "walk.csv", table_text(columns)))
+    assert "no row has all values of ax (m/s^2), ay (m/s^2), az (m/s^2)" in message
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,12 @@ def test_named_anchors_without_their_file_are_refused_with_the_option_that_is_mi
         ranges_of_file(tmp_path / "ranges.csv")
 
 
+def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path) -> None:
+    anchors = anchors_file(tmp_path / "anchors.geojson", ANCHORS)
+    (tmp_path / "ranges.csv").write_text("time_s,anchor,range_m\n1.5,window,7.25\n2.5,do")
+    assert len(ranges_of_file(tmp_path / "ranges.csv", anchors)) == 1
+
+
 def test_anchors_in_degrees_become_metres_from_the_origin(tmp_path: Path) -> None:
     path = anchors_file(tmp_path / "a.geojson", {"a": (-0.0015, 51.4779), "b": (-0.0015, 51.4781)})
     found = anchors_of_file(path, origin=(51.4779, -0.0015))
@@ -80,6 +86,7 @@ def test_one_anchor_is_in_degrees_if_it_is_near_the_origin(tmp_path: Path) -> No
         ("time_s,anchor,range_m\n1,door,-3\n", "row 1: range_m must be a distance"),
         ("time_s,anchor,range_m\n1,door,x\n", "x"),
         ("time_s,anchor,range_m\n", "no ranges"),
+        ("", "no column 'time_s'"),
     ],
 )
 def test_a_table_of_ranges_that_cannot_be_used_is_refused_with_its_row(

@@ -76,10 +76,14 @@ def test_without_info_the_values_are_as_recorded_with_a_note(tmp_path: Path) -> 
 
 def test_what_is_missing_or_of_another_shape_is_refused(tmp_path: Path) -> None:
     data = arrays()
+    pytest.importorskip("h5py")
+    assert "cannot be read (No such file" in refusal(tmp_path / "missing.hdf5", "ronin")
     assert "no synced/time" in refusal(folder_with(tmp_path / "a", {"raw/imu/acce": data["synced/acce"]}))
     assert "no synced/acce" in refusal(folder_with(tmp_path / "b", {"synced/time": data["synced/time"]}))
     flat = data | {"synced/acce": data["synced/acce"][:, :2]}
     assert "has the shape" in refusal(folder_with(tmp_path / "c", flat))
+    column = data | {"synced/time": data["synced/time"][:, None]}
+    assert "write it as an array of the shape (N,)" in refusal(folder_with(tmp_path / "f", column))
     short = data | {"synced/acce": data["synced/acce"][:-5]}
     assert "but" in refusal(folder_with(tmp_path / "d", short))
     text = data | {"synced/acce": np.full((len(data["synced/time"]), 3), b"x")}

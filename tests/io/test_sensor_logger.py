@@ -327,8 +327,11 @@ def test_pushed_messages_in_any_order_are_the_recording_and_two_sessions_are_two
     others = push_messages(sensor_logger_files(with_level_attitude(a_walk(seed=5))), "two")
     path.write_text("\n".join(map(json.dumps, [*others, *messages])))
     assert "holds 2 recordings (two, one)" in refusal(path)
+    assert f"read one of them, as {path}/two" in refusal(path / "three")
     assert [str(p.relative_to(path)) for p in recordings_in(path)] == ["two", "one"]
     assert_same_streams(read(path / "one"), WALK, "accelerometer", time_s=1e-9)
+    path.write_text(json.dumps(messages[0] | {"payload": {}}))
+    assert "no message has a list as payload" in refusal(path)
     path.write_text(json.dumps(messages[0]))
     assert "put all messages into one file" in refusal(path)
 
@@ -337,6 +340,13 @@ def test_a_missing_column_is_refused_with_its_name(tmp_path: Path) -> None:
     files = sensor_logger_files(WALK)
     files["Gyroscope.csv"] = files["Gyroscope.csv"].replace("x,y,z", "x,y,w", 1)
     assert "Gyroscope.csv: no column 'z'" in refusal(write_folder(tmp_path / "w", files))
+
+
+def test_a_json_object_without_a_time_is_refused_with_its_key(tmp_path: Path) -> None:
+    rows = json.loads(sensor_logger_json(sensor_logger_files(WALK)))
+    del next(row for row in reversed(rows) if row["sensor"] == "Gyroscope")["time"]
+    (tmp_path / "w.json").write_text(json.dumps(rows))
+    assert "Gyroscope: an object has no key 'time'" in refusal(tmp_path / "w.json")
 
 
 def test_json_that_is_cut_off_is_refused(tmp_path: Path) -> None:

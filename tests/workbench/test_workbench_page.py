@@ -135,7 +135,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
             "document.querySelectorAll('#drops li').length === 2 && !document.querySelector('#drops progress')", 60
         )
         browser.until("!!document.querySelector('#list li.done polyline')", 60)
-        assert "notes.zip not added: notes.zip: no format that is known" in browser.words("#drops")
+        assert "notes.zip not added: notes.zip: not recognised as a recording" in browser.words("#drops")
         assert re.search(r"file of .*1:54 · \d+ steps · 1\d\d m", browser.words("#list"))
         browser.shot(pictures / "workbench_list.png")
         # draw

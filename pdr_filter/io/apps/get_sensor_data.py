@@ -130,7 +130,7 @@ def _clock_offset_s(values: FloatArray, tag: str, where: str, notes: list[str]) 
     if span_s > SHORTEST_CHECKED_S and abs(ratio - 1) > CLOCKS_AGREE:
         raise RecordingError(
             f"{where}: in the {tag} lines the sensor's time runs {ratio:.4g} times as fast as the app's; "
-            "both are in seconds in this format, so convert the column that is not"
+            "both are in seconds in this format, so convert the column that is not, or cut the log where a clock jumps"
         )
     return float(np.median(app_s - sensor_s))
 
@@ -152,8 +152,8 @@ def _check_unit(parsed: Parsed, where: str) -> None:
         parsed.found.append("accelerometer: g, as the TOML file beside the log says, although the log declares m/s^2")
     elif unit == "" and limits.G_RANGE[0] <= median <= limits.G_RANGE[1]:
         raise RecordingError(
-            f"{where}: declares m/s^2, but the median |a| is {median:.4g}, which looks like g; if so, write "
-            f'accelerometer_unit = "g" into {parsed.path.with_suffix(".toml").name} beside it'
+            f"{where}: ACCE lines should be in m/s^2, but the median |a| is {median:.4g}, which looks like g; if so, "
+            f'write accelerometer_unit = "g" into {parsed.path.with_suffix(".toml").name} beside it'
         )
     else:
         parsed.found.append(f"accelerometer: m/s2, Android's sign; median {median:.2f}")

@@ -94,6 +94,9 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
         raise RecordingError(f"{file}: reading hdf5 needs h5py; install pdr_filter[hdf5]") from error
     try:
         open_regular(file).close()
+    except OSError as error:
+        raise RecordingError(f"{file}: cannot be read ({error.strerror}); check path and permissions") from error
+    try:
         with h5py.File(file, "r") as opened:
             data: Any = opened
             time_s = _array(data, "synced/time", 1, file, notes)
@@ -106,7 +109,7 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
     except RecordingError:
         raise
     except HDF5_ERRORS as error:
-        raise RecordingError(f"{file}: a damaged hdf5 file ({str(error)[:120]}); copy it again") from error
+        raise RecordingError(f"{file}: no hdf5 file, or a damaged one ({str(error)[:120]}); copy it again") from error
     return time_s, {key: values for key, values in arrays.items() if values is not None}
 
 
@@ -121,7 +124,8 @@ def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> 
         return None
     shape: Any = getattr(found, "shape", None)
     if shape is None or len(shape) != (1 if columns == 1 else 2) or (columns > 1 and shape[1] != columns):
-        raise RecordingError(f"{file}: {name} has the shape {shape}; write it with the shape (N, {columns})")
+        wanted = "(N,)" if columns == 1 else f"(N, {columns})"
+        raise RecordingError(f"{file}: {name} has the shape {shape}; write it as an array of the shape {wanted}")
     if shape[0] > limits.MAX_ARRAY_ROWS:
         raise RecordingError(
             f"{file}: {name} claims {shape[0]} rows, more than {limits.MAX_ARRAY_ROWS}; cut the recording"

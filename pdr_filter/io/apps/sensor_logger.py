@@ -341,7 +341,9 @@ def _read_json(members: Members, name: str) -> _Export:
     """Return the export in a JSON file, in which each object names its sensor and stores numbers as text."""
     export, where = _Export(), members.where(name)
     if not next(members.pieces(name), b"").lstrip().startswith(b"["):
-        raise RecordingError(f"{where}: not an array of objects; export JSON from Sensor Logger again")
+        raise RecordingError(
+            f"{where}: not JSON of Sensor Logger, which is an array of objects; give the zip or JSON that it exports"
+        )
     rows: dict[str, list[Row]] = {sensor: [] for sensor in COLUMNS}
     parts: dict[str, list[NumberTable]] = {}
     begun_ns: dict[str, int | None] = {}

@@ -49,11 +49,16 @@ def push_tables(members: Members, name: str, columns: Columns) -> dict[str, Numb
     where = members.where(name)
     sessions = messages_of(members, name)
     wanted = members.inside or next(iter(sessions), "")
-    if wanted not in sessions or (not members.inside and len(sessions) > 1):
+    if not sessions:
         raise RecordingError(
-            f"{where}: holds {len(sessions)} sessions ({', '.join(list(sessions)[:3])}); read one of them, as "
-            f"{where}/{next(iter(sessions), 'SESSION')}"
+            f"{where}: no message has a list as payload; save the messages as Sensor Logger pushes them"
         )
+    if wanted not in sessions or (not members.inside and len(sessions) > 1):
+        first = next(iter(sessions))
+        remedy = f"unpack it and read one of them, as {name}/{first}"
+        if not members.is_container:
+            remedy = f"read one of them, as {members.path.parent if members.inside else members.path}/{first}"
+        raise RecordingError(f"{where}: holds {len(sessions)} sessions ({', '.join(list(sessions)[:3])}); {remedy}")
     known = {sensor.lower(): sensor for sensor in columns}
     rows: dict[str, list[Message]] = {}
     for item in (item for message in sessions[wanted] for item in message["payload"] if isinstance(item, dict)):
@@ -96,8 +101,9 @@ def database_tables(
                     metadata = {key: str(value)[: limits.MAX_TEXT_CHARS] for key, value in zip(found, row, strict=True)}
         if not sensors:
             raise RecordingError(
-                f"{where}: no table of a sensor of Sensor Logger in it (found: {', '.join(database.columns)[:160]}); "
-                "export the recording again, as CSV if this is another app's"
+                f"{where}: no table of a sensor of Sensor Logger in it (found: "
+                f"{', '.join(database.columns)[:160] or 'nothing'}); export the recording again, as CSV if this is "
+                "another app's"
             )
     return sensors, metadata
 

@@ -97,7 +97,8 @@ class Members:
         names = [name for name in self.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(self.names)
         if len(names) != 1:
             raise RecordingError(
-                f"{self.path}: {len(names)} files may be the log or table ({', '.join(names[:4])}); give one of them"
+                f"{self.path}: {len(names)} files may be the log or table ({', '.join(names[:4]) or 'nothing'}); "
+                "give the path of one log or table"
             )
         return names[0]
 
@@ -189,13 +190,19 @@ class Members:
                 while part:
                     self._n_read += len(part)
                     if self._n_read > self._most:
-                        raise RecordingError(f"{where}: more than {self._most} bytes; cut the recording")
+                        raise RecordingError(
+                            f"{where}: unpacks to more than {self._most} bytes; unpack it yourself, if you trust it"
+                            if self._open is gzip.open
+                            else f"{where}: with this file, more than {self._most} bytes are read; cut the recording"
+                        )
                     yield part if decoder is None else decoder.decode(part).encode()
                     part = file.read(size)
         except RecordingError:
             raise
         except OSError as error:
-            raise RecordingError(f"{where}: cannot be read ({error.strerror or error}); copy it again") from error
+            raise RecordingError(
+                f"{where}: cannot be read ({error.strerror or error}); check its permissions, or copy it again"
+            ) from error
         except _ZIP_ERRORS as error:
             raise RecordingError(f"{where}: damaged ({error}); copy or export the recording again") from error
 
@@ -234,7 +241,9 @@ def open_members(path: Path) -> Generator[Members]:
             with _in_zip(file, path, inside) as members:
                 yield members
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+        raise RecordingError(
+            f"{path}: cannot be read ({error.strerror or error}); check path and permissions"
+        ) from error
 
 
 @contextmanager

@@ -121,17 +121,17 @@ def _folder(members: Members) -> str:
         )
     if not members.is_container:
         raise RecordingError(
-            f"{path}: no format that is known by its content; give a zip file or the folder of a recording, or a table "
-            "of samples as text, with a line of names above it"
+            f"{path}: not recognised as a recording; give a zip file or the folder of a recording, or a table of "
+            "samples as text, with a line of names above it, and name no format"
         )
     folders = [name.removesuffix(REQUIRED) for name in members.names if PurePosixPath(name).name == REQUIRED]
     if not folders:
         listed = ", ".join(members.names[:8]) + (f" and {n - 8} more" if (n := len(members.names)) > 8 else "")
         whole = next((name for name in members.names if name.lower().endswith((*IN_PLACE, ".gz"))), None)
-        remedy = "add that file" if whole is None else f"unpack {whole}, which is read alone"
+        remedy = "add an accelerometer, or name no format" if whole is None else f"unpack {whole}, which is read alone"
         raise RecordingError(
-            f"{path}: no recording, because it has no {REQUIRED} (found: {listed or 'nothing'}), nor a table of an "
-            f"accelerometer of any app; {remedy}"
+            f"{path}: no recording recognised: no {REQUIRED} (found: {listed or 'nothing'}), nor, unless a "
+            f"format was named, a table of an accelerometer; {remedy}"
         )
     if len(folders) > 1:
         names = ", ".join(folder.rstrip("/") or "." for folder in folders[:3])

@@ -55,14 +55,14 @@ def read_json(path: Path, most: int) -> Any:
     try:
         return json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{path}: not JSON ({error}); save it as UTF-8 again") from error
+        raise RecordingError(f"{path}: not JSON ({error}); write it again as JSON in UTF-8") from error
 
 
 def inside(path: Path, *folders: Path) -> Path:
     """Return the path unchanged. RecordingError if it is a link whose target is in none of the given folders."""
     target = path.resolve()
     if not any(target.is_relative_to(folder.resolve()) for folder in folders):
-        raise RecordingError(f"{path}: a link that leads out of its folder, to {target}; copy the file itself there")
+        raise RecordingError(f"{path}: a link that leads out of its folder, to {target}; put a copy of that file here")
     return path
 
 
@@ -128,7 +128,7 @@ def _sync(file: IO[bytes]) -> None:
 def _check_kind(path: Path, mode: int) -> None:
     if not stat.S_ISREG(mode):
         kind = _KINDS.get(stat.S_IFMT(mode), "a folder")
-        raise RecordingError(f"{path}: not a file but {kind}; copy what it holds into a file")
+        raise RecordingError(f"{path}: not a file but {kind}; give a file")
 
 
 def _is_hollow(number: int, size: int) -> bool:

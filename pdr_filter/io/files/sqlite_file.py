@@ -51,7 +51,7 @@ def open_database(members: Members, name: str) -> Generator[Database]:
     where = members.where(name)
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
     if not content.startswith(SQLITE):
-        raise RecordingError(f"{where}: no SQLite database; export it again")
+        raise RecordingError(f"{where}: neither a SQLite database nor MCAP; give a ROS 2 bag")
     connection = sqlite3.connect(":memory:")
     calls = 0
 

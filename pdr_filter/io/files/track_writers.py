@@ -141,7 +141,7 @@ def write_local_geojson(track: TrackRows, path: str | Path) -> Path:
     ValueError for a track with a place on Earth.
     """
     if track.origin is not None:
-        raise ValueError(f"the track {track.name!r} has a place on Earth: write it with write_geojson")
+        raise ValueError(f"the track {track.name!r} has a place on Earth: write it with to_geojson")
     path = Path(path)
     stem = path.name.removesuffix(".geojson").removesuffix(".local")
     about = f"{track.about_frame} Drawn at latitude and longitude 0 because maps need degrees: nobody walked there."
@@ -192,7 +192,10 @@ def write_gpx(
     """
     times_s = _vertex_times(track)
     if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= limits.MAX_EPOCH_S):
-        raise ValueError(f"epoch_s must be the unix time of time zero in seconds, 1970 to 9999, got {epoch_s}")
+        raise ValueError(
+            "epoch_s must be the unix time of time zero in seconds, with all times of the track in 1970 to 9999, got "
+            f"{epoch_s} for times from {times_s.min():g} to {times_s.max():g} s"
+        )
     placed = track if origin is None else track.placed(origin)
     root = ElementTree.Element(
         "gpx", version="1.1", creator=f"pdr_filter {__version__}", xmlns="http://www.topografix.com/GPX/1/1"

@@ -191,10 +191,11 @@ def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dia
         return 0.0
     if dialect is not None and (period_ms := dialect.period_of(sheets[groups[0].sheet].about)):
         return 1000 / period_ms
-    names = ", ".join(sheets[groups[0].sheet].fields)[:200]
+    sheet = next(sheets[group.sheet] for group in groups if group.time is None)
+    names = ", ".join(sheet.fields)[:200]
     app = f"this looks like {dialect.app}, but there is" if dialect else "there is"
     raise RecordingError(
-        f"{where}: {app} no column of times (columns: {names}); export it with times, or give column or rate: "
+        f"{sheet.where}: {app} no column of times (columns: {names}); export it with times, or give column or rate: "
         'pdr-filter convert FILE --map MAP.toml with "[time]" and \'column = "..."\' or "rate_hz = ..." in it'
     )
 
@@ -256,6 +257,10 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
         remedy = f", or if it is among {is_there}, say so: pdr-filter convert FILE --map MAP.toml" if rest[2:] else ""
         raise RecordingError(
             f"{where}: {app} has no accelerometer (sensors seen: {others}); record it and export again{remedy}"
+        )
+    if all(math.isnan(s.constant) for s in found):
+        raise RecordingError(
+            f"{where}: no row has all values of {found[0].group.name}; export all three axes, in the same rows"
         )
     of = {q: [s for s in found if s.group.quantity == q] for q in (ACCELERATION, LINEAR, GRAVITY)}
     # The linear acceleration of ROS messages includes gravity.

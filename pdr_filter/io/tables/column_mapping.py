@@ -88,7 +88,7 @@ def read_mapping(path: Path) -> Mapping:
     """Read a column mapping from a TOML file. RecordingError if it is invalid."""
     content = read_toml(path)
     if unknown := content.keys() - {"file", "time", *STREAMS}:
-        raise RecordingError(f"{path}: unknown table {sorted(unknown)[0]!r}; use {', '.join(STREAMS)}")
+        raise RecordingError(f"{path}: unknown table {sorted(unknown)[0]!r}; use file, time, {', '.join(STREAMS)}")
     if "accelerometer" not in content and LINEAR not in content:
         raise RecordingError(
             f'{path}: no [accelerometer]; write it with columns = ["x", "y", "z"], or [{LINEAR}], with [{GRAVITY}] if '
@@ -99,7 +99,8 @@ def read_mapping(path: Path) -> Mapping:
     unusable = (decimal or ".", '"', "\n", "\r")
     if ("separator" in file and len(separator) != 1) or separator in unusable or decimal not in ("", ".", ","):
         raise RecordingError(
-            f"{path}: separator {separator!r} and decimal {decimal!r} do not fit; write ';' and ',', or ',' and '.'"
+            f"{path}: separator {separator!r} and decimal {decimal!r} do not fit; write ';' and ',', or ',' or '\\t' "
+            "and '.'"
         )
     time = _table(path, content, "time", {"column", "unit", "rate_hz"})
     rate_hz: Any = time.get("rate_hz")
@@ -128,7 +129,8 @@ def _stream(path: Path, name: str, settings: dict[str, Any], time: dict[str, Any
         raise RecordingError(f"{path}: [{name}] columns is {columns!r}; write {n} names, as in columns = [...]")
     unit = str(settings.get("unit", units[0]))
     if unit not in units:
-        raise RecordingError(f"{path}: [{name}] unit is {unit!r}; write one of {', '.join(units)}")
+        remedy = f"write one of {', '.join(filter(None, units))}" if any(units) else "leave it out"
+        raise RecordingError(f"{path}: [{name}] unit is {unit!r}; {remedy}")
     sign: Any = settings.get("sign", 1)
     if sign not in (1, -1):
         raise RecordingError(f"{path}: [{name}] sign is {sign!r}; write 1 or -1")
@@ -136,6 +138,8 @@ def _stream(path: Path, name: str, settings: dict[str, Any], time: dict[str, Any
     time_unit = str(settings.get("time_unit", time.get("unit", "s")))
     if time_unit not in (*TIME_UNITS, "date"):
         raise RecordingError(f"{path}: time unit is {time_unit!r}; write one of {', '.join(TIME_UNITS)}, date")
+    if not time_column and "rate_hz" in time and not is_rate:
+        raise RecordingError(f"{path}: [time] rate_hz is {time['rate_hz']!r}; write a number over 0.1 and below 1e6")
     if not time_column and not is_rate:
         raise RecordingError(f"{path}: [time] names no time; write column = ... or rate_hz = ...")
     names = tuple(str(column) for column in cast("list[Any]", columns))

@@ -192,7 +192,7 @@ def _day_ns(first: str, middle: str, last: str) -> int:
             raise ValueError(year)
         return (date(year, month, day) - date(1970, 1, 1)).days * _NS_OF_DAY
     except (ValueError, KeyError) as error:
-        raise ValueError(f"{first}-{middle}-{last} is not a known form of a date; write dates as 2023-03-16") from error
+        raise ValueError(f"{first}-{middle}-{last} is no date from 1900 to 2200; write dates as 2023-03-16") from error
 
 
 def _zone_ns(zone: str) -> int:

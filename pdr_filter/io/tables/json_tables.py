@@ -114,7 +114,10 @@ def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = No
             text = text[at:]
             wanted = 2 * len(text)  # an object that is longer than a piece is not tried again for every one
             if len(text) > limits.MAX_WHOLE_BYTES:
-                raise RecordingError(f"{where}: an object of more than {limits.MAX_WHOLE_BYTES} characters; export CSV")
+                raise RecordingError(
+                    f"{where}: an object of more than {limits.MAX_WHOLE_BYTES} characters, or damaged JSON; export "
+                    "again, as CSV if the app can"
+                )
     except (RecursionError, UnicodeDecodeError) as error:
         raise RecordingError(f"{where}: the JSON is damaged ({error}); export it again") from error
     if not text and n_open <= 0:
@@ -275,7 +278,9 @@ def table_of_rows(rows: Sequence[Row], columns: Sequence[str], where: str, notes
         values = np.empty((len(rows), len(columns)))
         for i, key in enumerate(columns):
             values[:, i] = _floats([row.get(key) for row in rows])
-    except (ValueError, TypeError, KeyError, OverflowError) as error:
+    except KeyError as error:
+        raise RecordingError(f"{where}: an object has no key {error}; export it again") from error
+    except (ValueError, TypeError, OverflowError) as error:
         raise RecordingError(f"{where}: not a number ({str(error)[:60]}); export it again") from error
     refuse_far_times(whole, where)
     return NumberTable(whole, finite(values, where, notes))

@@ -50,7 +50,10 @@ def matlab_sheets(members: Members, name: str) -> list[Sheet]:
     except (struct.error, zlib.error, ValueError, KeyError, IndexError, TypeError, UnicodeDecodeError) as error:
         if isinstance(error, RecordingError):
             raise
-        raise RecordingError(f"{where}: this MATLAB file is damaged ({str(error)[:100]}); save it again") from error
+        raise RecordingError(
+            f"{where}: this MATLAB file is damaged, or it has data of a kind that is not read ({str(error)[:100]}); "
+            "save it again, or export CSV"
+        ) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +136,7 @@ class _File:
         ns: IntArray = np.rint(np.where(np.abs(ms) < 1e15, ms, 0.0) * 1e3).astype(np.int64) * 1000
         arrays = [np.asarray(column, dtype=float).ravel() for column in columns]
         if any(len(array) != len(ns) for array in arrays) or len(names) != len(arrays):
-            raise ValueError("columns of other lengths than the times")
+            raise ValueError("the columns of a timetable have other lengths than its times")
         columns = dict(zip(unlike(["Timestamp", *map(str, names)]), (ns, *arrays), strict=True))
         return replace(Sheet.of_columns(name, where, columns, dates={0}), about="MATLAB Mobile")
 
@@ -192,7 +195,7 @@ class _File:
             unpacked = zlib.decompressobj().decompress(data, self._unpacked_left + 1)
             self._unpacked_left -= len(unpacked)
             if self._unpacked_left < 0:
-                raise ValueError("unpacks to more than sensor data can")
+                raise ValueError("it unpacks to more than sensor data can")
             for _, inner_kind, inner in self._elements(unpacked, 0):
                 yield begin, inner_kind, inner
 

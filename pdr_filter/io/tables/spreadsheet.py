@@ -54,7 +54,9 @@ def spreadsheet_sheets(members: Members) -> list[Sheet]:
     except (subprocess.SubprocessError, ValueError) as error:
         if isinstance(error, RecordingError):
             raise
-        raise RecordingError(f"{path}: this spreadsheet is damaged or no table; export it again, or as CSV") from error
+        raise RecordingError(
+            f"{path}: this spreadsheet is damaged, encrypted or too large; export it again, or as CSV"
+        ) from error
     return [sheet for name, rows in sheets if (sheet := _sheet(members, name, rows)) is not None]
 
 

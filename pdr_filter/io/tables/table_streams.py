@@ -160,8 +160,11 @@ def _sheet_of(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> S
         fitting = [s for s in sheets if s.name == stream.file]
     if len(fitting) != 1:
         names = ", ".join(s.name for s in sheets[:10])
+        what, remedy = f"file = {stream.file!r} fits", "write"
+        if not stream.file:
+            what, remedy = f"columns {', '.join(stream.columns)[:100]} are in", "correct them, or write"
         raise RecordingError(
-            f"{mapping.where}: [{stream.stream}] file = {stream.file!r} fits {len(fitting)} tables; name one of {names}"
+            f"{mapping.where}: [{stream.stream}] {what} {len(fitting)} tables; {remedy} file = one of {names}"
         )
     return fitting[0]
 

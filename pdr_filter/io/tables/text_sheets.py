@@ -149,7 +149,8 @@ def text_sheets(members: Members, member: str, separator: str | None = None) -> 
         n_tables = sum(len(_begins(block, first[0])) for block in members.blocks(member))
         if n_tables > limits.MAX_TABLES:
             raise RecordingError(
-                f"{members.where(member)}: {n_tables} lines that begin like a header; write each table into a file"
+                f"{members.where(member)}: {n_tables} lines begin with {first[0].decode('utf-8', 'replace')[:60]} like "
+                "the first; write each table into a file, or a line of names above all rows"
             )
         tables = [partial(_table_at, members, member, first[0], n) for n in range(n_tables)]
         if n_tables > 1 and len({next(table(), b"").partition(b"\n")[0] for table in tables}) == n_tables:

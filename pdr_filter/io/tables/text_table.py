@@ -120,9 +120,9 @@ def decode(content: bytes, where: str, first_line: int = 1) -> str:
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        line = first_line + content.count(b"\n", 0, error.start)
+        line = first_line + error.object.count(b"\n", 0, error.start)
         raise RecordingError(
-            f"{where}, line {line}: not UTF-8 text (byte 0x{content[error.start]:02x}); save it as UTF-8"
+            f"{where}, line {line}: not UTF-8 text (byte 0x{error.object[error.start]:02x}); save it as UTF-8"
         ) from error
 
 
@@ -300,8 +300,8 @@ def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: i
                 known = whole_number(row[layout.whole])
             except ValueError as error:
                 raise RecordingError(
-                    f"{where}, line {at}: time {row[layout.whole].strip()[:40]!r} is not a whole number; "
-                    "export the file again"
+                    f"{where}, line {at}: time {row[layout.whole].strip()[:40]!r} is neither a whole "
+                    "number nor a known date; export the file again, or take the line out"
                 ) from error
             if known is None:
                 n_timeless += 1
