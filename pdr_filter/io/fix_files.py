@@ -164,9 +164,10 @@ def loop_closures_of_file(path: str | Path, std_m: float = 0.5) -> list[LoopClos
     rows = _rows(Path(path), ("first_s", "second_s"), "loop closures", std_m)
     back = next((k for k, (first_s, second_s, _) in enumerate(rows) if not first_s < second_s), None)
     if back is not None:
+        first_s, second_s, _ = rows[back]
+        remedy = "exchange the two" if first_s > second_s else "correct one of them, or leave the row out"
         raise ValueError(
-            f"{path}, row {back + 1}: first_s must be before second_s, got {rows[back][0]:g} and {rows[back][1]:g}; "
-            "exchange the two"
+            f"{path}, row {back + 1}: first_s must be before second_s, got {first_s:.15g} and {second_s:.15g}; {remedy}"
         )
     return [LoopClosure(*row) for row in rows]
 
@@ -191,5 +192,6 @@ def _rows(file: Path, names: tuple[str, ...], what: str, std_m: float) -> list[l
         values = np.column_stack([values, np.full(len(values), std_m)])
     std = values[:, -1]
     if not (std > 0).all():
-        raise ValueError(f"{file}, row {int(np.argmin(std > 0)) + 1}: std_m is {std.min():g}; write a positive number")
+        row = int(np.argmin(std > 0))
+        raise ValueError(f"{file}, row {row + 1}: std_m is {std[row]:g}; write a positive number")
     return values.tolist()
