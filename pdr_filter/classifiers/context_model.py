@@ -524,7 +524,7 @@ def _find(name_or_path: str | Path) -> str | Path:
 
 
 def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
-    """Return the model of a file. KeyError, TypeError or ValueError if anything is missing or does not fit."""
+    """Return the model of a file. `FORMAT.read` turns errors of missing or wrong parts into ValueError."""
     kind = description["machine"]
     if kind not in MACHINES:
         raise ValueError(

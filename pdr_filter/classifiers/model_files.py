@@ -68,7 +68,7 @@ class ArtefactFormat:
         json_path, npz_path = file_pair(path)
         for needed in (npz_path if str(path).endswith(".npz") else json_path, json_path):
             if not needed.is_file():
-                raise ValueError(f"{needed}: no such file")
+                raise ValueError(f"{needed}: no such file; correct the path, or copy the file there")
         try:
             description = self._checked(read_small(json_path, limits.MAX_DESCRIPTION_BYTES).decode())
             checksum = description.get("npz_sha256")

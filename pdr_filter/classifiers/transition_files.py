@@ -128,7 +128,7 @@ def load_transitions(path: str | Path) -> Transitions:
 
 
 def _assemble(content: Mapping[str, Any], _: Arrays) -> Transitions:
-    """Return the transitions; KeyError, TypeError or ValueError if anything is missing or does not fit."""
+    """Return the transitions. `FORMAT.read` turns errors of missing or wrong parts into ValueError."""
     return Transitions(
         transition_prob=content["transition_prob"],
         evidence_exponent=float(content["evidence_exponent"]),

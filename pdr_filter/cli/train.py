@@ -104,7 +104,7 @@ def _person_of(path: Path, folder: Path) -> str:
 
 
 def _estimate_transitions(sequences: Path, out: Path) -> None:
-    """Estimate the transitions of the shipped model from the recordings in a folder, and write them to a file."""
+    """Estimate transitions and exponents for the shipped model from recordings, and write them to the folder `out`."""
     from pdr_filter.io.folders import recordings_in
     from pdr_filter.offline.training.train_all import train as train_all
 

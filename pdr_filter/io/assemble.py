@@ -124,8 +124,9 @@ class Parsed:
             return
         if cosine < limits.UP_COSINE_WRONG_SIGN:
             raise RecordingError(
-                f"{where}: the specific force points down in the phone's own attitude (mean cosine {cosine:.2f}), so "
-                "its sign does not fit the platform that the file names; correct the file's meta data"
+                f"{where}: the specific force points down in the phone's own attitude (mean cosine {cosine:.2f}): "
+                "the acceleration has the opposite sign, such as that of another platform, or the attitude is wrong; "
+                "correct the platform or the sign, or leave the attitude out"
             )
         if cosine < limits.UP_COSINE_DOUBTFUL:
             self.notes.append(f"attitude: the specific force does not point up in it (mean cosine {cosine:.2f})")

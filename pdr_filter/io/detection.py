@@ -40,7 +40,9 @@ def detect(path: Path) -> str:
 def _detect_among(members: Members) -> str:
     """Return the format of a zip file or a folder, from the names and first bytes of its files.
 
-    The format of an app is preferred to "table". The result is "own" if no file shows a format.
+    Some names and signatures decide first, such as a spreadsheet, `accelerometer.csv` or a ROS bag. Of other files, the
+    first that shows the format of an app decides. Otherwise the result is "table" if a file looks like a table of
+    sensors or of unknown numbers, and "own" if none does.
     """
     by_name = {PurePosixPath(name).name: name for name in members.names}
     if is_spreadsheet(members):

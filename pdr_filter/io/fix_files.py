@@ -165,9 +165,10 @@ def loop_closures_of_file(path: str | Path, std_m: float = 0.5) -> list[LoopClos
     rows = _rows(Path(path), ("first_s", "second_s"), "loop closures", std_m)
     back = next((k for k, (first_s, second_s, _) in enumerate(rows) if not first_s < second_s), None)
     if back is not None:
+        first_s, second_s, _ = rows[back]
+        remedy = "exchange the two" if first_s > second_s else "correct one of them, or leave the row out"
         raise ValueError(
-            f"{path}, row {back + 1}: first_s must be before second_s, got {rows[back][0]:g} and {rows[back][1]:g}; "
-            "exchange the two"
+            f"{path}, row {back + 1}: first_s must be before second_s, got {first_s:.15g} and {second_s:.15g}; {remedy}"
         )
     return [LoopClosure(*row) for row in rows]
 
@@ -192,7 +193,7 @@ def _rows(file: Path, names: tuple[str, ...], what: str, std_m: float) -> list[l
         if not 0 < std_m < math.inf:
             raise ValueError(f"std_m must be a positive number, got {std_m:g}")
         values = np.column_stack([values, np.full(len(values), std_m)])
-    wrong = np.flatnonzero(values[:, -1] <= 0)
+    wrong = np.flatnonzero(~(values[:, -1] > 0))
     if len(wrong):
         raise ValueError(f"{file}, row {wrong[0] + 1}: std_m is {values[wrong[0], -1]:g}; write a positive number")
     return values.tolist()

@@ -660,7 +660,7 @@ def with_steps_of(config: Config, person: Person | Calibration | str | Path, sub
 
 
 def _assemble(config: Config | None, description: Mapping[str, Any], arrays: Arrays) -> Calibration:
-    """Create a calibration from the contents of its files. KeyError, TypeError or ValueError for invalid contents."""
+    """Create a calibration from the contents of its files. `FORMAT.read` turns errors into ValueError."""
     return Calibration(
         models={name: _model_from_plain(name, m, config) for name, m in description["models"].items()},
         **cast(Any, {name: arrays[name] for name in _ARRAYS}),

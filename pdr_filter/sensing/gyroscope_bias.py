@@ -307,7 +307,9 @@ class GyroBias:
                 f"{len(self.prior_std_radps)} and {len(self.prior_prob)} values: give one probability for each "
                 "standard deviation"
             )
-        if len(self.straight_s) != 2 or self.straight_s[0] > self.straight_s[1]:
+        if len(self.straight_s) != 2:
+            raise ValueError(f"straight_s must be (shortest, longest) in seconds, got {self.straight_s}: give both")
+        if self.straight_s[0] > self.straight_s[1]:
             raise ValueError(
                 f"straight_s must be (shortest, longest) in seconds, got {self.straight_s}: put the shorter time first"
             )

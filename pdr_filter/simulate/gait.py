@@ -186,7 +186,7 @@ class Gait:
         Returns
         -------
         float
-            Length in m: the tread on stairs, else height * (a + b * frequency).
+            Length in m: the tread on stairs, else length_factor * height * (a + b * frequency).
         """
         typical = CONTEXT_GAITS[context]
         if typical.rise_m != 0.0:

@@ -349,8 +349,10 @@ class OnlineFilter:
         """Return times (N,) and values (N, 3) of one sensor, or raise ValueError if the filter cannot use them."""
         time, rows = np.atleast_1d(as_floats(time_s, "time_s")), as_floats(values, name)
         rows = rows.reshape(-1, 3) if rows.shape in ((3,), (0,)) else rows
-        if time.ndim != 1 or rows.shape != (len(time), 3):
-            raise ValueError(f"{name} must be ({time.size}, 3), one row for each time_s, got {rows.shape}")
+        if time.ndim != 1:
+            raise ValueError(f"time_s must be one-dimensional, got shape {time.shape}: give one time for each sample")
+        if rows.shape != (len(time), 3):
+            raise ValueError(f"{name} must be ({len(time)}, 3), one row for each time_s, got {np.shape(values)}")
         if not self.state.merger.is_used and self.state.sensing.conditioner.report.n_received:
             raise ValueError(
                 f"push_{sensor} takes samples of one sensor, but this filter has received merged samples (push): use "

@@ -20,7 +20,8 @@ def check_name_of_context(name: object) -> None:
     """Raise ValueError unless a name is a short printable text in one line, which tables and pages can show."""
     if not (isinstance(name, str) and 0 < len(name) <= limits.MAX_NAME_CHARS and name.isprintable()):
         raise ValueError(
-            f"the name of a context must be 1 to {limits.MAX_NAME_CHARS} printable characters, got {str(name)[:60]!r}"
+            f"the name of a context must be a string of 1 to {limits.MAX_NAME_CHARS} printable characters, got "
+            f"{name!r:.60}"
         )
 
 

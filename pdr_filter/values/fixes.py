@@ -489,8 +489,7 @@ class RangeFix:
             )
         if not 0 <= self.range_m <= _MAX_M:
             raise ValueError(f"range_m must be a distance in m, 0 to {_MAX_M:g}, got {self.range_m}; leave the fix out")
-        if not _MIN_STD <= self.std_m <= _MAX_STD:
-            raise ValueError(f"std_m must be positive, got {self.std_m}; 0.3 is usual for UWB, 2 for Wi-Fi")
+        check_number("std_m", self.std_m, _MIN_STD, _MAX_STD, "0.3 m is usual for UWB, 2 m for Wi-Fi")
         _check_times(self.time_s, self.received_time_s)
 
     @property

@@ -27,7 +27,7 @@ from pdr_filter.walk_map.likeness import (
 # All numbers were chosen on storey F1 of `ms_indoor`.
 # Share of the probability that one place of a walk must have, and the radius of a place.
 SURE, _PLACE_M = 0.8, 12.0
-# Smallest cosine of the loud parts of two fingerprints of walks that are compared.
+# Smallest product of the loud parts of two fingerprints of walks that are compared.
 _PARTNER_COSINE = 0.15
 # Smallest cosine of similar scans, and smallest number of scans of a walk that are similar to mapped scans. Fewer do
 # not hold the walk in its place.
@@ -136,8 +136,10 @@ class ScannedWalks:
 def partners_of(walks: ScannedWalks, least_cosine: float = _PARTNER_COSINE) -> list[set[int]]:
     """Return for each walk the indices of the walks that recognise a place of it.
 
-    Two walks do if the loud parts of any two of their scans have this cosine or a larger one. One scan of three is in
-    the index, because places are larger than the distance of scans. Blocks of rows bound the memory of the product.
+    Two walks do if the scalar product of the loud parts of two of their fingerprints is at least `least_cosine`. The
+    fingerprints, not their loud parts, have unit length, so the cosine of the loud parts is at least the product. One
+    of the two scans is from an index of one scan of three, because places are larger than the distance of scans. Blocks
+    of rows bound the memory of the product.
     """
     found: list[set[int]] = [set() for _ in walks.chains]
     # the loudest access points suffice to find candidates, and keep the lists of the index short

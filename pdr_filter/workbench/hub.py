@@ -147,7 +147,7 @@ class Workbench:
             self.tell(walk.event())
 
     async def _watch(self) -> None:
-        """Send the progress of each walk to the pages, and look for new recordings while a page is open."""
+        """While a page is open, send it the progress of walks in state "working", and look for new recordings."""
         while True:
             await asyncio.sleep(_PROGRESS_S)
             if not len(self.broadcast):

@@ -228,7 +228,10 @@ def _moved(features: list[dict[str, Any]], move: Any, digits: int) -> list[dict[
 
 
 def _plain(feature: Any) -> dict[str, Any]:
-    """Return a feature with only the fields that a floor plan uses. ValueError if one is missing."""
+    """Return a feature with only the fields that a floor plan uses.
+
+    ValueError if the geometry is missing, unreadable, not finite or of an unknown type. Properties may be missing.
+    """
     try:
         geometry, properties = feature["geometry"], feature.get("properties") or {}
         points = np.array(_flat(geometry["coordinates"]), dtype=float)

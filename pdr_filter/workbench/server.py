@@ -166,10 +166,17 @@ class WorkbenchSite:
         "imm", "hc", "wc", or an empty string for the method of the recipe.
         """
         walk = self._walk(request)
-        pairs = [tuple(pair.split("/")) for pair in request.query_params.getlist("with")[:12]]
+        given = request.query_params.getlist("with")[:12]
+        if not given:
+            raise ValueError("nothing to compare: the address has no recipes; add them, such as with=default/imm")
+        pairs = [tuple(pair.split("/")) for pair in given]
         weightings = ("", "imm", "hc", "wc")
-        if not pairs or any(len(p) != 2 or p[0] not in RECIPES or p[1] not in weightings for p in pairs):
-            raise ValueError("give recipes and weightings to compare, such as with=default/imm")
+        for text, pair in zip(given, pairs, strict=True):
+            if len(pair) != 2 or pair[0] not in RECIPES or pair[1] not in weightings:
+                raise ValueError(
+                    f"{text[:80]!r} is not a recipe and a weighting that this version knows: give one of "
+                    f"{', '.join(RECIPES)}, then a slash, then imm, hc, wc or nothing, such as with=default/imm"
+                )
         found = await self.workbench.quick("compare", str(walk.path), pairs)
         return self._cached(found["key"])
 
@@ -251,7 +258,11 @@ class WorkbenchSite:
             if n_files >= _MAX_DROP_FILES:
                 raise TooLargeError(f"more than {_MAX_DROP_FILES} files; drop the folder of one recording")
             target.parent.mkdir(exist_ok=True)
-            n_new = await _stream_to(request, target, _MAX_DROP_BYTES - n_bytes)
+            too_large = (
+                f"more than {_MAX_DROP_BYTES // 1024**2} MB in one drop, which may hold more than sensor data; drop "
+                "the sensor files of one recording"
+            )
+            n_new = await _stream_to(request, target, _MAX_DROP_BYTES - n_bytes, too_large)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -323,7 +334,8 @@ class WorkbenchSite:
         path = self.plans.picture(self._plan(request), request.path_params["floor"])
         source = self.workbench.incoming / f"{secrets.token_hex(8)}.source"  # two uploads may run at the same time
         try:
-            await _stream_to(request, source, MAX_PICTURE_BYTES)
+            too_large = f"the picture has more than {MAX_PICTURE_BYTES // 1024**2} MB; give a smaller file"
+            await _stream_to(request, source, MAX_PICTURE_BYTES, too_large)
             page = int(request.query_params.get("page", "1"))
             return JSONResponse(await self.workbench.quick("picture", str(source), page, str(path)))
         finally:
@@ -414,14 +426,17 @@ async def _json_of(request: Request) -> dict[str, Any]:
     return content
 
 
-async def _stream_to(request: Request, target: Path, most: int) -> int:
-    """Write the body of a request to a file and return its size; TooLargeError if it is larger."""
+async def _stream_to(request: Request, target: Path, most: int, too_large: str) -> int:
+    """Write the body of a request to a file and return its size.
+
+    If it has more than `most` bytes, TooLargeError with the message `too_large`.
+    """
     n_bytes = 0
     with target.open("wb") as file:
         async for part in request.stream():
             n_bytes += len(part)
             if n_bytes > most:
-                raise TooLargeError(f"more than {most // 1024**2} MB; give a smaller file")
+                raise TooLargeError(too_large)
             await asyncio.to_thread(file.write, part)
     return n_bytes
 

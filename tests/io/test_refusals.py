@@ -250,6 +250,12 @@ ARGUMENTS: dict[str, tuple[Callable[[Path], object], str, str, str]] = {
         "7 and 5",
         "exchange the two",
     ),
+    "a loop closure without duration": (
+        lambda f: loop_closures_of_file(write_text(f / "loops.csv", "first_s,second_s\n7,7\n")),
+        "loops.csv, row 1",
+        "7 and 7",
+        "correct one of them",
+    ),
 }
 
 

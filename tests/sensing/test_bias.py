@@ -432,6 +432,7 @@ def test_a_gap_keeps_the_bias_and_restarts_walks_and_field() -> None:
         {"prior_std_radps": (0.002, -0.01, 0.05)},
         {"window_s": 0.0},
         {"straight_s": (10.0, 4.0)},
+        {"straight_s": (4.0,)},
     ],
 )
 def test_invalid_parameters_are_refused(wrong: dict[str, object]) -> None:

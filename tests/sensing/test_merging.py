@@ -315,6 +315,11 @@ def test_rows_of_the_wrong_shape_are_refused(values: np.ndarray) -> None:
         pdr.OnlineFilter().push_gyroscope(np.zeros(3), values)
 
 
+def test_times_in_a_column_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"time_s must be one-dimensional, got shape \(4, 1\)"):
+        pdr.OnlineFilter().push_gyroscope(np.zeros((4, 1)), np.zeros((4, 3)))
+
+
 def test_sensors_that_come_in_one_message_give_the_bits_of_those_that_come_apart() -> None:
     walk = pdr.simulate.demo_walk()
     early = {name: s.time_s < 25.0 for name, s in walk.streams.items() if name in SENSORS}

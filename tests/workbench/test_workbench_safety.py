@@ -168,7 +168,21 @@ def test_a_flood_of_files_in_one_drop_is_refused(tmp_path: Path, monkeypatch: py
         assert answer.status_code == 413
         answer = await client.http.post("/drops/" + "b" * 16, params={"name": "x.zip"}, content=b"0" * 1001)
         assert answer.status_code == 413
+        assert "MB in one drop" in answer.json()["error"]
         assert not (client.bench.incoming / ("b" * 16)).exists()
+
+    with_bench(tmp_path, scenario)
+
+
+def test_an_unknown_recipe_is_named(tmp_path: Path) -> None:
+    short_walk().save(tmp_path / "walk")
+
+    async def scenario(client: Client) -> None:
+        address = f"{await client.walk('walk')}/compare"
+        assert "nothing to compare" in (await client.get(address, 400))["error"]
+        for wrong in ("other/imm", "default/other", "default", "default/imm/hc"):
+            answer = await client.get(f"{address}?with=default/imm&with={wrong}", 400)
+            assert answer["error"].startswith(repr(wrong))
 
     with_bench(tmp_path, scenario)
 

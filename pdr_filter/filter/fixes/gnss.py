@@ -221,7 +221,7 @@ def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
     """Return east and north in m of the last location at or before a time.
 
     `places` (P, 3) are the result of `good_places`. The result is None if there is no such location, or if it is more
-    than 2 s old or not accurate.
+    than 2 s old or not accurate, even if an earlier one is accurate.
     """
     k = int(np.searchsorted(places[:, 0], time_s, side="right")) - 1
     if k < 0:

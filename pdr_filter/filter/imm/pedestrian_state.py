@@ -154,8 +154,8 @@ class StepUpdate:
         Returns
         -------
         dict
-            Fields by name, and `time_s`. Numbers that are not finite are None. `context_prob` is a dictionary by
-            context name.
+            Fields by name, without `contexts`, and `time_s`. Numbers that are not finite are None. `context_prob` is a
+            dictionary by context name.
         """
         named = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "contexts"}
         contexts = dict(zip(self.contexts, self.context_prob, strict=True))

@@ -26,8 +26,8 @@ def window_before(windows: RecentWindows, time_s: float) -> WindowContext | None
     """Return the last window whose new samples begin at or before a time, or None without windows.
 
     Windows overlap. The new samples of a window are those of its last hop, which no earlier window contains. Later
-    windows belong to later steps. The first window of a segment is returned for earlier times, because it has no
-    predecessor and all of its samples are new.
+    windows belong to later steps. The oldest of `windows` is returned for earlier times. It is usually the first
+    window of a segment, of which all samples are new.
     """
     return next((w for w in reversed(windows) if w.new_since_s <= time_s), windows[0] if windows else None)
 

@@ -250,8 +250,9 @@ def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str
         return data
     if claimed > most:
         raise RecordingError(
-            f"{where}: a compressed part states {claimed} bytes, more than sensor data can have ({most}); the file is "
-            "damaged, record it again"
+            f"{where}: a compressed part states {claimed} bytes, but only {max(most, 0)} are left of "
+            f"{limits.UNPACKED_FREELY_BYTES // 1024**2} MB or {limits.MAX_COMPRESSION_RATIO} times the size of the "
+            "file: it has very compressible messages or is damaged; write it without compression, or record it again"
         )
     try:
         unpack = _UNPACK[compression]

@@ -280,12 +280,12 @@ def pose_problem(
     states: ObservedStates = NO_STATES,
     measurements: Measurements | None = None,
 ) -> Problem:
-    """Return the least-squares problem, with anchors where observations or changes of the heading offset need them.
+    """Return the least-squares problem, with anchors at observations, changes of the heading offset and gaps.
 
-    An anchor is a foot contact at which the smoother estimates a state. `anchor_interval_s` is the largest time between
-    two of them. The positions of the problem are the fixes, the locations and the loop closures, in this order.
-    Correlated fixes must be in order of time and at different contacts (`joined_at_contacts`). `states` and `offsets`
-    are given by the number of steps before them.
+    An anchor is a foot contact at which the smoother estimates a state. `anchor_interval_s` is about the largest time
+    between two of them (`choose_nodes`). The positions of the problem are the fixes, the locations and the loop
+    closures, in this order. Correlated fixes must be in order of time and at different contacts (`joined_at_contacts`).
+    `states` and `offsets` are given by the number of steps before them.
     """
     fixes = (*observed.positions, *observed.locations)
     is_location = np.arange(len(fixes)) >= len(observed.positions)

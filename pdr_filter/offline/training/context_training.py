@@ -88,7 +88,7 @@ class ContextPlan(TrainingPlan):
         return windows.features[:, [names.index(name) for name in self.feature_names]]
 
     def of(self, windows: LabelledWindows) -> LabelledWindows:
-        """Return the training windows with the model's features, from windows with all features of the set."""
+        """Return the training windows (`rows`) with the model's features, from windows with all features of the set."""
         return replace(windows, features=self.features(windows)).part(self.rows(windows))
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:

@@ -374,7 +374,7 @@ class StepGate:
         """Return the state and the released steps when the last judged step is walking.
 
         If the step continues a bout, it is released with the held steps before it. If it completes a new bout, all
-        steps of that bout are released.
+        steps of that bout are released, with up to `n_fill` held steps before them.
         """
         continues = contact_s - state.run_s[1] <= self.max_interval_s
         run_s = (state.run_s[0] if continues else contact_s, contact_s)

@@ -65,17 +65,18 @@ class StepLogState:
     last_unknown : float
         Samples without angular rate up to the last contact.
     n_usual : float
-        Number of steps in the two following sums, exponentially forgotten with `USUAL_DECAY`.
+        Number of steps in the two following sums, exponentially forgotten with `USUAL_DECAY`. First steps of bouts
+        and steps much longer than usual are not in the sums.
     log_amplitudes : float
         Sum of the logarithms of the vertical amplitudes.
     log_durations : float
         Sum of the logarithms of the step durations.
     last_turn_rad : float
-        Turn of the device over the last step, rad; 0 at the start of a bout.
+        Turn of the device over the last step, rad; 0 before the first.
     last_duration_s : float
-        Duration of the last step, s; 0 at the start of a bout.
+        Duration of the last step, s; 0 before the first.
     last_amplitude_mps2 : float
-        Vertical amplitude of the last step, m/s2; 0 if the step was longer than usual.
+        Vertical amplitude of the last step, m/s2; 0 before the first, and after a step that is not in the sums.
     """
 
     n_samples: int

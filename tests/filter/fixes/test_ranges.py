@@ -294,6 +294,7 @@ def test_an_object_that_is_not_a_valid_fix_is_refused_with_the_reason(fix: objec
         (((1.0, np.nan), 1.0, 1.0), "anchor_m"),
         (((1.0, 1.0), -1.0, 1.0), "range_m"),
         (((1.0, 1.0), 1.0, 0.0), "std_m"),
+        (((1.0, 1.0), 1.0, np.inf), "std_m must be a number from 1e-12 to"),
     ],
 )
 def test_an_impossible_range_is_refused(values: tuple[tuple[float, ...], float, float], message: str) -> None:

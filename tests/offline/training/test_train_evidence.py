@@ -368,7 +368,7 @@ def rows(value: float) -> list[list[float]]:
         ("counts", np.full((6, 6), -1.0).tolist(), "counts must be"),
         ("contexts", ["walking", "standing"], r"must be \(2, 2\), one row for each"),
         ("contexts", ["walking"] * 6, "contexts must have different names"),
-        ("contexts", [1, 2, 3, 4, 5, 6], "name of a context must be"),
+        ("contexts", [1, 2, 3, 4, 5, 6], "name of a context must be a string .*got 1;"),
         ("contexts", None, "not iterable"),
         ("format_version", 2, "format_version is 2, this version reads 1"),
         ("kind", "calibration", "its kind is 'calibration', not 'transitions'"),
