@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, Wifi
@@ -32,15 +34,20 @@ def heard_along(time_s: FloatArray, place_m: FloatArray, seed: int, first: int =
 
 def walk_with_wifi(legs: list[Leg], seed: int, start_m: tuple[float, float] = (0.0, 0.0), first: int = 0) -> Recording:
     """A simulated walk that hears; the truth starts at `start_m`."""
-    walk = simulate(legs, seed=seed, name=f"walk{seed}")
+    return hearing(
+        simulate(legs, seed=seed, name=f"walk{seed}"), start_m, lambda *scans: heard_along(*scans, seed, first)
+    )
+
+
+def hearing(walk: Recording, start_m: ArrayLike, heard: Callable[[FloatArray, FloatArray], Wifi]) -> Recording:
+    """A walk whose truth starts at `start_m`, with what is heard at the times (S,) and places (S, 2) of its scans."""
     truth, points = walk.truth.position.copy(), walk.truth.waypoints.copy()
     for table in (truth, points):
-        table["east_m"] += start_m[0]
-        table["north_m"] += start_m[1]
+        for name, start in zip(("east_m", "north_m"), np.asarray(start_m), strict=True):
+            table[name] += start
     time_s = np.arange(0.2, walk.duration_s - 1.5, SCAN_S)
     place_m = np.column_stack([np.interp(time_s + 0.6, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    wifi = heard_along(time_s, place_m, seed, first)
-    return replace(walk, wifi=wifi, truth=replace(walk.truth, position=truth, waypoints=points))
+    return replace(walk, wifi=heard(time_s, place_m), truth=replace(walk.truth, position=truth, waypoints=points))
 
 
 def round_a_block(turns: int = 3) -> list[Leg]:

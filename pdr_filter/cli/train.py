@@ -46,8 +46,8 @@ def train(
     sequences: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of recordings from which only the transitions of the shipped "
-            "model are estimated. Replaces FOLDER."
+            help="Folder of recordings from which the transitions of the shipped model and "
+            "the exponents of its evidence are estimated. Replaces FOLDER."
         ),
     ] = None,
 ) -> None:

@@ -162,7 +162,7 @@ class TrackRows:
         ----------
         turn_rad : float
             True heading of the present north, rad, clockwise. For a track in the frame of the start, it is the
-            direction in which the person first walked.
+            heading of the person at the first sample.
         std_rad : float, optional
             Standard deviation of `turn_rad`, rad. The default is 0.
 

@@ -133,13 +133,12 @@ class ScannedWalks:
         return (self.heard[rows] @ self.heard[others].T).toarray()
 
 
-def partners_of(walks: ScannedWalks, least_cosine: float = _PARTNER_COSINE) -> list[set[int]]:
+def partners_of(walks: ScannedWalks) -> list[set[int]]:
     """Return for each walk the indices of the walks that recognise a place of it.
 
-    Two walks do if the scalar product of the loud parts of two of their fingerprints is at least `least_cosine`. The
-    fingerprints, not their loud parts, have unit length, so the cosine of the loud parts is at least the product. One
-    of the two scans is from an index of one scan of three, because places are larger than the distance of scans. Blocks
-    of rows bound the memory of the product.
+    Two walks do if the scalar product of the loud parts of two of their fingerprints is at least `_PARTNER_COSINE`. One
+    of these two scans is from an index of one scan of three, because places are larger than the distance of scans.
+    Blocks of rows bound the memory of the product.
     """
     found: list[set[int]] = [set() for _ in walks.chains]
     # the loudest access points suffice to find candidates, and keep the lists of the index short
@@ -149,7 +148,7 @@ def partners_of(walks: ScannedWalks, least_cosine: float = _PARTNER_COSINE) -> l
     index, owner, n = loud[::3].T.tocsr(), walks.owner[::3], len(walks.chains)
     for start in range(0, loud.shape[0], 500):
         near = (loud[start : start + 500] @ index).tocoo()
-        good = near.data >= least_cosine
+        good = near.data >= _PARTNER_COSINE
         pairs = np.unique(n * walks.owner[near.row[good] + start] + owner[near.col[good]])
         for i, j in zip((pairs // n).tolist(), (pairs % n).tolist(), strict=True):
             if i != j:
@@ -353,8 +352,9 @@ def scans_around(walks: ScannedWalks, group: PlacedGroup, together: Sequence[int
         return own
     others = walks.scans_of(sorted(near)[:MOST_TOGETHER])
     at_m, floor = _placed(walks, group, others)
-    others = others[(kept := _thinned(at_m, floor))]
-    others = others[np.isin(floor[kept], _placed(walks, group, own)[1])]  # other storeys say nothing about these walks
+    kept = _thinned(at_m, floor)
+    # other storeys say nothing about these walks
+    others = others[kept[np.isin(floor[kept], _placed(walks, group, own)[1])]]
     return np.concatenate([own, others[:: math.ceil(len(others) / most)]])
 
 

@@ -18,7 +18,6 @@ import resource
 import subprocess
 import sys
 import time
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -29,9 +28,10 @@ import pdr_filter as pdr
 from pdr_filter.batch import each
 from pdr_filter.simulate import Leg, simulate
 from tests.benchmarks.common import ROOT, Tables, run
+from tests.heard import hearing
 
 N_STOREYS, BLOCK_M, N_BLOCKS, N_LEGS = 5, 20.0, (6, 4), 6
-N_POINTS, STOREY_M, FLOOR_DB, STD_DB, SCAN_S, WAVE_M, N_WAVES = 100, 4.0, 15.0, 5.0, 2.2, 40.0, 8
+N_POINTS, STOREY_M, FLOOR_DB, STD_DB, WAVE_M, N_WAVES = 100, 4.0, 15.0, 5.0, 40.0, 8
 WRONG_M = 15.0
 DIRECTIONS = np.array([(0, 1), (1, 0), (0, -1), (-1, 0)])  # north, east, south, west
 
@@ -73,14 +73,8 @@ def walked(seed: int) -> tuple[pdr.Recording, int]:
         facing = (facing + turn) % 4
         node = node + DIRECTIONS[facing]
     walk = simulate(legs, start_heading_rad=first * np.pi / 2, seed=seed, name=f"walk{seed:05d}")
-    storey, truth, points = seed % N_STOREYS, walk.truth.position.copy(), walk.truth.waypoints.copy()
-    for table in (truth, points):
-        table["east_m"] += start_m[0]
-        table["north_m"] += start_m[1]
-    time_s = np.arange(0.2, walk.duration_s - 1.5, SCAN_S)
-    place_m = np.column_stack([np.interp(time_s + 0.6, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    wifi = heard(time_s, place_m, storey, rng)
-    return replace(walk, wifi=wifi, truth=replace(walk.truth, position=truth, waypoints=points)), storey
+    storey = seed % N_STOREYS
+    return hearing(walk, start_m, partial(heard, storey=storey, rng=rng)), storey
 
 
 def inside(node: np.ndarray) -> bool:

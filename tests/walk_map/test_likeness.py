@@ -25,8 +25,10 @@ from pdr_filter.walk_map.placing import (
     PlacedGroup,
     Pose,
     ScannedWalks,
+    _thinned,
     adjust,
     joint_poses,
+    partners_of,
     scans_around,
     turned,
 )
@@ -117,6 +119,35 @@ def test_the_slope_of_the_joint_poses_is_that_of_differences(chain: Chain) -> No
     adjust(walks, group, [0, 1], n_iterations=30)
     after = joint_poses(walks, group, [0, 1], scans)
     assert after.objective > before.objective + 1.0 and np.abs(after.slope[4:7]).max() < 1.0
+
+
+def test_walks_of_other_storeys_do_not_move_a_walk(chain: Chain) -> None:
+    rng = np.random.default_rng(2)
+    heard = Scans(np.arange(0, 20, 4), np.arange(0, 35, 6), np.tile(np.arange(6), 5), rng.uniform(-80, -40, 30))
+    walks = ScannedWalks.of([replace(chain, scans=heard)] * 3)
+    poses = {i: Pose(0.0, np.array([9.0 * i, 0.0]), floor) for i, floor in enumerate((0, 0, 1))}
+    group = PlacedGroup(poses, {1: poses[1]})
+    scans = scans_around(walks, group, [0])
+    assert set(walks.owner[scans].tolist()) == {0, 1}
+    with_other = np.concatenate([scans, walks.scans_of([2])])
+    expected = joint_poses(walks, group, [0], with_other)
+    np.testing.assert_allclose(joint_poses(walks, group, [0], scans).slope, expected.slope, rtol=1e-9)
+
+
+@pytest.mark.parametrize("first", range(5))
+def test_walks_that_share_three_scans_in_a_row_are_partners(chain: Chain, first: int) -> None:
+    def walk(name: int, shared: slice) -> Chain:
+        address = 100 * name + np.arange(7)
+        address[shared] = 1000
+        return replace(chain, scans=Scans(np.arange(7), np.arange(8), address, np.full(7, -50.0)))
+
+    chains = [walk(1, slice(first, first + 3)), walk(2, slice(2, 5)), walk(3, slice(0, 0))]
+    assert partners_of(ScannedWalks.of(chains)) == [{1}, {0}, set()]
+
+
+def test_one_scan_of_each_square_is_kept_on_each_storey() -> None:
+    at_m = np.array([[1.0, 1.0], [2.0, 5.0], [7.0, 1.0], [1.5, 1.5], [-0.5, 1.0]])
+    assert sorted(_thinned(at_m, np.array([0, 0, 0, 1, 0])).tolist()) == [0, 2, 3, 4]
 
 
 def test_derivatives_of_points_are_those_of_differences() -> None:
