@@ -154,7 +154,7 @@ class _File:
         return []
 
     def _properties(self, number: int) -> dict[str, Any]:
-        """Return the properties of the object with this number, by name. Other kinds than values are None."""
+        """Return the properties of the object with this number, by name. None for one that has no stored value."""
         meta = np.asarray(self._cells[0], dtype=np.uint8).tobytes()
         words = np.frombuffer(meta[: len(meta) // 4 * 4], dtype=self._order + "u4").astype(int)
         names = meta[40 : words[2]].split(b"\x00")

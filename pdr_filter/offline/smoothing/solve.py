@@ -508,9 +508,10 @@ def _rotation_matrix_of(sum_m: FloatArray) -> FloatArray:
 
 
 def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the derivatives (F, 2, 4) of relaxed positions by the anchor and by the other one, and their targets.
+    """Return the derivatives (F, 2, 4) of F observed positions by their anchors, and by the other anchors of closures.
 
-    All are whitened. The targets (F, 2) are the observed positions. The second derivatives apply to loop closures only.
+    They are followed by the targets (F, 2), the observed positions. All are whitened. The problem is relaxed: its
+    unknowns are those of `_relaxed_squared_residuals`, in which it is linear.
     """
     positions = problem.positions
     H = np.zeros((len(positions), 2, N_STATES))
