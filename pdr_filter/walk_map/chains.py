@@ -209,15 +209,10 @@ def cached_chain(recording: Recording | str, cache: str | None, salt: str | None
 
 def content_of(recording: Recording) -> str:
     """Return the checksum of the samples and the Wi-Fi of a recording in memory."""
-    found = hashlib.sha256()
-    for name, samples in recording.streams.items():
-        found.update(name.encode())
-        found.update(np.ascontiguousarray(samples.time_s).tobytes())
-        found.update(np.ascontiguousarray(samples.values).tobytes())
-    if recording.wifi is not None:
-        for column in (recording.wifi.time_s, recording.wifi.bssid, recording.wifi.rssi_dbm):
-            found.update(np.ascontiguousarray(column).tobytes())
-    return found.hexdigest()
+    parts = [part for name, s in recording.streams.items() for part in (name.encode(), s.time_s, s.values)]
+    if (wifi := recording.wifi) is not None:
+        parts += [wifi.time_s, wifi.bssid, wifi.rssi_dbm]
+    return hashlib.sha256(b"".join(bytes(part) for part in parts)).hexdigest()
 
 
 def without_times(chains: Sequence[Chain]) -> list[Chain]:

@@ -16,7 +16,7 @@ from pdr_filter.values.uncertainty import worst_std_m
 if TYPE_CHECKING:
     from pdr_filter.walk_map.walk_map import MappedWalk
 
-# Half of the width of a narrow corridor, to which the standard deviation of the path is added up to the second value.
+# Half of the width of a narrow corridor, and the largest standard deviation by which the density is blurred.
 _HALF_WIDTH_M, _MOST_STD_M = 1.5, 5.0
 _SIMPLIFY_M = 0.5
 _WIDTH_PX = 900
@@ -51,7 +51,7 @@ def density(walks: Sequence[MappedWalk], floor: int, cell_m: float) -> tuple[Flo
 def plan_text(walks: Sequence[MappedWalk]) -> str:
     """Return the walked areas as GeoJSON: one outline in metres for each storey.
 
-    An outline surrounds the paths by 1.5 m plus their standard deviation.
+    An outline surrounds each path by 1.5 m plus twice its standard deviation, so that the true path is inside.
     """
     try:
         import shapely
@@ -66,9 +66,9 @@ def plan_text(walks: Sequence[MappedWalk]) -> str:
             np.split(walk.floor, ends),
             strict=True,
         ):
-            std_m = min(float(np.median(worst_std_m(cov_m2))), _MOST_STD_M)
+            std_m = float(np.median(worst_std_m(cov_m2)))
             path = shapely.LineString(at_m) if len(at_m) > 1 else shapely.Point(at_m[0])
-            of_floor.setdefault(int(floors[0]), []).append(path.buffer(_HALF_WIDTH_M + std_m))
+            of_floor.setdefault(int(floors[0]), []).append(path.buffer(_HALF_WIDTH_M + 2.0 * std_m))
     features: list[dict[str, Any]] = []
     for floor, areas in sorted(of_floor.items()):
         area = shapely.unary_union(areas).simplify(_SIMPLIFY_M)

@@ -19,7 +19,7 @@ from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, s
 from pdr_filter.offline.smoothing.solve import linearised
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, wrap_angle
 from pdr_filter.walk_map.chains import Chain
-from pdr_filter.walk_map.placing import PlacedGroup, ScannedWalks, joint_poses, of_storeys, scans_around
+from pdr_filter.walk_map.placing import PlacedGroup, Pose, ScannedWalks, joint_poses, of_storeys, scans_around
 
 Known = PositionFix | HeadingFix
 # Definition of a frame without fixes: the start of its first walk.
@@ -129,9 +129,9 @@ def _of_walk(
     north_rad = np.where(observed.state == HEADING_OFFSET, group.north_rad, 0.0)
     problem = replace(problem, states=replace(observed, value=observed.value + north_rad))
     rows = linearised(problem, mean, frame_rad, np.ones(len(observed)))
-    rows += _known_rows(walks, walk, mean, known)
     if is_origin and walk == next(iter(group.seeds)):
-        rows += _origin_rows(walks, group, walk, mean, known)
+        known = [*known, *_origin(walks.chains[walk], group.seeds[walk], known)]
+    rows += _known_rows(walks.chains[walk], mean, known)
     size = N_STATES * len(mean) + (len(problem.offsets) > 0)
     left, right = np.zeros((size, size)), np.zeros(size)
     for block in rows:
@@ -176,9 +176,9 @@ def _by_state(state: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[F
     return at[:, :2] + moved, by_state
 
 
-def _known_rows(walks: ScannedWalks, walk: int, state: FloatArray, known: Sequence[Known]) -> list[Rows]:
+def _known_rows(chain: Chain, state: FloatArray, known: Sequence[Known]) -> list[Rows]:
     """Return the equations of the known positions and headings of a walk, linearised at its states."""
-    chain, rows = walks.chains[walk], list[Rows]()
+    rows = list[Rows]()
     for fix in known:
         step = chain.step_at(fix.time_s)
         (node,), ahead = chain.node_of(np.array([step]))
@@ -195,21 +195,16 @@ def _known_rows(walks: ScannedWalks, walk: int, state: FloatArray, known: Sequen
     return rows
 
 
-def _origin_rows(
-    walks: ScannedWalks, group: PlacedGroup, walk: int, state: FloatArray, known: Sequence[Known]
-) -> list[Rows]:
-    """Return the equations by which a walk defines the frame of its group: its start and its direction.
+def _origin(chain: Chain, seed: Pose, known: Sequence[Known]) -> list[Known]:
+    """Return the fixes by which a walk defines the frame of its group: its start and its direction, at its `seed`.
 
     The start is left out if there is a known position. The direction is left out if there are two fixes, or if the
     magnetometer gives it.
     """
-    rows = list[Rows]()
+    fixes = list[Known]()
     if not any(isinstance(fix, PositionFix) for fix in known):
-        start_m = group.seeds[walk].of(walks.chains[walk].mean[:1, :2])[0]
-        rows.append(Rows.of_one(0, np.eye(2, N_STATES) / _ORIGIN_STD_M, (start_m - state[0, :2]) / _ORIGIN_STD_M))
-    if len(known) < 2 and not walks.chains[walk].knows_north:
-        by_state = np.zeros((1, N_STATES))
-        by_state[0, HEADING_OFFSET] = 1.0 / _ORIGIN_STD_RAD
-        turn_rad = walks.chains[walk].mean[0, HEADING_OFFSET] + group.seeds[walk].turn_rad
-        rows.append(Rows.of_one(0, by_state, np.array([turn_rad - state[0, HEADING_OFFSET]]) / _ORIGIN_STD_RAD))
-    return rows
+        fixes.append(PositionFix(0.0, seed.of(chain.mean[:1, :2])[0], _ORIGIN_STD_M**2 * np.eye(2)))
+    if len(known) < 2 and not chain.knows_north:
+        heading_rad = chain.device_rad[0] + chain.mean[0, HEADING_OFFSET] + seed.turn_rad
+        fixes.append(HeadingFix(0.0, float(heading_rad), _ORIGIN_STD_RAD))
+    return fixes

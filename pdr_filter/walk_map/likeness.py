@@ -85,14 +85,14 @@ def likelihood(position_m: FloatArray, owner: IntArray, cosine: FloatArray) -> t
     return value, slope.ravel(), information.reshape(2 * n, 2 * n)
 
 
-def fingerprint_matrix(scans: Sequence[Scans]) -> tuple[Any, IntArray]:
-    """Return the fingerprints of all scans as a sparse matrix (S, A), and the addresses (A,) of its columns.
+def fingerprint_matrix(scans: Sequence[Scans]) -> Any:
+    """Return the fingerprints of all scans as a sparse matrix (S, A), with a column for each access point.
 
     A product of two such matrices visits only pairs of scans with a common access point (an inverted index).
     """
-    bssid = np.concatenate([s.bssid for s in scans]) if scans else np.zeros(0, dtype=np.int64)
-    known, column = np.unique(bssid, return_inverse=True)
+    if not scans:
+        return csr_matrix((0, 0))
+    known, column = np.unique(np.concatenate([s.bssid for s in scans]), return_inverse=True)
     first = np.cumsum([0, *(len(s) for s in scans)])
-    row = np.concatenate([s.row + n for s, n in zip(scans, first[:-1], strict=True)]) if scans else column
-    value = np.concatenate([s.fingerprint for s in scans]) if scans else np.zeros(0)
-    return csr_matrix((value, (row, column)), (int(first[-1]), len(known))), known
+    row = np.concatenate([s.row + n for s, n in zip(scans, first[:-1], strict=True)])
+    return csr_matrix((np.concatenate([s.fingerprint for s in scans]), (row, column)), (int(first[-1]), len(known)))

@@ -18,11 +18,7 @@ import numpy as np
 
 from pdr_filter.values import FloatArray, IntArray
 from pdr_filter.walk_map.chains import Chain
-from pdr_filter.walk_map.likeness import (
-    fingerprint_matrix,
-    likelihood,
-    log_ratio,
-)
+from pdr_filter.walk_map.likeness import fingerprint_matrix, likelihood, log_ratio
 
 # All numbers were chosen on storey F1 of `ms_indoor`.
 # Share of the probability that one place of a walk must have, and the radius of a place.
@@ -114,7 +110,7 @@ class ScannedWalks:
             own_m=np.concatenate(own) if own else np.zeros((0, 2)),
             floor=np.concatenate([c.floor[c.scans.step] for c in chains]) if own else np.zeros(0, dtype=np.int64),
             owner=np.repeat(np.arange(len(chains)), counts),
-            heard=fingerprint_matrix([c.scans for c in chains])[0],
+            heard=fingerprint_matrix([c.scans for c in chains]),
             first=np.cumsum([0, *counts]),
         )
         walks.partners = partners_of(walks)

@@ -39,7 +39,7 @@ _FORMAT = 2
 _LOUD_DBM, _MOVED_M = -60.0, 60.0
 # Standard deviation of magnetic north around the declination, for all walks of a building together.
 DECLINATION_STD_RAD = 0.05
-# Walks with a larger standard deviation are not joined.
+# Walks with a larger standard deviation in the worst direction are not joined: the median over their knots.
 _MOST_STD_M = 15.0
 
 
@@ -201,22 +201,22 @@ class WalkMap:
         ValueError
             If there is no such group.
         """
-        self._check_group(group)
-        chains = self._joined(group)
-        walks = [w for w in self.walks if w.group == group]
-        scans = [chain.scans for chain in chains]
-        bssid = np.setdiff1d(np.concatenate([s.bssid for s in scans]), self.moved_access_points)
-        kept = np.isin(np.concatenate([s.bssid for s in scans]), bssid)
-        first = np.cumsum([0, *(len(s) for s in scans)])
-        point = np.concatenate([s.row + n for s, n in zip(scans, first[:-1], strict=True)])[kept]
+        walks = self._walks_of(group)
+        pairs = list(zip(walks, (self._chains[i].scans for i in self._groups[group].number), strict=True))
+        heard = np.concatenate([s.bssid for _, s in pairs])
+        bssid = np.setdiff1d(heard, self.moved_access_points)
+        kept = np.isin(heard, bssid)
+        first = np.cumsum([0, *(len(s) for _, s in pairs)])
+        cov_m2 = np.concatenate([w.position_cov_m2[s.step] for w, s in pairs])
         return RadioMap(
-            position_m=np.concatenate([w.position_m[s.step] for w, s in zip(walks, scans, strict=True)]),
-            floor=np.concatenate([w.floor[s.step] for w, s in zip(walks, scans, strict=True)]).astype(float),
+            position_m=np.concatenate([w.position_m[s.step] for w, s in pairs]),
+            floor=np.concatenate([w.floor[s.step] for w, s in pairs]).astype(float),
             bssid=bssid,
-            point=point,
-            access_point=np.searchsorted(bssid, np.concatenate([s.bssid for s in scans])[kept]),
-            rssi_dbm=np.concatenate([s.rssi_dbm for s in scans])[kept],
+            point=np.concatenate([s.row + n for (_, s), n in zip(pairs, first[:-1], strict=True)])[kept],
+            access_point=np.searchsorted(bssid, heard[kept]),
+            rssi_dbm=np.concatenate([s.rssi_dbm for _, s in pairs])[kept],
             card={"walks": [w.name for w in walks], "version": __version__},
+            position_std_m=float(np.sqrt(0.5 * np.trace(cov_m2, axis1=1, axis2=2).mean())),
         )
 
     def density(self, floor: int = 0, group: int = 0, cell_m: float = 1.0) -> tuple[FloatArray, FloatArray]:
@@ -245,8 +245,7 @@ class WalkMap:
         """
         from pdr_filter.walk_map.drawing import density
 
-        self._check_group(group)
-        return density([w for w in self.walks if w.group == group], floor, cell_m)
+        return density(self._walks_of(group), floor, cell_m)
 
     def write_plan(self, path: str | Path, group: int = 0) -> Path:
         """Write the walked area of a group as a floor plan in GeoJSON, which `FloorPlan.read` reads.
@@ -272,8 +271,7 @@ class WalkMap:
         """
         from pdr_filter.walk_map.drawing import plan_text
 
-        self._check_group(group)
-        write_files({Path(path): plan_text([w for w in self.walks if w.group == group]).encode()})
+        write_files({Path(path): plan_text(self._walks_of(group)).encode()})
         return Path(path)
 
     def write_report(self, path: str | Path) -> Path:
@@ -437,17 +435,15 @@ class WalkMap:
                 f"{folder}: not a map of walks ({error}): check the folder, or map the recordings again"
             ) from error
 
-    def _check_group(self, group: int) -> None:
+    def _walks_of(self, group: int) -> list[MappedWalk]:
+        """Return the walks of a group, or raise ValueError if there is no such group."""
         if not 0 <= group < self.n_groups:
             raise ValueError(
                 f"group must be from 0 to {self.n_groups - 1}, got {group}"
                 if self.n_groups
                 else "no walks were joined: apart has the reasons"
             )
-
-    def _joined(self, group: int) -> list[Chain]:
-        """Return the chains (walks reduced to knots and scans) of a group, in the order of its walks."""
-        return [self._chains[i] for i in self._groups[group].number]
+        return [w for w in self.walks if w.group == group]
 
 
 def map_walks(
@@ -654,8 +650,9 @@ def _mapped(
             some = {*states, *pending[start : start + MOST_TOGETHER]}
             part = replace(group, poses={i: p for i, p in group.poses.items() if i in some})
             states = solve_group(walks, part, fixes, states)
-        vague = [i for i in states if i not in earlier and i not in group.seeds and _std_m(states[i]) > _MOST_STD_M]
-        for i in vague:
+        for i in set(states) - set(earlier) - set(group.seeds):
+            if np.median(worst_std_m(states[i].joint_cov[:, :2, :2])) <= _MOST_STD_M:
+                continue
             reasons[i] = "its place is uncertain by more than 15 m: walk longer, or through mapped places"
             del states[i], group.poses[i]
         number = tuple(sorted(states))
@@ -672,14 +669,6 @@ def _mapped(
             )
             apart = [*apart, (chain.name, why)]
     return _result(chains, solved, apart, known, salt, north)
-
-
-def _std_m(states: States) -> float:
-    """Return the median over the knots of a walk of the standard deviation in the worst direction, in m.
-
-    Knots are the points of the walk at which a state is estimated.
-    """
-    return float(np.median(worst_std_m(states.joint_cov[:, :2, :2])))
 
 
 def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: dict[int, str]) -> None:
@@ -751,19 +740,12 @@ def _moved_access_points(
     """Return the addresses of access points that were received strongly at distant places of one group, ascending."""
     moved: set[int] = set()
     for number, group in enumerate(groups):
-        bssid: list[IntArray] = []
-        place: list[FloatArray] = []
-        of_group = [w for w in walks if w.group == number]
-        for i, walk in zip(group.number, of_group, strict=True):
-            scans = chains[i].scans
-            loud = scans.rssi_dbm >= _LOUD_DBM
-            bssid.append(scans.bssid[loud])
-            place.append(walk.position_m[scans.step[scans.row[loud]]])
-        all_bssid, all_places = np.concatenate(bssid), np.concatenate(place)
-        known, index = np.unique(all_bssid, return_inverse=True)
-        for axis in range(2):
-            low, high = np.full(len(known), np.inf), np.full(len(known), -np.inf)
-            np.minimum.at(low, index, all_places[:, axis])
-            np.maximum.at(high, index, all_places[:, axis])
-            moved |= set(known[high - low > _MOVED_M].tolist())
+        scans = [chains[i].scans for i in group.number]
+        loud = [s.rssi_dbm >= _LOUD_DBM for s in scans]
+        heard = np.concatenate([s.bssid[of] for s, of in zip(scans, loud, strict=True)])
+        of_group = zip((w for w in walks if w.group == number), scans, loud, strict=True)
+        at_m = np.concatenate([w.position_m[s.step[s.row[of]]] for w, s, of in of_group])
+        known, first = np.unique(heard[order := np.argsort(heard)], return_index=True)
+        extent_m = np.maximum.reduceat(at_m[order], first) - np.minimum.reduceat(at_m[order], first)
+        moved |= set(known[extent_m.max(axis=1) > _MOVED_M].tolist())
     return tuple(sorted(moved))

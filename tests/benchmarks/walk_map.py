@@ -10,9 +10,10 @@ the declination, where a table says so.
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -87,43 +88,51 @@ def given(walks: Sequence[Walk], rank: int = 0) -> tuple[Walk, list[object]]:
     ]
 
 
-def mapped(walks: Sequence[Walk], city: bool = True, rank: int = 0) -> tuple[pdr.WalkMap, set[str], float]:
-    """Map of walks, the names of the given ones, and the time of the processor in s."""
+def mapped(
+    walks: Sequence[Walk], city: bool = True, ranks: Sequence[int] = (0,)
+) -> tuple[pdr.WalkMap, set[str], float]:
+    """Map of walks, the names of the given ones, which are those of some ranks, and the time of the processor in s."""
     start = time.process_time()
     known: dict[str, list[object]] = {}
     for storey in sorted({w.storey for w in walks}):
-        walk, fixes = given([w for w in walks if w.storey == storey], rank)
-        known[walk.chain.name] = fixes
+        for rank in ranks:
+            walk, fixes = given([w for w in walks if w.storey == storey], rank)
+            known[walk.chain.name] = fixes
     north = (CITY.declination_rad(), DECLINATION_STD_RAD) if city else UNKNOWN_NORTH
     found = _mapped([w.chain for w in walks], [], known, None, north=north)
     return found, set(known), time.process_time() - start
 
 
-def row(name: str, walks: Sequence[Walk], found: pdr.WalkMap, known: set[str], seconds: float) -> list[str]:
+def matched(walks: Sequence[Walk], found: pdr.WalkMap, known: set[str]) -> list[tuple[Walk, pdr.MappedWalk]]:
+    """Joined walks that were not given, each with its truth."""
     others = {w.chain.name: w for w in walks if w.chain.name not in known}
-    errors: list[float] = []
-    n_wrong = n_joined = n_other_floor = 0
-    nees: list[float] = []
-    for walk in found.walks:
-        if walk.group != 0 or walk.name not in others:
-            continue
-        truth = others[walk.name]
-        at = [walk.at(t) for t in truth.points[:, 0]]
-        apart = np.array([p for p, _ in at]) - truth.points[:, 1:]
-        error = np.hypot(*apart.T)
-        is_other = bool((walk.floor != truth.floor).any())
-        errors += error.tolist()
-        n_joined += 1
-        n_wrong += bool(error.mean() > WRONG_M) or is_other
-        n_other_floor += is_other
-        nees += [float(e @ np.linalg.solve(c + np.eye(2), e)) for e, (_, c) in zip(apart, at, strict=True)]
-    n = len(others)
-    figures = ["-"] * 3
-    if errors:
-        figures = [f"{np.median(errors):.1f} m", f"{np.percentile(errors, 90):.1f} m"]
-        figures.append(f"{100 * np.mean(np.array(nees) < 5.991):.0f} %")
-    wrong = f"{100 * n_wrong / n_joined:.0f} %" if n_joined else "-"
-    return [name, str(n), f"{100 * n_joined / n:.0f} %", wrong, *figures, f"{seconds:.1f} s"]
+    return [(others[w.name], w) for w in found.walks if w.group == 0 and w.name in others]
+
+
+def aligned(mapped_m: np.ndarray, true_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix M and shift d for which mapped @ M + d fits the true positions best, without scale."""
+    a, b = (mapped_m - mapped_m.mean(axis=0)) @ [1, 1j], (true_m - true_m.mean(axis=0)) @ [1, 1j]
+    turn = turned(-float(np.angle(np.vdot(a, b))))
+    return turn, true_m.mean(axis=0) - mapped_m.mean(axis=0) @ turn
+
+
+def row(name: str, walks: Sequence[Walk], found: pdr.WalkMap, known: set[str], seconds: float) -> list[str]:
+    n, pairs = sum(w.chain.name not in known for w in walks), matched(walks, found, known)
+    if not pairs:
+        return [name, str(n), "0 %", *["-"] * 5, f"{seconds:.1f} s"]
+    at, true_m, n_wrong = [], np.concatenate([truth.points[:, 1:] for truth, _ in pairs]), 0
+    for truth, walk in pairs:
+        of_walk = [walk.at(t) for t in truth.points[:, 0]]
+        error = np.hypot(*(np.array([p for p, _ in of_walk]) - truth.points[:, 1:]).T)
+        n_wrong += bool(error.mean() > WRONG_M) or bool((walk.floor != truth.floor).any())
+        at += of_walk
+    at_m, cov_m2 = np.array([p for p, _ in at]), np.array([c for _, c in at]) + np.eye(2)
+    apart, (turn, shift_m) = at_m - true_m, aligned(at_m, true_m)
+    error, of_shape = np.hypot(*apart.T), np.hypot(*(at_m @ turn + shift_m - true_m).T)
+    nees = np.einsum("na,nab,nb->n", apart, np.linalg.inv(cov_m2), apart)
+    figures = [f"{value:.1f} m" for value in (np.median(error), np.percentile(error, 90), np.median(of_shape))]
+    joined, wrong = f"{100 * len(pairs) / n:.0f} %", f"{100 * n_wrong / len(pairs):.0f} %"
+    return [name, str(n), joined, wrong, *figures, f"{100 * np.mean(nees < 5.991):.0f} %", f"{seconds:.1f} s"]
 
 
 def true_pose(walk: Walk) -> Pose:
@@ -149,7 +158,7 @@ def among_true(walks: Sequence[Walk]) -> str:
     return f"{100 * n_sure / len(walks):.0f} %, {n_sure - n_right} wrong"
 
 
-COLUMNS = ["storey", "other walks", "joined", "of these wrong", "median", "90 %", "in 95 % region", "time"]
+COLUMNS = ["storey", "other walks", "joined", "of these wrong", "median", "90 %", "of shape", "in 95 % region", "time"]
 
 
 def by_storey(walks: Sequence[Walk]) -> list[tuple[str, list[Walk]]]:
@@ -170,18 +179,32 @@ def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
         rows.append([*row(f"{name}, all storeys together", group, *together), ""])
     about = (
         "Errors at the waypoints of all joined walks but the given one. Wrong: more than 15 m on average, or another "
-        "storey. Last column: walks that their scans place with all others at their true places."
+        "storey. Of shape: median after the best rotation and shift of the map. Last column: walks that their scans "
+        "place with all others at their true places."
     )
     tables.write("walk_map", [*COLUMNS, "among true places"], rows, about)
 
 
-ABOUT_NUMBERS = "F1 by the walks with the most partners, one after the other; below, walks drawn at random."
+ABOUT_NUMBERS = (
+    "F1 by the walks with the most partners, one after the other or together, and with the true direction of each walk "
+    "instead of that of its magnetometer; below, walks drawn at random."
+)
+
+
+def with_true_direction(walk: Walk) -> Walk:
+    """The walk, turned so that magnetic north is right."""
+    turn_rad, chain = true_pose(walk).turn_rad - CITY.declination_rad(), walk.chain
+    mean = np.column_stack([chain.mean[:, :2] @ turned(turn_rad), chain.mean[:, 2] + turn_rad, chain.mean[:, 3]])
+    return replace(walk, chain=replace(chain, mean=mean, frame_rad=chain.frame_rad + turn_rad))
 
 
 def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Parts of F1, drawn at random, and all of F1 by other given walks."""
+    """All of F1 by other given walks, by several ones and with true directions, and parts of F1, drawn at random."""
     every = [w for w in walks_of(arguments.data) if w.storey == CHOSEN_ON]
-    rows = [row(f"F1, given walk {k + 1}", every, *mapped(every, rank=k)) for k in range(4)]
+    rows = [row(f"F1, given walk {k + 1}", every, *mapped(every, ranks=[k])) for k in range(4)]
+    rows += [row(f"F1, given walks 1 to {n}", every, *mapped(every, ranks=range(n))) for n in (2, 3, 4)]
+    turned_walks = [with_true_direction(w) for w in every]
+    rows.append(row("F1, true directions", turned_walks, *mapped(turned_walks)))
     for n in (10, 20):
         for seed in range(3):
             chosen = np.random.default_rng(seed).permutation(len(every))[:n]
@@ -200,16 +223,24 @@ def radio(tables: Tables, arguments: argparse.Namespace) -> None:
     pairs: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
     for fold in range(5):
         held_out, others = known[fold::5], [i for i in range(len(every)) if i % 5 != fold]
-        found, _, _ = mapped([every[i] for i in others])
+        walks = [every[i] for i in others]
+        found, names, _ = mapped(walks)
         joined = {w.name for w in found.walks if w.group == 0}
+        points = [
+            (walk.at(t)[0], place_m) for true, walk in matched(walks, found, names) for t, *place_m in true.points
+        ]
+        turn, shift_m = aligned(*(np.array(p) for p in zip(*points, strict=True)))
+        radio_map = found.radio()
         maps = {
-            "this map": found.radio(),
+            "this map": radio_map,
+            "of two given walks": mapped(walks, ranks=range(2))[0].radio(),
+            "turned and shifted to the truth": replace(radio_map, position_m=radio_map.position_m @ turn + shift_m),
             "surveyed, the same walks": map_of([known[i] for i in others if every[i].chain.name in joined]),
             "surveyed, all walks": map_of([known[i] for i in others]),
         }
-        for name, radio_map in maps.items():
+        for name, of_name in maps.items():
             for walk in held_out:
-                pairs.setdefault(name, []).extend(errors_of(walk, radio_map.fixes(walk.recording)))
+                pairs.setdefault(name, []).extend(errors_of(walk, of_name.fixes(walk.recording)))
     rows = [[name, *scores(of_map)] for name, of_map in pairs.items()]
     columns = ["radio map", "fixes", "median", "90 %", "in 50 % region", "in 95 %", "-log density"]
     tables.write("walk_map_radio", columns, rows, "Each fifth of the walks of F1 by the map of the others.")
@@ -223,21 +254,41 @@ def plan(tables: Tables, arguments: argparse.Namespace) -> None:
         found, _, _ = mapped([w for i, w in enumerate(every) if i % 5 != fold])
         with TemporaryDirectory() as folder:
             drawn = pdr.FloorPlan.read(found.write_plan(Path(folder) / "plan.geojson"))
+            hall = pdr.FloorPlan.read(_hall(Path(folder) / "hall.geojson", every))
         for walk in every[fold::5]:
             if len(walk.points) < 4 or drawn.storeys[0].kind_at(walk.points[:1, 1:])[0] != 0:
                 continue
             _, fixes = given([walk])
+            # the direction is known from the time of its fix on
+            after = walk.points[walk.points[:, 0] > fixes[1].time_s]
             config = pdr.recipes.default(walk.recording.subject).in_world_frame()
-            for name, where in (("dead reckoning", None), ("with the plan", drawn)):
+            plans = {"dead reckoning": None, "on the drawn plan": drawn, "on a plan of one large hall": hall}
+            for name, where in plans.items():
                 track = pdr.track(walk.recording, config, fixes=fixes, plan=where)
-                at = np.array([place(track, t) for t in walk.points[1:, 0]])
-                errors.setdefault(name, []).append(float(np.hypot(*(at - walk.points[1:, 1:]).T).mean()))
-    before, after = (np.array(e) for e in errors.values())
-    rows = [[name, str(len(e)), f"{np.median(e):.2f} m", f"{np.mean(e):.2f} m"] for name, e in errors.items()]
-    worse = f"{100 * np.mean(after > 1.1 * before):.0f} % of the walks are worse by more than a tenth"
-    better = f"{100 * np.mean(after < before / 1.1):.0f} % are better by more than a tenth"
-    about = f"Mean errors of held-out walks of F1 from a given start and direction on the plan: {better}, {worse}."
-    tables.write("walk_map_plan", ["track", "walks", "median", "mean"], rows, about)
+                at = np.array([place(track, t) for t in after[:, 0]])
+                errors.setdefault(name, []).append(float(np.hypot(*(at - after[:, 1:]).T).mean()))
+    before = np.array(errors["dead reckoning"])
+    rows: list[list[str]] = []
+    for name, of_walk in errors.items():
+        e = np.array(of_walk)
+        shares = [f"{100 * np.mean(e < before / 1.1):.0f} %", f"{100 * np.mean(e > 1.1 * before):.0f} %"]
+        rows.append([name, str(len(e)), f"{np.median(e):.2f} m", f"{np.mean(e):.2f} m", f"{e.max():.1f} m", *shares])
+    about = (
+        "Mean errors of held-out walks of F1 from a given start and direction on the plan. Better, worse: by more than "
+        "a tenth than dead reckoning."
+    )
+    tables.write("walk_map_plan", ["track", "walks", "median", "mean", "worst", "better", "worse"], rows, about)
+
+
+def _hall(path: Path, walks: Sequence[Walk]) -> Path:
+    """Write a plan without walls around all walks, 60 m away from them."""
+    points = np.concatenate([w.points[:, 1:] for w in walks])
+    (west, south), (east, north) = (points.min(axis=0) - 60.0).tolist(), (points.max(axis=0) + 60.0).tolist()
+    ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+    hall = {"type": "floor", "name": "hall"}, {"type": "Polygon", "coordinates": [ring]}
+    feature = {"type": "Feature", "properties": hall[0], "geometry": hall[1]}
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    return path
 
 
 if __name__ == "__main__":

@@ -200,8 +200,8 @@ def test_a_known_heading_rotates_a_walk(chain: Chain) -> None:
 def test_the_index_gives_cosines_of_fingerprints() -> None:
     # the loudness is the square of the level: 1 at -30 dBm, 0.25 at -65 dBm
     scans = Scans(np.array([0, 1]), np.array([0, 2, 3]), np.array([5, 9, 9]), np.array([-30.0, -65.0, -50.0]))
-    matrix, known = fingerprint_matrix([scans])
-    assert known.tolist() == [5, 9]
+    matrix = fingerprint_matrix([scans])
+    assert matrix.shape == (2, 2)
     cosine = 0.25 / np.hypot(1.0, 0.25)
     np.testing.assert_allclose((matrix @ matrix.T).toarray(), [[1.0, cosine], [cosine, 1.0]])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +14,8 @@ import pdr_filter as pdr
 from pdr_filter.simulate import Leg
 from pdr_filter.values.recording import Recording
 from pdr_filter.walk_map.chains import chain_of, hashed
+from pdr_filter.walk_map.drawing import plan_text
+from pdr_filter.walk_map.walk_map import MappedWalk
 
 RIGHT = np.pi / 2
 STOREYS = 3
@@ -53,6 +56,14 @@ def building() -> list[Recording]:
 def mapped(building: list[Recording]) -> pdr.WalkMap:
     fixes = [fix for storey in range(STOREYS) for fix in known(building[storey], storey)]
     return pdr.map_walks(building, fixes)
+
+
+def variances_of_scans(found: pdr.WalkMap) -> np.ndarray:
+    """Sum of the variances of both axes at each scan."""
+    steps = [chain.scans.step for chain in found._chains]
+    return np.concatenate(
+        [np.trace(w.position_cov_m2[s], axis1=1, axis2=2) for w, s in zip(found.walks, steps, strict=True)]
+    )
 
 
 def errors(found: pdr.WalkMap, recordings: list[Recording]) -> tuple[np.ndarray, np.ndarray]:
@@ -133,6 +144,16 @@ def test_the_plan_can_be_read_and_contains_the_walks(mapped: pdr.WalkMap, tmp_pa
         assert (storey.kind_at(joined.position_m) == 0).mean() > 0.95
 
 
+def test_the_plan_surrounds_a_path_by_a_corridor_and_twice_its_standard_deviation() -> None:
+    path_m = np.column_stack([np.zeros(41), np.linspace(0.0, 20.0, 41)])
+    cov_m2 = np.tile(np.diag([9.0, 1.0]), (41, 1, 1))
+    straight = MappedWalk("walk", 0, np.arange(40.0), path_m, cov_m2, np.zeros(41, dtype=np.int64))
+    area = json.loads(plan_text([straight]))["features"][0]["geometry"]["coordinates"][0]
+    east, north = np.array(area).T
+    assert (east.min(), east.max()) == pytest.approx((-7.5, 7.5), abs=0.25)
+    assert (north.min(), north.max()) == pytest.approx((-7.5, 27.5), abs=0.25)
+
+
 def test_the_density_counts_every_step_of_a_storey(mapped: pdr.WalkMap) -> None:
     _, steps = mapped.density(floor=1)
     n = sum(int((w.floor == 1).sum()) for w in mapped.walks)
@@ -144,8 +165,9 @@ def test_the_density_counts_every_step_of_a_storey(mapped: pdr.WalkMap) -> None:
 
 
 def test_the_radio_map_locates_a_walk_that_had_no_part_in_it(mapped: pdr.WalkMap) -> None:
-    other = walk(11, 0)
-    fixes = mapped.radio().fixes(other)
+    other, radio = walk(11, 0), mapped.radio()
+    fixes = radio.fixes(other)
+    assert radio.position_std_m == pytest.approx(np.sqrt(0.5 * np.mean(variances_of_scans(mapped))))
     truth = other.truth.position
     at = np.column_stack([np.interp([f.time_s for f in fixes], truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     error_m = np.linalg.norm(np.array([f.position_m for f in fixes]) - at, axis=1)

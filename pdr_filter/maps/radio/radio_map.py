@@ -24,6 +24,7 @@ from pdr_filter.values import (
     Wifi,
     WifiScan,
     check_array,
+    check_numbers,
     interpolated,
     read_only,
 )
@@ -81,6 +82,9 @@ class RadioMap:
         Signal strength of each measurement, in dBm.
     card : dict
         Description of the map: names of the walks and version of the package.
+    position_std_m : float, default 0
+        Standard deviation of the positions on each axis, in m. Zero for surveyed positions. Fixes are less certain by
+        it.
 
     Raises
     ------
@@ -117,6 +121,7 @@ class RadioMap:
     access_point: IntArray
     rssi_dbm: FloatArray
     card: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    position_std_m: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("position_m", "floor", "rssi_dbm"):
@@ -183,11 +188,12 @@ class RadioMap:
         """Return one position fix per informative Wi-Fi scan of a recording.
 
         The position and the covariance of a fix are the mean and the covariance of the position over the cells of its
-        most probable storey, given the scan. A variance of 6 m2 is added on each axis for the errors of the map. The
-        reception time of a fix is the end of the scan. The errors of successive scans are correlated (`correlation_s`),
-        and scans that would add almost no information give no fix. A scan gives no fix either if it hears fewer than
-        five access points of the map. The same applies if its standard deviation per axis is above 15 m, as in unmapped
-        or ambiguous areas. The storey is set if its probability is at least 95 %.
+        most probable storey, given the scan. A variance of 6 m2 is added on each axis for the errors of the map, and
+        that of its positions (`position_std_m`). The reception time of a fix is the end of the scan. The errors of
+        successive scans are correlated (`correlation_s`), and scans that would add almost no information give no fix. A
+        scan gives no fix either if it hears fewer than five access points of the map. The same applies if its standard
+        deviation per axis is above 15 m, as in unmapped or ambiguous areas. The storey is set if its probability is at
+        least 95 %.
 
         Parameters
         ----------
@@ -210,10 +216,11 @@ class RadioMap:
             mean = p @ cell_m
             apart = cell_m - mean
             cov = (p[:, None] * apart).T @ apart + _ADDED_VAR_M2 * np.eye(2)
-            std_m = float(np.sqrt(0.5 * np.trace(cov)))
-            correlation_s = _CORRELATION_S_PER_M * std_m
+            is_vague = np.trace(cov) > 2.0 * _WIDEST_STD_M**2
+            cov += self.position_std_m**2 * np.eye(2)
+            correlation_s = _CORRELATION_S_PER_M * float(np.sqrt(0.5 * np.trace(cov)))
             is_new = not found or scan.time_s - found[-1].time_s >= _INTERVAL_SHARE * correlation_s
-            if std_m > _WIDEST_STD_M or not is_new:
+            if is_vague or not is_new:
                 continue
             found.append(PositionFix(scan.time_s, mean, cov, scan.end_s, correlation_s, heard.sure_floor))
         return found
@@ -242,9 +249,8 @@ class RadioMap:
         """
         found: list[GridFix] = []
         for heard in self._located(_wifi_of(recording)):
-            cells = gaussian_filter(
-                heard.prob.reshape(heard.field.shape), math.sqrt(_ADDED_VAR_M2) / CELL_M, mode="constant"
-            ).T
+            blur = math.hypot(math.sqrt(_ADDED_VAR_M2), self.position_std_m) / CELL_M
+            cells = gaussian_filter(heard.prob.reshape(heard.field.shape), blur, mode="constant").T
             prob_on_map = (1.0 - _ELSEWHERE_PROB) * heard.floor_prob
             fix = GridFix(
                 heard.scan.time_s,
@@ -289,7 +295,8 @@ class RadioMap:
         Path
             Path of the .json file.
         """
-        FORMAT.write(path, {"card": dict(self.card)}, {name: np.asarray(getattr(self, name)) for name in _ARRAYS})
+        description = {"card": dict(self.card), "position_std_m": self.position_std_m}
+        FORMAT.write(path, description, {name: np.asarray(getattr(self, name)) for name in _ARRAYS})
         return file_pair(path)[0]
 
     @classmethod
@@ -389,7 +396,7 @@ def _position(track: Track, scan: WifiScan) -> FloatArray | None:
 def _assemble(description: Mapping[str, Any], arrays: Arrays) -> RadioMap:
     """Return the radio map of the contents of a file."""
     content: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
-    return RadioMap(**content, card=description["card"])
+    return RadioMap(**content, card=description["card"], position_std_m=description.get("position_std_m", 0.0))
 
 
 def _check(radio: RadioMap) -> None:
@@ -423,3 +430,4 @@ def _check(radio: RadioMap) -> None:
             f"{len(radio.point)}, {len(radio.access_point)} and {h}"
         )
     check_array("rssi_dbm", radio.rssi_dbm)
+    check_numbers(radio, zero=("position_std_m",))

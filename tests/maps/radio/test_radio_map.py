@@ -149,7 +149,24 @@ def test_the_map_reduces_the_end_error_of_a_long_walk_with_a_wrong_scale(radio: 
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
+def test_uncertain_positions_of_the_map_make_its_fixes_and_grids_less_certain(radio: RadioMap, walk: Recording) -> None:
+    uncertain = replace(radio, position_std_m=6.0)
+    before = {fix.time_s: fix for fix in radio.fixes(walk)}
+    fixes = uncertain.fixes(walk)
+    shared = [(before[fix.time_s], fix) for fix in fixes if fix.time_s in before]
+    assert len(shared) >= 2
+    for known, fix in shared:
+        np.testing.assert_array_equal(fix.position_m, known.position_m)
+        np.testing.assert_allclose(fix.cov_m2, known.cov_m2 + 36.0 * np.eye(2))
+        assert fix.correlation_s == pytest.approx(2.4 * np.sqrt(fix.var_m2))
+    peaks = [np.array([g.log_likelihood.max() for g in of.grids(walk)]) for of in (radio, uncertain)]
+    assert np.all(peaks[1] < peaks[0] - 0.7)
+    with pytest.raises(ValueError, match="position_std_m of RadioMap must be 0 or more"):
+        replace(radio, position_std_m=-1.0)
+
+
 def test_a_saved_and_loaded_map_gives_the_same_fixes(radio: RadioMap, walk: Recording, tmp_path: Path) -> None:
+    radio = replace(radio, position_std_m=2.0)
     loaded = RadioMap.load(radio.save(tmp_path / "mall"))
     assert repr(loaded) == repr(radio)
     for a, b in zip(radio.fixes(walk), loaded.fixes(walk), strict=True):
