@@ -145,17 +145,19 @@ def true_pose(walk: Walk) -> Pose:
 
 
 def among_true(walks: Sequence[Walk]) -> str:
-    """Share of the walks that their scans place when all others are at their true places, and how many rightly."""
+    """Share of the walks that their scans place when all others are at their true places, how many wrongly, and the
+    median error of their centres."""
     scanned = ScannedWalks.of([w.chain for w in walks])
     poses = {i: true_pose(w) for i, w in enumerate(walks)}
     group = PlacedGroup(poses, {}, CITY.declination_rad())
-    n_sure = n_right = 0
+    error_m: list[float] = []
     for i in poses:
         found = locate(scanned, group, i)
         if found is not None and found.prob >= SURE:
-            error_m = found.centre_m - poses[i].of(scanned.own_m[scanned.rows(i)]).mean(axis=0)
-            n_sure, n_right = n_sure + 1, n_right + int(np.hypot(*error_m) <= WRONG_M)
-    return f"{100 * n_sure / len(walks):.0f} %, {n_sure - n_right} wrong"
+            centre_m = poses[i].of(scanned.own_m[scanned.rows(i)]).mean(axis=0)
+            error_m.append(float(np.hypot(*(found.centre_m - centre_m))))
+    n_wrong = sum(error > WRONG_M for error in error_m)
+    return f"{100 * len(error_m) / len(walks):.0f} %, {n_wrong} wrong, {np.median(error_m):.1f} m"
 
 
 COLUMNS = ["storey", "other walks", "joined", "of these wrong", "median", "90 %", "of shape", "in 95 % region", "time"]
@@ -180,7 +182,7 @@ def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
     about = (
         "Errors at the waypoints of all joined walks but the given one. Wrong: more than 15 m on average, or another "
         "storey. Of shape: median after the best rotation and shift of the map. Last column: walks that their scans "
-        "place with all others at their true places."
+        "place with all others at their true places, and the median error of their centres."
     )
     tables.write("walk_map", [*COLUMNS, "among true places"], rows, about)
 
