@@ -56,7 +56,7 @@ def test_a_covariance_of_one_context_is_checked_alone_as_the_filter_uses_it() ->
 def test_a_damaged_filter_is_refused(number: int) -> None:
     good = good_filter("default", located=False)
     damaged = damaged_filter(good, random.Random(number))
-    with pytest.raises(ValueError, match="are not a saved filter of this version"):
+    with pytest.raises(ValueError, match="were not saved by this version"):
         pdr.OnlineFilter.load(damaged)
 
 

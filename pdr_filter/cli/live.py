@@ -148,13 +148,13 @@ class Sources:
             return sources.told(shared.take, name, say)
 
         session = uuid.uuid4().hex[:8]
-        made: list[Callable[[], Coroutine[Any, Any, None]]] = [
-            *(sources.Phyphox(address, take(address)).run for address in self.phyphox or ()),
-            *(partial(sources.sensor_server, address, session, take(address)) for address in self.sensorserver or ()),
-            *(sources.Mqtt(address, take("--mqtt")).run for address in self.mqtt or ()),
+        made: list[tuple[str, Callable[[], Coroutine[Any, Any, None]]]] = [
+            *((at, sources.Phyphox(at, take(at)).run) for at in self.phyphox or ()),
+            *((at, partial(sources.sensor_server, at, session, take(at))) for at in self.sensorserver or ()),
+            *(("--mqtt", sources.Mqtt(at, take("--mqtt")).run) for at in self.mqtt or ()),  # `at` may have a password
         ]
         replay = [] if walk is None else [sources.replay(walk, self.speed, take(f"--replay {walk.name}"))]
-        return [*(sources.again(source, say) for source in made), *replay]
+        return [*(sources.again(name, source, say) for name, source in made), *replay]
 
 
 def live(

@@ -123,7 +123,7 @@ def _check_times(samples: Samples, where: str, is_unit_declared: bool) -> None:
         remedy = "sort the rows by time and give each its own time"
         if found.n_duplicates > found.n_backward:  # a clock shown as mm:ss.0, or 1.7E+18
             remedy = (
-                "the times were rounded, as a spreadsheet does when it saves what it shows; take the file as the app "
+                "the times may be rounded, as a spreadsheet does when it saves what it shows; take the file as the app "
                 "wrote it, or show all digits of the time before you save it"
             )
         raise RecordingError(f"{where}: time_s does not increase in {n_still} of {len(samples) - 1} rows; {remedy}")

@@ -66,7 +66,9 @@ def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix | He
             try:
                 found.append(HeadingFix(row[0], math.radians(heading_deg), math.radians(heading_std_deg)))
             except ValueError as error:
-                raise ValueError(f"{file}, row {k + 1}: heading_std_deg must be positive ({error})") from None
+                raise ValueError(
+                    f"{file}, row {k + 1}: heading_std_deg must be positive and finite ({error})"
+                ) from None
     return found
 
 

@@ -14,17 +14,28 @@ NAMES = ("authority.pem", "server.pem")
 def certificate(folder: Path, host: str) -> Path:
     """Return the path of server.pem in a folder, with the key and the certificate for a host name or address.
 
-    The certificate of the authority that signed it is authority.pem in the same folder. Both files are created once and
-    then reused, also for another host.
+    The certificate of the authority that signed it is authority.pem in the same folder. Both files are kept while the
+    host is the same. Another host gets new ones, which its phones have to accept.
     """
     import trustme
 
     authority, server = (folder / name for name in NAMES)
-    if not server.exists():
+    if not server.exists() or host not in _hosts(server):
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         ca = trustme.CA(organization_name="pdr-filter live")
         made = ca.issue_cert(*dict.fromkeys([host, "localhost", "127.0.0.1"]), not_after=datetime.now(UTC) + _VALID)
-        with os.fdopen(os.open(server, os.O_WRONLY | os.O_CREAT, 0o600), "wb") as file:
+        with os.fdopen(os.open(server, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb") as file:
             file.write(made.private_key_and_cert_chain_pem.bytes())
         ca.cert_pem.write_to_path(authority)
     return server
+
+
+def _hosts(server: Path) -> set[str]:
+    """Return the host names and addresses of a certificate, none if the file is damaged."""
+    from cryptography.x509 import SubjectAlternativeName, load_pem_x509_certificates
+
+    try:
+        own = load_pem_x509_certificates(server.read_bytes())[0]
+    except ValueError:
+        return set()
+    return {str(name.value) for name in own.extensions.get_extension_for_class(SubjectAlternativeName).value}

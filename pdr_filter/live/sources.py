@@ -92,8 +92,11 @@ async def replay(recording: Recording, speed: float, take: Taker) -> None:
             return
 
 
-async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None]) -> None:
-    """Run a source for ever, and restart it 2 s after its connection breaks. Each new reason is passed to `say`."""
+async def again(name: str, source: Callable[[], Awaitable[None]], say: Callable[[str], None]) -> None:
+    """Run a source for ever, and restart it 2 s after its connection breaks.
+
+    Each new reason is passed to `say`, after the name of the source.
+    """
     said = ""
     while True:
         try:
@@ -101,7 +104,7 @@ async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None
         except Exception as error:  # network clients raise many kinds, and the wrong experiment may be open
             reason = str(error) if isinstance(error, MessageError) else f"{type(error).__name__}: {error}"
             if reason != said:
-                say(f"{reason}; trying again")
+                say(f"{name}: {reason}; trying again")
             said = reason
         await asyncio.sleep(_AGAIN_S)
 

@@ -261,7 +261,7 @@ ODDITIES = (
         "times that a spreadsheet rounded",
         "refused",
         lambda: {"walk.csv": table_text({**columns(), "time": [t[12:20] for t in wall_clock(TIME_S)]})},
-        "the times were rounded",
+        "the times may be rounded",
         "",
         is_refused=True,
     ),

@@ -30,6 +30,7 @@ import pdr_filter as pdr
 from pdr_filter.live import session as live_session
 from pdr_filter.live import sources
 from pdr_filter.live.broadcast import Reader
+from pdr_filter.live.certificate import certificate
 from pdr_filter.live.messages import parse
 from pdr_filter.live.parts import Answer
 from pdr_filter.live.settings import Settings
@@ -300,6 +301,18 @@ def test_https_has_a_certificate_that_its_own_authority_vouches_for(tmp_path: Pa
             socket.send('{"samples": {"gyroscope": [[0, 1, 2, 3]]}}')
             assert json.loads(socket.recv(timeout=20)) == {"status": 200, "samples": 1}
         assert (tmp_path / "certificate" / "server.pem").stat().st_mode & 0o077 == 0
+
+
+def test_a_certificate_is_kept_for_its_host_and_replaced_for_another_one(tmp_path: Path) -> None:
+    first = certificate(tmp_path, "10.0.0.1").read_bytes()
+    assert certificate(tmp_path, "10.0.0.1").read_bytes() == first
+    assert certificate(tmp_path, "localhost").read_bytes() == first
+    second = certificate(tmp_path, "10.0.0.22")
+    assert second.read_bytes() != first
+    ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(second)
+    second.write_bytes(b"damaged")
+    assert certificate(tmp_path, "10.0.0.22").read_bytes() != b"damaged"
+    ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(second)
 
 
 def test_a_server_that_is_killed_in_the_middle_of_a_walk_goes_on(walk: Recording, tmp_path: Path) -> None:
