@@ -123,6 +123,7 @@ def use_radio_map(path: Path) -> None:
     radio = RadioMap.load(path)
     with later():
         fixes = radio.fixes(walk_to_find())
+        radio.grids(walk_to_find())
     for fix in fixes:
         assert np.isfinite([*fix.position_m, *fix.cov_m2.ravel()]).all()
         assert np.linalg.eigvalsh(fix.cov_m2).min() > 0

@@ -98,6 +98,10 @@ class Chain:
         """Return the number of steps before a time."""
         return int(np.searchsorted(self.time_s, time_s, side="right"))
 
+    def device_rad_at(self, step: int) -> float:
+        """Return the walking heading minus the heading offset of the last of a number of steps, or of the first one."""
+        return float(self.device_rad[max(step - 1, 0)])
+
 
 def chain_of(recording: Recording, key: str = "", salt: str | None = None) -> Chain:
     """Return the chain of a recording: its steps summed between knots, solved for this walk alone, and its scans.
@@ -212,7 +216,10 @@ def content_of(recording: Recording) -> str:
     parts = [part for name, s in recording.streams.items() for part in (name.encode(), s.time_s, s.values)]
     if (wifi := recording.wifi) is not None:
         parts += [wifi.time_s, wifi.bssid, wifi.rssi_dbm]
-    return hashlib.sha256(b"".join(bytes(part) for part in parts)).hexdigest()
+    found = hashlib.sha256()
+    for part in parts:
+        found.update(bytes(part))
+    return found.hexdigest()
 
 
 def without_times(chains: Sequence[Chain]) -> list[Chain]:

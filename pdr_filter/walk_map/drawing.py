@@ -16,8 +16,8 @@ from pdr_filter.values.uncertainty import worst_std_m
 if TYPE_CHECKING:
     from pdr_filter.walk_map.walk_map import MappedWalk
 
-# Half of the width of a narrow corridor, and the largest standard deviation by which the density is blurred.
-_HALF_WIDTH_M, _MOST_STD_M = 1.5, 5.0
+# Half of the width of a narrow corridor. The largest standard deviations for the density and for the outline.
+_HALF_WIDTH_M, _MOST_STD_M, _MOST_AROUND_M = 1.5, 5.0, 15.0
 _SIMPLIFY_M = 0.5
 _WIDTH_PX = 900
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
@@ -51,7 +51,8 @@ def density(walks: Sequence[MappedWalk], floor: int, cell_m: float) -> tuple[Flo
 def plan_text(walks: Sequence[MappedWalk]) -> str:
     """Return the walked areas as GeoJSON: one outline in metres for each storey.
 
-    An outline surrounds each path by 1.5 m plus twice its standard deviation, so that the true path is inside.
+    An outline surrounds each path by 1.5 m plus twice its median standard deviation in the worst direction, of which at
+    most 15 m count.
     """
     try:
         import shapely
@@ -66,7 +67,7 @@ def plan_text(walks: Sequence[MappedWalk]) -> str:
             np.split(walk.floor, ends),
             strict=True,
         ):
-            std_m = float(np.median(worst_std_m(cov_m2)))
+            std_m = min(float(np.median(worst_std_m(cov_m2))), _MOST_AROUND_M)
             path = shapely.LineString(at_m) if len(at_m) > 1 else shapely.Point(at_m[0])
             of_floor.setdefault(int(floors[0]), []).append(path.buffer(_HALF_WIDTH_M + 2.0 * std_m))
     features: list[dict[str, Any]] = []

@@ -183,8 +183,7 @@ def _known_rows(chain: Chain, state: FloatArray, known: Sequence[Known]) -> list
         step = chain.step_at(fix.time_s)
         (node,), ahead = chain.node_of(np.array([step]))
         if isinstance(fix, HeadingFix):
-            device_rad = chain.device_rad[min(step, len(chain.device_rad) - 1)]
-            error = wrap_angle(state[node, HEADING_OFFSET] + device_rad - fix.walking_heading_rad)
+            error = wrap_angle(state[node, HEADING_OFFSET] + chain.device_rad_at(step) - fix.walking_heading_rad)
             by_state = np.zeros((1, N_STATES))
             by_state[0, HEADING_OFFSET] = 1.0 / fix.std_rad
             rows.append(Rows.of_one(int(node), by_state, -np.array([error / fix.std_rad])))
@@ -201,10 +200,10 @@ def _origin(chain: Chain, seed: Pose, known: Sequence[Known]) -> list[Known]:
     The start is left out if there is a known position. The direction is left out if there are two fixes, or if the
     magnetometer gives it.
     """
-    fixes = list[Known]()
+    fixes, start_s = list[Known](), float(chain.time_s[0]) - 1.0 if len(chain.time_s) else 0.0
     if not any(isinstance(fix, PositionFix) for fix in known):
-        fixes.append(PositionFix(0.0, seed.of(chain.mean[:1, :2])[0], _ORIGIN_STD_M**2 * np.eye(2)))
+        fixes.append(PositionFix(start_s, seed.of(chain.mean[:1, :2])[0], _ORIGIN_STD_M**2 * np.eye(2)))
     if len(known) < 2 and not chain.knows_north:
         heading_rad = chain.device_rad[0] + chain.mean[0, HEADING_OFFSET] + seed.turn_rad
-        fixes.append(HeadingFix(0.0, float(heading_rad), _ORIGIN_STD_RAD))
+        fixes.append(HeadingFix(start_s, float(heading_rad), _ORIGIN_STD_RAD))
     return fixes

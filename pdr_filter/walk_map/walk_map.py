@@ -194,7 +194,8 @@ class WalkMap:
         Returns
         -------
         RadioMap
-            Scans of all walks of the group at their estimated positions.
+            Scans of all walks of the group at their estimated positions. Its `position_std_m` is the root mean square
+            of the standard deviations of these positions.
 
         Raises
         ------
@@ -700,9 +701,9 @@ def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
     at = np.array([f.position_m for f in places])
     turn_rad = 0.0
     if headings:
-        step = min(chain.step_at(headings[0].time_s), len(chain.device_rad) - 1)
+        step = chain.step_at(headings[0].time_s)
         node = int(chain.node_of(np.array([step]))[0][0])
-        turn_rad = headings[0].walking_heading_rad - float(chain.device_rad[step] + chain.mean[node, 2])
+        turn_rad = headings[0].walking_heading_rad - chain.device_rad_at(step) - float(chain.mean[node, 2])
     elif len(places) > 1:
         a, b = (own - own.mean(axis=0)) @ [1, 1j], (at - at.mean(axis=0)) @ [1, 1j]
         turn_rad = -float(np.angle(np.vdot(a, b)))

@@ -21,6 +21,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import pdr_filter as pdr
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.walk_map.chains import Chain, chain_of
 from pdr_filter.walk_map.placing import SURE, UNKNOWN_NORTH, PlacedGroup, Pose, ScannedWalks, locate, turned
@@ -91,7 +92,7 @@ def given(walks: Sequence[Walk], rank: int = 0) -> tuple[Walk, list[object]]:
 def mapped(
     walks: Sequence[Walk], city: bool = True, ranks: Sequence[int] = (0,)
 ) -> tuple[pdr.WalkMap, set[str], float]:
-    """Map of walks, the names of the given ones, which are those of some ranks, and the time of the processor in s."""
+    """Map of walks, the names of the given walks (one a storey for each rank), and the time of the processor in s."""
     start = time.process_time()
     known: dict[str, list[object]] = {}
     for storey in sorted({w.storey for w in walks}):
@@ -157,10 +158,22 @@ def among_true(walks: Sequence[Walk]) -> str:
             centre_m = poses[i].of(scanned.own_m[scanned.rows(i)]).mean(axis=0)
             error_m.append(float(np.hypot(*(found.centre_m - centre_m))))
     n_wrong = sum(error > WRONG_M for error in error_m)
+    if not error_m:
+        return "0 %"
     return f"{100 * len(error_m) / len(walks):.0f} %, {n_wrong} wrong, {np.median(error_m):.1f} m"
 
 
-COLUMNS = ["storey", "other walks", "joined", "of these wrong", "median", "90 %", "of shape", "in 95 % region", "time"]
+COLUMNS = [
+    "storey",
+    "other walks",
+    "joined",
+    "of these wrong",
+    "median",
+    "90 %",
+    "after alignment",
+    "in 95 % region",
+    "time",
+]
 
 
 def by_storey(walks: Sequence[Walk]) -> list[tuple[str, list[Walk]]]:
@@ -181,8 +194,8 @@ def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
         rows.append([*row(f"{name}, all storeys together", group, *together), ""])
     about = (
         "Errors at the waypoints of all joined walks but the given one. Wrong: more than 15 m on average, or another "
-        "storey. Of shape: median after the best rotation and shift of the map. Last column: walks that their scans "
-        "place with all others at their true places, and the median error of their centres."
+        "storey. After alignment: median after the best rotation and shift of the map. Last column: walks that their "
+        "scans place with all others at their true places, and the median error of their centres."
     )
     tables.write("walk_map", [*COLUMNS, "among true places"], rows, about)
 
@@ -194,10 +207,14 @@ ABOUT_NUMBERS = (
 
 
 def with_true_direction(walk: Walk) -> Walk:
-    """The walk, turned so that magnetic north is right."""
+    """The walk and the direction of its magnetometer, rotated to the true direction."""
     turn_rad, chain = true_pose(walk).turn_rad - CITY.declination_rad(), walk.chain
     mean = np.column_stack([chain.mean[:, :2] @ turned(turn_rad), chain.mean[:, 2] + turn_rad, chain.mean[:, 3]])
-    return replace(walk, chain=replace(chain, mean=mean, frame_rad=chain.frame_rad + turn_rad))
+    problem, observed = chain.problem, chain.problem.states
+    start_mean = problem.start_mean + turn_rad * (np.arange(len(problem.start_mean)) == HEADING_OFFSET)
+    states = replace(observed, value=observed.value + turn_rad * (observed.state == HEADING_OFFSET))
+    problem = replace(problem, start_mean=start_mean, states=states)
+    return replace(walk, chain=replace(chain, mean=mean, frame_rad=chain.frame_rad + turn_rad, problem=problem))
 
 
 def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -213,6 +230,11 @@ def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
             part = [every[i] for i in sorted(chosen)]
             rows.append(row(f"{len(part)} walks of F1, draw {seed + 1}", part, *mapped(part)))
     tables.write("walk_map_numbers", COLUMNS, rows, ABOUT_NUMBERS)
+
+
+ABOUT_RADIO = (
+    "Each fifth of the walks of F1 by the map of the others. The map that is turned and shifted keeps its uncertainty."
+)
 
 
 def radio(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -245,7 +267,7 @@ def radio(tables: Tables, arguments: argparse.Namespace) -> None:
                 pairs.setdefault(name, []).extend(errors_of(walk, of_name.fixes(walk.recording)))
     rows = [[name, *scores(of_map)] for name, of_map in pairs.items()]
     columns = ["radio map", "fixes", "median", "90 %", "in 50 % region", "in 95 %", "-log density"]
-    tables.write("walk_map_radio", columns, rows, "Each fifth of the walks of F1 by the map of the others.")
+    tables.write("walk_map_radio", columns, rows, ABOUT_RADIO)
 
 
 def plan(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -276,8 +298,8 @@ def plan(tables: Tables, arguments: argparse.Namespace) -> None:
         shares = [f"{100 * np.mean(e < before / 1.1):.0f} %", f"{100 * np.mean(e > 1.1 * before):.0f} %"]
         rows.append([name, str(len(e)), f"{np.median(e):.2f} m", f"{np.mean(e):.2f} m", f"{e.max():.1f} m", *shares])
     about = (
-        "Mean errors of held-out walks of F1 from a given start and direction on the plan. Better, worse: by more than "
-        "a tenth than dead reckoning."
+        "Mean errors of held-out walks of F1 that begin on the drawn plan, with given start and direction. Better, "
+        "worse: by more than a tenth than dead reckoning."
     )
     tables.write("walk_map_plan", ["track", "walks", "median", "mean", "worst", "better", "worse"], rows, about)
 

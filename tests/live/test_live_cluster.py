@@ -41,7 +41,7 @@ def cluster(folder: Path, n_workers: int) -> Iterator[tuple[str, list[subprocess
         )
     ]
     try:
-        until(where.exists)
+        until(lambda: where.exists() and where.read_text().endswith("}"), 60.0)  # dask does not write it at once
         address = json.loads(where.read_text())["address"]
         running += [
             subprocess.Popen([*dask[:-1], "distributed.cli.dask_worker", address, *one], **options)

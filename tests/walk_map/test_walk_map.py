@@ -15,7 +15,8 @@ from pdr_filter.simulate import Leg
 from pdr_filter.values.recording import Recording
 from pdr_filter.walk_map.chains import chain_of, hashed
 from pdr_filter.walk_map.drawing import plan_text
-from pdr_filter.walk_map.walk_map import MappedWalk
+from pdr_filter.walk_map.joint import _known_rows
+from pdr_filter.walk_map.walk_map import MappedWalk, _known_pose
 
 RIGHT = np.pi / 2
 STOREYS = 3
@@ -206,6 +207,39 @@ def test_a_single_walk_is_named_and_a_known_one_is_mapped(building: list[Recordi
     assert alone[0] == building[0].name and "recognises no place" in alone[1]
     found = pdr.map_walks([building[0]], known(building[0], 2))
     assert [w.floor[0] for w in found.walks] == [2]
+
+
+def test_a_known_heading_is_that_of_the_step_that_ends_at_its_time(building: list[Recording]) -> None:
+    chain = chain_of(building[0])
+    own = chain.position_m(np.array([0]))[0]
+    # the walk has right angles, at which one step differs from the next one by up to 90 degrees
+    assert np.abs(np.diff(chain.device_rad)).max() > 0.3
+    for k, time_s in enumerate(chain.time_s.tolist()):
+        node = int(chain.node_of(np.array([k + 1]))[0][0])
+        heading_rad = float(chain.device_rad[k] + chain.mean[node, 2]) + 0.5
+        pose = _known_pose(chain, [pdr.PositionFix(0.0, own, np.eye(2)), pdr.HeadingFix(time_s, heading_rad, 0.1)])
+        assert pose is not None and pose.turn_rad == pytest.approx(0.5, abs=1e-9)
+    turn = int(np.argmax(np.abs(np.diff(chain.device_rad)))) + 1
+    heading = pdr.HeadingFix(float(chain.time_s[turn - 1]), float(chain.device_rad[turn - 1]) + 0.5, 0.001)
+    (row,) = _known_rows(chain, np.zeros_like(chain.mean), [heading])
+    assert row.rhs[0, 0] == pytest.approx(0.5 / 0.001)
+
+
+def test_a_map_does_not_depend_on_the_zero_of_time(building: list[Recording]) -> None:
+    def later(recording: Recording, by_s: float) -> Recording:
+        streams = {
+            n: pdr.Samples(s.time_s + by_s, s.values) for n, s in recording.streams.items() if n != "magnetometer"
+        }
+        wifi = recording.wifi
+        assert wifi is not None
+        return replace(recording, wifi=replace(wifi, time_s=wifi.time_s + by_s), **streams)
+
+    first, second = (
+        pdr.map_walks([replace(later(building[k], by_s), magnetometer=None) for k in (0, 3)]) for by_s in (0.0, -20.0)
+    )
+    for a, b in zip(first.walks, second.walks, strict=True):
+        np.testing.assert_allclose(a.position_m, b.position_m, atol=0.3)
+        np.testing.assert_allclose(a.position_cov_m2[0], b.position_cov_m2[0], atol=0.1)
 
 
 def test_two_buildings_are_two_groups(building: list[Recording]) -> None:

@@ -24,7 +24,7 @@ from pdr_filter.values import (
     Wifi,
     WifiScan,
     check_array,
-    check_numbers,
+    check_number,
     interpolated,
     read_only,
 )
@@ -59,6 +59,7 @@ _GRID_CORRELATION_S = 6.0
 _ELSEWHERE_PROB = 0.01
 # Smallest probability of the storey for a fix to state it.
 _MIN_FLOOR_PROB = 0.95
+_MOST_STD_M = 1000.0
 _LARGEST_M, _MOST_POINTS, _HIGHEST_FLOOR = 1e6, 20_000, 1000
 
 
@@ -83,8 +84,8 @@ class RadioMap:
     card : dict
         Description of the map: names of the walks and version of the package.
     position_std_m : float, default 0
-        Standard deviation of the positions on each axis, in m. Zero for surveyed positions. Fixes are less certain by
-        it.
+        Standard deviation of the positions on each axis, in m, up to 1000. The covariances of fixes and the blur of
+        grids include it. Zero for maps of `fit`, and not for those of `WalkMap.radio`.
 
     Raises
     ------
@@ -188,12 +189,12 @@ class RadioMap:
         """Return one position fix per informative Wi-Fi scan of a recording.
 
         The position and the covariance of a fix are the mean and the covariance of the position over the cells of its
-        most probable storey, given the scan. A variance of 6 m2 is added on each axis for the errors of the map, and
-        that of its positions (`position_std_m`). The reception time of a fix is the end of the scan. The errors of
-        successive scans are correlated (`correlation_s`), and scans that would add almost no information give no fix. A
-        scan gives no fix either if it hears fewer than five access points of the map. The same applies if its standard
-        deviation per axis is above 15 m, as in unmapped or ambiguous areas. The storey is set if its probability is at
-        least 95 %.
+        most probable storey, given the scan. A variance of 6 m2 is added on each axis for the errors of the map, plus
+        the variance of the mapped positions (`position_std_m`). The reception time of a fix is the end of the scan. The
+        errors of successive scans are correlated (`correlation_s`), and scans that would add almost no information give
+        no fix. A scan gives no fix either if it hears fewer than five access points of the map. The same applies if its
+        standard deviation per axis, without `position_std_m`, is above 15 m, as in unmapped or ambiguous areas. The
+        storey is set if its probability is at least 95 %.
 
         Parameters
         ----------
@@ -258,7 +259,8 @@ class RadioMap:
                 CELL_M,
                 np.log(prob_on_map * cells + (1.0 - prob_on_map) / cells.size),
                 received_time_s=heard.scan.end_s,
-                correlation_s=_GRID_CORRELATION_S,
+                # successive scans share the errors of the mapped positions
+                correlation_s=_GRID_CORRELATION_S + _CORRELATION_S_PER_M * self.position_std_m,
                 floor=heard.sure_floor,
             )
             found.append(fix)
@@ -430,4 +432,4 @@ def _check(radio: RadioMap) -> None:
             f"{len(radio.point)}, {len(radio.access_point)} and {h}"
         )
     check_array("rssi_dbm", radio.rssi_dbm)
-    check_numbers(radio, zero=("position_std_m",))
+    check_number("position_std_m", radio.position_std_m, 0.0, _MOST_STD_M, "give the uncertainty of the map in metres")

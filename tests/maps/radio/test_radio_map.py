@@ -161,8 +161,11 @@ def test_uncertain_positions_of_the_map_make_its_fixes_and_grids_less_certain(ra
         assert fix.correlation_s == pytest.approx(2.4 * np.sqrt(fix.var_m2))
     peaks = [np.array([g.log_likelihood.max() for g in of.grids(walk)]) for of in (radio, uncertain)]
     assert np.all(peaks[1] < peaks[0] - 0.7)
-    with pytest.raises(ValueError, match="position_std_m of RadioMap must be 0 or more"):
-        replace(radio, position_std_m=-1.0)
+    for grid in uncertain.grids(walk):
+        assert grid.correlation_s == pytest.approx(6.0 + 2.4 * 6.0)
+    for wrong in (-1.0, 1e5, np.nan):
+        with pytest.raises(ValueError, match="position_std_m must be a number from 0 to 1000"):
+            replace(radio, position_std_m=wrong)
 
 
 def test_a_saved_and_loaded_map_gives_the_same_fixes(radio: RadioMap, walk: Recording, tmp_path: Path) -> None:
@@ -198,6 +201,12 @@ def test_a_map_whose_arrays_do_not_fit_is_refused(
     with pytest.raises(ValueError, match=words) as refusal:
         RadioMap.load(tmp_path / "bad.json")
     assert "fit it again" in str(refusal.value)
+
+
+def test_a_file_without_the_uncertainty_of_its_positions_has_certain_ones(radio: RadioMap, tmp_path: Path) -> None:
+    path = replace(radio, position_std_m=2.0).save(tmp_path / "mall")
+    path.write_text(json.dumps({k: v for k, v in json.loads(path.read_text()).items() if k != "position_std_m"}))
+    assert RadioMap.load(path).position_std_m == 0.0
 
 
 def test_a_file_of_another_kind_is_refused(tmp_path: Path) -> None:
