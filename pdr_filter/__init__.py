@@ -25,7 +25,7 @@ class _FormerModules:
     """
 
     def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
-        """Return the specification of a renamed module, or None for any other name."""
+        """Return the specification of a renamed module, with a DeprecationWarning, or None for any other name."""
         package, _, name = fullname.partition(".")
         if package != __name__ or name not in self.moved():
             return None

@@ -56,7 +56,7 @@ def test_a_covariance_of_one_context_is_checked_alone_as_the_filter_uses_it() ->
 def test_a_damaged_filter_is_refused(number: int) -> None:
     good = good_filter("default", located=False)
     damaged = damaged_filter(good, random.Random(number))
-    with pytest.raises(ValueError, match="were not saved by this version"):
+    with pytest.raises(ValueError, match="cannot be loaded as a saved value"):
         pdr.OnlineFilter.load(damaged)
 
 

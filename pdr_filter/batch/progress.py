@@ -25,9 +25,9 @@ class Progress:
     elapsed_s : float
         Duration of this run in s.
     left_s : float or None
-        Estimated remaining time in s, or None before the first recording has finished.
+        Estimated remaining time in s: None before this run has finished a recording, 0 if no recording is left.
     last : Row or None
-        Row of the recording that has just finished.
+        Row of the recording that has just finished, or None at the start of the run.
 
     Examples
     --------

@@ -186,8 +186,10 @@ def _check_shapes(trees: Trees) -> None:
     if trees.roots.ndim != 1 or not len(trees.roots) or trees.n_features < 1:
         raise ValueError(f"at least one tree and one feature are needed, got {trees.roots.shape}, {trees.n_features}")
     feature, threshold = trees.feature[~trees.is_leaf], trees.threshold[~trees.is_leaf]
-    if ((feature < 0) | (feature >= trees.n_features)).any():
-        raise ValueError(f"features of nodes must be from 0 to {trees.n_features - 1}")
+    if (wrong := feature[(feature < 0) | (feature >= trees.n_features)]).size:
+        raise ValueError(
+            f"features of inner nodes must be from 0 to {trees.n_features - 1}, got {wrong[0]}: train again"
+        )
     check_array("threshold", threshold)
 
 

@@ -90,7 +90,7 @@ class Parsed:
         try:
             restored = with_gravity(Samples(*self.streams["accelerometer"]), gyroscope)
         except ValueError as error:
-            raise RecordingError(f"{where}: {self.linear}: {error}; export {self.instead}") from error
+            raise RecordingError(f"{where}: {self.linear}: {error}; or export {self.instead}") from error
         self.streams["accelerometer"] = restored.force.time_s, restored.force.values
         self.found.append(f"accelerometer: {self.linear}, with gravity along the vertical of the walk")
         if gyroscope is None:

@@ -87,5 +87,8 @@ def start_of(plan: FloorPlan, start: PositionFix | str) -> Start:
         where = inside & (storey.cells <= ROOM)
     row, column = np.nonzero(where)
     if len(row) == 0:
-        raise ValueError(f"the area {start!r} is smaller than a cell of {CELL_M} m, or not walkable; draw it larger")
+        raise ValueError(
+            f"the area {start!r} contains no walkable cell of {CELL_M} m: it is too small, inside walls or outside of "
+            "the outline; draw it larger, or move it to where people can walk"
+        )
     return Start(storey.floor, storey.south_west_m, read_only(np.zeros((2, 2))), np.column_stack([column, row]))

@@ -251,6 +251,11 @@ class Config:
         -------
         Config
             Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If `plan` is not a `FloorPlan`, if it does not have the start, or if no cell of a start area is walkable.
         """
         # imported here, so that a filter without a plan does not load the maps
         from pdr_filter.maps.particle_filter import ParticleFilter
@@ -298,8 +303,8 @@ class Config:
         ----------
         model : ContextModel, (ContextModel, ContextModel) or ContextStage
             Classifier of the contexts, whose names are `model.contexts`. The second of two models classifies windows
-            without gyroscope. With a single model, such windows have no context, unless it was trained on them or the
-            present model for them has all its features.
+            without gyroscope. With a single model, such windows have no context, unless the model was trained on them,
+            or the present model for such windows has all features of the new model.
         modes : sequence of Mode
             Motion models that define the contexts. The weightings "hc" and "wc" and functions need exactly one mode for
             each context. With "imm" a context may have several modes, and the first one gives its meaning. The

@@ -143,8 +143,8 @@ def with_context_model(config: Config, model: ContextModel) -> Config:
     if other := [label for label in model.labels if label not in config.contexts]:
         raise ValueError(
             f"model {model.name!r} classifies the {model.head} with the labels {other}, for which recipe "
-            f"{config.name!r} has no modes: give a model of the context, and define the modes of new contexts in a "
-            "recipe of your own with config.with_contexts(model, modes)"
+            f"{config.name!r} has no modes: give a model whose labels are contexts of the recipe, or define modes "
+            "for the other labels with config.with_contexts(model, modes)"
         )
     if model.labels != config.contexts:
         return config.with_contexts(model, [m for m in config.model.modes if m.context in model.labels])

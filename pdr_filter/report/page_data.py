@@ -76,7 +76,11 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
 
 
 def _groups(track: TrackRows, shown: IntArray) -> dict[str, Any]:
-    """Return the groups by which steps are coloured (contexts, floors): names, colours, and the group of each step."""
+    """Return the groups by which steps are coloured: contexts, and floors if the track has more than one.
+
+    Each entry has the names and colours of its groups, and the group of each step in `shown`, the steps that the page
+    draws.
+    """
     colours = palette.context_colours(track.contexts)
     kinds = {"contexts": _group(colours, track.context_prob[shown].argmax(axis=1))}
     floors = palette.floor_colours(track.floor.tolist())

@@ -193,8 +193,8 @@ def _up(segments: Sequence[_Segment]) -> tuple[FloatArray, FloatArray, float]:
     found = np.concatenate(senses) if senses else np.empty(0)
     if len(found) < _LEAST_WINDOWS:
         raise ValueError(
-            "the acceleration lacks gravity, and nobody walks in it for 12 s, which would show the vertical; walk for "
-            "longer, or record the acceleration with gravity"
+            "the acceleration lacks gravity, and nobody walks in it for 12 s, which would show the vertical: walk for "
+            "longer"
         )
     return np.concatenate(times), np.concatenate(ups), float(found.mean())
 

@@ -294,7 +294,11 @@ class StreamMerger:
         return int(waits[0]) if len(waits) else n
 
     def _passed_s(self, stream: StreamState, frontier_s: float) -> float:
-        """Return the time up to which a sensor is complete, ignoring samples far ahead of the accelerometer."""
+        """Return the time up to which a sensor other than the accelerometer is complete.
+
+        Samples more than `wait_s` after `frontier_s`, the end of the complete accelerometer samples, are ignored. The
+        result is minus infinity without a usable sample, and with only one of a sensor that is interpolated.
+        """
         time_s = stream.rows[:, 0]
         n = int(time_s.searchsorted(frontier_s + self.wait_s, side="right"))
         n = self._n_whole(stream, n, float(time_s[0]), frontier_s) if n else 0

@@ -148,7 +148,11 @@ class OnlineFilter:
         self._state, self._held = state, None
 
     def _with_late(self, updates: list[StepUpdate]) -> list[StepUpdate]:
-        """Return the steps of a held sample followed by those given."""
+        """Return the late steps followed by the given steps, and clear the late steps.
+
+        Reading `state` processes a held sample. The steps that it completes are late, because no call has returned them
+        yet.
+        """
         late, self._late = self._late, []
         return late + updates
 
@@ -355,8 +359,8 @@ class OnlineFilter:
             raise ValueError(f"{name} must be ({len(time)}, 3), one row for each time_s, got {np.shape(values)}")
         if not self.state.merger.is_used and self.state.sensing.conditioner.report.n_received:
             raise ValueError(
-                f"push_{sensor} takes samples of one sensor, but this filter has received merged samples (push): use "
-                "only one of the two ways"
+                f"samples of the {sensor} arrive separately (push_{sensor}, push_streams), but this filter has "
+                "received merged samples (push): use only one of the two ways"
             )
         recent_s = self.state.merger.stream(sensor).recent_s if sensor == "accelerometer" else time[:0]
         _check_times(time, recent_s, self.state)

@@ -304,7 +304,9 @@ class Recording:
 
 
 class MissingSensorError(ValueError):
-    """Error for a recording without a sensor that the recipe needs. The message names both.
+    """Error for a recording without a sensor that the recipe, another argument or a radio map needs.
+
+    The message names the missing sensor.
 
     Examples
     --------

@@ -17,10 +17,10 @@ _LARGEST, _LARGEST_WHOLE, _LARGEST_EXACT = 1e30, 2**63 - 1, 2**53
 
 
 def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
-    """Raise ValueError that names the first field of a dataclass whose value is not of its declared type.
+    """Raise ValueError for the first name that is not a field, or whose value is not of the declared type of its field.
 
-    Numbers, also in arrays, must not be extremely large, and counts (n_...) must not be negative. Further checks are in
-    the dataclass.
+    The message names the field of the dataclass `cls`. Numbers, also in arrays, must not be extremely large, and counts
+    (n_...) must not be negative. Further checks are in the dataclass.
     """
     declared = _declared(cls)
     for name, value in content.items():

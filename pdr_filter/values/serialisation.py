@@ -165,8 +165,8 @@ def from_bytes(blob: object) -> Any:
         return _decode(content["value"])
     except Exception as error:  # damaged bytes can raise any exception
         raise ValueError(
-            f"these {len(blob)} bytes were not saved by this version of {_PACKAGE} ({error}): process the samples "
-            "again, or load the bytes with the version that saved them"
+            f"these {len(blob)} bytes cannot be loaded as a saved value of this version of {_PACKAGE} ({error}): "
+            "process the samples again, or load the bytes with the version that saved them"
         ) from error
 
 

@@ -155,7 +155,7 @@ class WifiScan:
         Returns
         -------
         WifiScan
-            Scan with each address once.
+            Scan with each address once, with its largest power.
         """
         heard, index = np.unique(bssid, return_inverse=True)
         loudest = np.full(len(heard), -np.inf)

@@ -23,7 +23,7 @@ from pdr_filter.walk_map.likeness import fingerprint_matrix, likelihood, log_rat
 # All numbers were chosen on storey F1 of `ms_indoor`.
 # Share of the probability that one place of a walk must have, and the radius of a place.
 SURE, _PLACE_M = 0.8, 12.0
-# Smallest product of the loud parts of two fingerprints of walks that are compared.
+# Smallest scalar product of two fingerprints, without their small components, that makes their walks partners.
 _PARTNER_COSINE = 0.15
 # Smallest cosine of similar scans, and smallest number of scans of a walk that are similar to mapped scans. Fewer do
 # not hold the walk in its place.
@@ -133,11 +133,11 @@ class ScannedWalks:
 
 
 def partners_of(walks: ScannedWalks) -> list[set[int]]:
-    """Return for each walk the indices of the walks that recognise a place of it.
+    """Return for each walk the indices of its partners, the other walks that may have passed the same place.
 
-    Two walks do if the scalar product of the loud parts of two of their fingerprints is at least `_PARTNER_COSINE`. One
-    of these two scans is from an index of one scan of three, because places are larger than the distance of scans.
-    Blocks of rows bound the memory of the product.
+    Two scans make their walks partners if the scalar product of their fingerprints, without components below 0.1, is at
+    least `_PARTNER_COSINE`. Every scan is compared with every third scan only, because neighbouring scans of a walk are
+    nearly at the same place. The product is computed in blocks of rows, which limits its memory.
     """
     found: list[set[int]] = [set() for _ in walks.chains]
     # the loudest access points suffice to find candidates, and keep the lists of the index short

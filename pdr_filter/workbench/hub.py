@@ -47,7 +47,8 @@ class _Process:
             answer = await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, request)
         except LostError as error:
             raise FailedError(
-                f"{error}: the file is too large, or it crashes the reader; cut it, or export the recording again"
+                f"{error}: the file is too large or damaged, or the workbench was closed; give a smaller file, or "
+                "export it again"
             ) from None
         if isinstance(answer, dict) and "error" in answer:
             raise FailedError(answer["error"], answer.get("errno") or 0)

@@ -416,7 +416,9 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 async def _json_of(request: Request) -> dict[str, Any]:
     body = await body_of(request, _MAX_EDIT_BYTES)
     if body is None:
-        raise TooLargeError(f"the edit has more than {_MAX_EDIT_BYTES} bytes: split it, or draw a simpler plan")
+        raise TooLargeError(
+            f"the request has more than {_MAX_EDIT_BYTES} bytes: remove marks of the walk, or draw a simpler plan"
+        )
     try:
         content = json.loads(body)
     except RecursionError:

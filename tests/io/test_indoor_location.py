@@ -60,7 +60,7 @@ def test_a_walk_without_accelerometer_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_time_that_is_no_whole_number_is_refused(tmp_path: Path) -> None:
-    assert "time 'now' is neither a whole number nor a known date" in refusal(
+    assert "time 'now' is neither a number up to 9.2e+18 nor a known date" in refusal(
         write_text(tmp_path / "w.txt", f"now\tTYPE_ACCELEROMETER\t0\t0\t9.8\t3\n{TEXT}")
     )
 

@@ -126,7 +126,7 @@ def test_a_phone_at_rest_without_gravity_is_refused(tmp_path: Path) -> None:
     files = {"Linear.csv": phyphox_table(still, "Linear Acceleration", "m/s^2")}
     message = refusal(write_zip(tmp_path / "w.zip", files))
     assert "lacks gravity, and nobody walks in it for 12 s" in message
-    assert "export 'Acceleration with g' in phyphox" in message
+    assert "which would show the vertical: walk for longer; or export 'Acceleration with g' in phyphox" in message
 
 
 def test_acceleration_without_gravity_beside_the_right_one_is_ignored(tmp_path: Path) -> None:

@@ -138,7 +138,10 @@ def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> 
 
 
 def _inside_file(data: Any, name: str, file: Path) -> Any:
-    """Return the data set of this name, or None if it does not exist. Links to other files are refused."""
+    """Return the data set of this name, or None if it does not exist.
+
+    RecordingError for a link, and for values that are kept in other files.
+    """
     import h5py  # pyright: ignore[reportMissingImports]
 
     found = data
@@ -147,10 +150,16 @@ def _inside_file(data: Any, name: str, file: Path) -> Any:
         if link is None:
             return None
         if not isinstance(link, h5py.HardLink):
-            raise RecordingError(f"{file}: {name} is a link to elsewhere; copy the data into the file (h5repack)")
+            raise RecordingError(
+                f"{file}: {name} is a link, which may lead to another file; take data.hdf5 as published, or write the "
+                "values into one file with h5py"
+            )
         found = found[part]
     if getattr(found, "external", None) or getattr(found, "is_virtual", False):
-        raise RecordingError(f"{file}: {name} is kept in other files; copy the data into this one (h5repack)")
+        raise RecordingError(
+            f"{file}: {name} is kept in other files; take data.hdf5 as published, or write the values into one file "
+            "with h5py"
+        )
     return found
 
 

@@ -81,7 +81,7 @@ def database_tables(
 ) -> tuple[dict[str, NumberTable], dict[str, str]]:
     """Return a table for each sensor in a database of Sensor Logger, and the metadata by name.
 
-    RecordingError if the database has no table of a sensor in `columns`.
+    RecordingError if no table has the name and the columns of a sensor in `columns`.
     """
     where = members.where(name)
     sensors: dict[str, NumberTable] = {}
@@ -101,7 +101,7 @@ def database_tables(
                     metadata = {key: str(value)[: limits.MAX_TEXT_CHARS] for key, value in zip(found, row, strict=True)}
         if not sensors:
             raise RecordingError(
-                f"{where}: no table of a sensor of Sensor Logger in it (found: "
+                f"{where}: no table has the name and the columns of a sensor of Sensor Logger (found: "
                 f"{', '.join(database.columns)[:160] or 'nothing'}); export the recording again, as CSV if this is "
                 "another app's"
             )

@@ -287,7 +287,10 @@ def table_of_rows(rows: Sequence[Row], columns: Sequence[str], where: str, notes
 
 
 def _wholes(texts: list[str]) -> list[int | None]:
-    """Convert texts to integers, and empty texts to None. ValueError for anything else."""
+    """Convert texts of numbers to integers without their fractions, and empty texts and words such as null to None.
+
+    ValueError for any other text.
+    """
     return [*map(int if _WHOLE.fullmatch(",".join(texts)) else whole_number, texts)]
 
 

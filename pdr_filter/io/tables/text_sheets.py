@@ -140,9 +140,10 @@ def by_text(sheet: Sheet, column: int) -> list[Sheet]:
 
 
 def text_sheets(members: Members, member: str, separator: str | None = None) -> list[Sheet]:
-    """Return the tables in a text.
+    """Return the tables in a text file, which usually has one table or none.
 
-    There are several if the first column name, in quotation marks, also begins later lines of other column names.
+    A file has several tables, one below the other, if several lines begin with its first column name in quotation
+    marks, and if no two of these lines are equal. These lines are the headers of the tables.
     """
     header = members.head(member).removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0].strip()
     if header.startswith(b'"') and (first := re.match(rb'"[^"\d]*"', header)):

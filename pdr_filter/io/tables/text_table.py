@@ -300,8 +300,8 @@ def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: i
                 known = whole_number(row[layout.whole])
             except ValueError as error:
                 raise RecordingError(
-                    f"{where}, line {at}: time {row[layout.whole].strip()[:40]!r} is neither a whole "
-                    "number nor a known date; export the file again, or take the line out"
+                    f"{where}, line {at}: time {row[layout.whole].strip()[:40]!r} is neither a number up to "
+                    f"{limits.MAX_INT64:.1e} nor a known date; export the file again, or take the line out"
                 ) from error
             if known is None:
                 n_timeless += 1

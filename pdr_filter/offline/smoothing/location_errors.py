@@ -9,9 +9,9 @@ The error of a location is the sum of these parts, each a Gauss-Markov process:
 
 - constant over a walk, east and north: standard deviation sqrt(0.2) of that of the location, memory 1 h;
 - varying, east and north: sqrt(0.7) of that of the location, memory 20 s (the correlation time of the fix);
-- pulled to the mean of the locations within 2 min: half of the distance, at most 1.5 standard deviations of the
-  location, memory 30 s;
-- late: 3 s of the walk, memory 30 s;
+- shrinkage towards the mean of the locations within 2 min before and after: standard deviation half of the distance
+  from this mean, at most 1.5 standard deviations of the location, memory 30 s;
+- delay, along the velocity of the walk: standard deviation 3 s, memory 30 s;
 - white: the remaining tenth of the variance.
 
 The parts and the memory of 30 s were chosen on the routes 01 and 02 of ipin2023, and the median variance of
@@ -115,7 +115,7 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
 
 
 def _from_local_mean(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
-    """Return each position (E, 2) minus the mean of all positions less than `_SHRUNK_WITHIN_S` before or after."""
+    """Return each position (E, 2) minus the mean of all positions in [t - d, t + d), with d = `_SHRUNK_WITHIN_S`."""
     first, end = (np.searchsorted(time_s, time_s + d) for d in (-_SHRUNK_WITHIN_S, _SHRUNK_WITHIN_S))
     total = np.concatenate([np.zeros((1, 2)), np.cumsum(place_m - place_m[0], axis=0)])
     return place_m - place_m[0] - (total[end] - total[first]) / (end - first)[:, None]
@@ -124,7 +124,7 @@ def _from_local_mean(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
 def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
     """Return the mean velocity (E, 2) around each location, limited to the speed of a pedestrian.
 
-    It is that from the first to the last location less than `_LATE_WITHIN_S` before or after.
+    It is computed from the first and the last location in [t - d, t + d), with d = `_LATE_WITHIN_S`.
     """
     first, end = (np.searchsorted(time_s, time_s + d) for d in (-_LATE_WITHIN_S, _LATE_WITHIN_S))
     apart_s = np.maximum(time_s[end - 1] - time_s[first], 1.0)

@@ -239,8 +239,9 @@ def waypoint_fixes(recording: Recording, std_m: float = 1.0) -> list[PositionFix
     if len(back):
         k = int(back[0]) + 1
         raise ValueError(
-            f"waypoints must be in the order of their times: waypoint {k} at {points.time_s[k]} s comes after one at "
-            f"{points.time_s[k - 1]} s; correct the times, or sort rows whose times are right"
+            f"waypoints must be in the order of their times: waypoint {k + 1} of {len(points)}, at "
+            f"{points.time_s[k]} s, comes after one at {points.time_s[k - 1]} s; correct the times, or sort rows whose "
+            "times are right"
         )
     cov = std_m**2 * np.eye(2)
     return [PositionFix(float(p.time_s), np.array([p.east_m, p.north_m]), cov) for p in points]

@@ -130,7 +130,11 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
 
 
 def _guess_rows(problem: Problem) -> list[Rows]:
-    """Return equations of the relaxed problem that place each measurement near its first estimate."""
+    """Return equations of the relaxed problem (`_relaxed`) that replace the measurements, which may be nonlinear.
+
+    Each equation keeps the position at the time of a measurement near the position at which the measurement is
+    linearised first (`guess_m`), with the standard deviation `_GUESS_STD_M`.
+    """
     measured_, n = problem.measurements, len(problem.measurements)
     if not n:
         return []

@@ -105,7 +105,7 @@ def _dominance(signal: FloatArray) -> float:
 
 
 def filtered_norms(sos: FloatArray, components: FloatArray, zi: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Return the norms of filtered force and angular rate, (2, N) (eq. 2), and the new filter state.
+    """Return the norms of low-passed force and angular rate, (2, N) (eq. 2), and the new filter state.
 
     `components` (6, N) are the components of specific force and angular rate.
     """
@@ -138,7 +138,7 @@ class MotionWindowState:
 
 @dataclass(frozen=True)
 class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
-    """Causal windows of filtered norms, and their features.
+    """Causal windows of the norms of low-passed force and angular rate, with their features.
 
     Parameters
     ----------

@@ -193,7 +193,8 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
     ) -> tuple[NormMinimaState, FloatArray]:
         """Return the new state, and (6, N): |f|, |omega|, three flags, and the index of the carrying mode.
 
-        The norms are low-passed. The flags are 1 if the sample exists, if its rate is known, and if steps are possible.
+        |f| and |omega| are the norms of the low-passed components. The flags are 1 if the sample exists, if its angular
+        rate is known, and if the context allows steps.
         """
         components = np.vstack([block.specific_force_mps2.T, block.angular_rate_radps.T])
         norms, zi = filtered_norms(self._sos, components, state.zi)

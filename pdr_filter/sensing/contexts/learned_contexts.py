@@ -158,10 +158,10 @@ def stage_of(
     """Return the context stage that uses a context model; a given stage is returned unchanged.
 
     In a pair of models, the second is for windows without gyroscope. A single model classifies such windows if it was
-    trained on them, or if the replaced model for them has all its features. Otherwise such windows are unknown.
-    Windows, carrying-mode models and features come from the present stage if it has the features of the model.
-    Otherwise they come from the default recipe. Features that come with a model are added. Raises ValueError if no
-    feature set has the features of the model.
+    trained on them, or if the previous model for such windows has all features of the new model. Otherwise such windows
+    are unknown. Windows, carrying-mode models and features come from the present stage if it has the features of the
+    model. Otherwise they come from the default recipe. Features that come with a model are added. Raises ValueError if
+    no feature set has the features of the model.
     """
     if not isinstance(contexts, ContextModel | tuple):
         check_members("model", contexts, ContextStage)

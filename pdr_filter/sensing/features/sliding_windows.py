@@ -20,7 +20,7 @@ class SampleWindow:
     Attributes
     ----------
     last : int
-        Number of the last sample in the segment.
+        Index of the last sample in the segment, from 0.
     start_s, end_s : float
         Start and end of the window, s.
     samples : FloatArray
@@ -181,7 +181,7 @@ class SlidingWindows(ABC, Generic[W, X]):
         state : W
             New state.
         windows : list of (int, X)
-            Descriptions of the windows, each with the number of its last sample.
+            Descriptions of the windows, each with the index of its last sample in the segment, from 0.
         """
 
     def cut(

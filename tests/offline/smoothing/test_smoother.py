@@ -399,7 +399,7 @@ def test_bad_input_is_refused_with_a_message() -> None:
     with pytest.raises(ValueError, match="start_s < end_s"):
         KnownHeading(5.0, 4.0, 0.0)
     points = table({"time_s": np.array([1.0, 9.0, 4.0]), "east_m": np.zeros(3), "north_m": np.zeros(3)})
-    with pytest.raises(ValueError, match=r"waypoint 2 at 4.0 s comes after one at 9.0 s"):
+    with pytest.raises(ValueError, match=r"waypoint 3 of 3, at 4.0 s, comes after one at 9.0 s"):
         waypoint_fixes(replace(WALKED, truth=Truth(waypoints=points)))
     with pytest.raises(ValueError, match="no waypoints"):
         waypoint_fixes(replace(WALKED, truth=Truth()))
