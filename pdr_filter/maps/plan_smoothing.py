@@ -31,6 +31,7 @@ from pdr_filter.maps.particle_filter import ParticleFilter, ParticleState
 from pdr_filter.maps.particle_motion import EAST, NORTH, OFFSET, SCALE, earlier_positions
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
 from pdr_filter.recipes.config import Config
+from pdr_filter.tracking.step_statistics import UNKNOWN_HEADING_RAD
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import collected, outputs, position_before
 from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, Origin, read_only, wrap_angle
@@ -40,6 +41,8 @@ from pdr_filter.values.recording import Recording
 _PARTICLE_FACTOR = 4
 # Accuracy of a position on a plan: drawn edges, and the distance that people keep from walls, vary by some decimetres.
 _PLAN_STD_M = 0.2
+# A note appears if the walking direction is unknown in more steps than this number, or than this share of a short walk.
+_UNKNOWN_NUMBER, _UNKNOWN_SHARE = 20, 0.5
 
 
 class _Reckoned(NamedTuple):
@@ -52,12 +55,14 @@ class _Reckoned(NamedTuple):
 class _Event(NamedTuple):
     """State of the particles after one event: a step, a fix, a gap or a change of storey.
 
-    `reckoned` is the dead-reckoned position after a step, and None for other events. `is_restart` is True if the
-    particles do not descend from those before the event.
+    `reckoned` is the dead-reckoned position after a step, and None for other events. `length_m` is the length of the
+    step for a scale of one, mean over the modes. `is_restart` is True if the particles do not descend from those before
+    the event.
     """
 
     state: ParticleState
     reckoned: _Reckoned | None
+    length_m: float
     is_restart: bool
 
 
@@ -77,7 +82,9 @@ class _Recorder:
         self, state: ParticleState, update: StepUpdate, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
         after = self._filter.on_step(state, update, pedestrian, model)
-        return self._recorded(state, after, reckoned=_Reckoned(update.position_m, update.position_cov_m2))
+        length_m = float(update.mode_prob @ model.lengths(update.step).length_m)
+        reckoned = _Reckoned(update.position_m, update.position_cov_m2)
+        return self._recorded(state, after, reckoned=reckoned, length_m=length_m)
 
     def on_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
         return self._recorded(state, self._filter.on_gap(state, gap_s, model))
@@ -100,7 +107,12 @@ class _Recorder:
         return self._recorded(state, self._filter.on_passage(state, passage, pedestrian, model))
 
     def _recorded(
-        self, before: ParticleState, after: ParticleState, reckoned: _Reckoned | None = None, is_moved: bool = False
+        self,
+        before: ParticleState,
+        after: ParticleState,
+        reckoned: _Reckoned | None = None,
+        length_m: float = 0.0,
+        is_moved: bool = False,
     ) -> ParticleState:
         """Append the state after an event to `events`, and return this state.
 
@@ -109,7 +121,7 @@ class _Recorder:
         """
         if after.weight is not before.weight or reckoned is not None:
             is_new = is_moved or after.n_lost > before.n_lost
-            self.events.append(_Event(after, reckoned, is_restart=is_new and len(before.weight) > 0))
+            self.events.append(_Event(after, reckoned, length_m, is_restart=is_new and len(before.weight) > 0))
         return after
 
 
@@ -195,9 +207,10 @@ def _before_drawing(event: _Event, drawn: _Ancestors) -> _Ancestors:
 
 
 class _Row(NamedTuple):
-    """Smoothed estimate of one step: position, and means and standard deviations of heading offset and log scale."""
+    """Smoothed estimate of one step: position, length, and means and standard deviations of offset and log scale."""
 
     cluster: Cluster
+    length_m: float
     offset: float  # rad
     offset_std: float  # rad
     log_scale: float
@@ -211,30 +224,37 @@ def _row(ancestors: _Ancestors, elsewhere: float, includes_reckoned: bool) -> _R
     covariance up to dead reckoning with this probability.
     """
     event, particles, weight = ancestors
+    offset_rad, log_scales = particles[:, OFFSET], particles[:, SCALE]
     position_m, cov_m2 = moments(particles[:, [EAST, NORTH]], weight)
     cov_m2 = inflated_cov(position_m, cov_m2, elsewhere, event.reckoned if includes_reckoned else None)
-    # headings are circular: average the differences from the first particle's
-    first_offset = particles[0, OFFSET]
-    turned, offset_std = _mean_and_std(wrap_angle(particles[:, OFFSET] - first_offset), weight)
-    log_scale, log_scale_std = _mean_and_std(particles[:, SCALE], weight)
+    offset = float(np.arctan2(weight @ np.sin(offset_rad), weight @ np.cos(offset_rad)))
+    offset_std = float(np.sqrt(weight @ wrap_angle(offset_rad - offset) ** 2))
+    # the mean position hardly moves if the particles walk in different directions: average their own lengths
+    length_m = event.length_m * float(weight @ np.exp(log_scales))
+    log_scale = float(weight @ log_scales)
+    log_scale_std = float(np.sqrt(weight @ (log_scales - log_scale) ** 2))
     cluster = Cluster(1.0 - elsewhere, position_m, read_only(cov_m2 + _PLAN_STD_M**2 * np.eye(2)))
-    return _Row(cluster, float(first_offset + turned), offset_std, log_scale, log_scale_std)
+    return _Row(cluster, length_m, offset, offset_std, log_scale, log_scale_std)
 
 
-def _mean_and_std(values: FloatArray, weight: FloatArray) -> tuple[float, float]:
-    """Return the weighted mean and standard deviation of values (N,)."""
-    mean = float(weight @ values)
-    return mean, float(np.sqrt(weight @ (values - mean) ** 2))
+def _notes(offset_std_rad: FloatArray) -> tuple[str, ...]:
+    """Return a note if the walking direction is unknown in many steps, given its standard deviations (K,)."""
+    n, unknown = len(offset_std_rad), int((offset_std_rad > UNKNOWN_HEADING_RAD).sum())
+    if unknown <= min(_UNKNOWN_NUMBER, _UNKNOWN_SHARE * n):
+        return ()
+    return (
+        f"the walking direction on the plan is uncertain by more than {UNKNOWN_HEADING_RAD} rad in {unknown} of {n} "
+        "steps, because several ways fit the walk: the positions there are means and do not follow it; give fixes or "
+        "a radio map",
+    )
 
 
 def _with_rows(track: Track, rows: Sequence[_Row], origin: Origin | None) -> SmoothedOnPlan:
     """Return a track with the positions, headings and step lengths of the smoothed rows."""
     position = np.array([row.cluster.position_m for row in rows])
-    moved = np.diff(position, axis=0, prepend=position[:1])
-    offset = np.array([row.offset for row in rows])
+    length = np.array([row.length_m for row in rows])
+    offset, offset_std = np.array([(row.offset, row.offset_std) for row in rows]).T
     heading = np.asarray(track.steps.device_heading_rad) + offset
-    length = track.step_length_m.copy()
-    length[1:] = np.hypot(*moved[1:].T)
     smoothed = replace(
         track,
         position_m=read_only(position),
@@ -248,11 +268,12 @@ def _with_rows(track: Track, rows: Sequence[_Row], origin: Origin | None) -> Smo
         frame="plan",
         origin=origin,
         is_smoothed=True,
+        notes=(*track.notes, *_notes(offset_std)),
     )
     return SmoothedOnPlan(
         smoothed,
         heading_offset_rad=read_only(offset),
-        heading_offset_std_rad=read_only(np.array([row.offset_std for row in rows])),
+        heading_offset_std_rad=read_only(offset_std),
         log_scale=read_only(np.array([row.log_scale for row in rows])),
         log_scale_std=read_only(np.array([row.log_scale_std for row in rows])),
     )

@@ -18,6 +18,8 @@ import pdr_filter as pdr
 from pdr_filter.maps.crossing_costs import Ground, Terrain
 from pdr_filter.maps.particle_clusters import cluster_numbers, n_needed, on_plan
 from pdr_filter.maps.particle_filter import ParticleState
+from pdr_filter.maps.particle_motion import OFFSET, SCALE
+from pdr_filter.maps.plan_smoothing import _Ancestors, _Event, _row
 from pdr_filter.maps.storey import FREE
 from pdr_filter.values import FloorPassage
 
@@ -396,6 +398,37 @@ def test_later_steps_improve_earlier_smoothed_positions(plan: pdr.FloorPlan) -> 
     assert_allclose([clusters[0].share for clusters in hindsight.track.clusters], 0.99, atol=0.002)
     with pytest.raises(ValueError, match="fixes alone"):
         pdr.smooth(WALK, plan=plan, start=start, start_heading_std_rad=0.1)
+
+
+def test_smoothed_steps_keep_their_lengths_if_the_direction_is_unknown_and_a_note_says_so(tmp_path: Path) -> None:
+    hall = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [feature("floor", box(-90, -90, 90, 90))]))
+    walk = replace(WALK, magnetometer=None)
+    config = begun(hall, pdr.PositionFix(0.0, [0.0, 0.0], 0.25 * np.eye(2)))
+    found, alone = pdr.smooth(walk, config=config), pdr.smooth(walk, config=pdr.recipes.default()).track
+    assert found.heading_offset_std_rad.min() > 1.5
+    assert np.linalg.norm(np.diff(found.track.position_m, axis=0), axis=1).sum() < 0.5 * alone.distance_m
+    assert_allclose(found.track.step_length_m, alone.step_length_m, rtol=0.1)
+    assert_allclose(found.track.distance_m, alone.distance_m, rtol=0.05)
+    assert_allclose(found.track.step_speed_mps * np.asarray(alone.steps.duration_s), found.track.step_length_m)
+    assert any("walking direction on the plan is uncertain" in note for note in found.track.notes)
+
+
+def test_smoothed_positions_are_sums_of_the_steps_if_the_direction_is_known(plan: pdr.FloorPlan) -> None:
+    track = pdr.smooth(WALK, FIXES, plan=plan).track
+    moved_m = np.linalg.norm(np.diff(track.position_m, axis=0), axis=1).sum()
+    assert_allclose(track.walked_m[-1] - track.walked_m[0], moved_m, rtol=0.02)
+    assert not any("on the plan is uncertain" in note for note in track.notes)
+
+
+def test_a_smoothed_step_has_the_circular_mean_heading_and_the_mean_length_of_its_particles() -> None:
+    particles, weight = np.zeros((3, 6)), np.array([0.2, 0.4, 0.4])
+    particles[:, OFFSET], particles[:, SCALE] = [3.0, 0.3, -0.3], np.log([0.9, 1.0, 1.2])
+    event = _Event(ParticleState(particles, weight), None, length_m=0.7, is_restart=False)
+    for order in ([0, 1, 2], [2, 0, 1]):
+        row = _row(_Ancestors(event, particles[order], weight[order]), 0.01, includes_reckoned=False)
+        assert_allclose(row.offset, np.angle(weight @ np.exp(1j * particles[:, OFFSET])))
+        assert_allclose(row.offset_std**2, weight @ (particles[:, OFFSET] - row.offset) ** 2)
+        assert_allclose(row.length_m, 0.2 * 0.63 + 0.4 * 0.7 + 0.4 * 0.84)
 
 
 def test_a_wall_across_the_corridor_is_crossed_with_a_note(tmp_path: Path) -> None:
