@@ -24,12 +24,14 @@ from pdr_filter.walk_map.chains import Chain, cached_chain, without_times
 from pdr_filter.walk_map.joint import Known, States, solve_group, step_positions
 from pdr_filter.walk_map.placing import (
     MOST_TOGETHER,
+    PACES,
     UNKNOWN_NORTH,
     PlacedGroup,
     Pose,
     ScannedWalks,
     adjust,
     grow,
+    log_evidence,
     settle,
     turned,
 )
@@ -676,15 +678,27 @@ def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: di
     """Join walks of `free` to a group, and remove joined walks whose places the other walks do not confirm.
 
     The group is changed, but its present walks stay. Joined walks leave `free`. `reasons` gets the reason of each
-    removed walk, by its index.
+    removed walk, by its index. If walks with partners in a small group are left, the group is grown at another pace as
+    well, and the more probable result counts.
     """
     kept = frozenset(group.poses)
-    if len(group.poses) > 1:
-        adjust(walks, group, list(group.poses))
-    grow(walks, group, free)
-    for i in settle(walks, group, kept):
+    tries: list[tuple[PlacedGroup, set[int], list[int]]] = []
+    for pace in PACES:
+        grown, left = replace(group, poses=dict(group.poses)), set(free)
+        if len(grown.poses) > 1:
+            adjust(walks, grown, list(grown.poses))
+        grow(walks, grown, left, pace)
+        removed = settle(walks, grown, kept)
+        adjust(walks, grown, list(grown.poses), n_iterations=25)
+        tries.append((grown, left, removed))
+        is_small = 1 < len(grown.poses) <= MOST_TOGETHER
+        if not is_small or not any(walks.partners[i] & grown.poses.keys() for i in (*left, *removed)):
+            break
+    best, left, removed = max(tries, key=lambda of: log_evidence(walks, of[0])) if len(tries) > 1 else tries[0]
+    group.poses, group.north_rad = best.poses, best.north_rad
+    free.intersection_update(left)
+    for i in removed:
         reasons[i] = "the other walks contradict its place: access points may have been moved"
-    adjust(walks, group, list(group.poses), n_iterations=25)
 
 
 def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:

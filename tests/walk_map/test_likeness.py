@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.walk_map import placing
+from pdr_filter.walk_map import placing, walk_map
 from pdr_filter.walk_map.chains import Chain, Scans, chain_of
 from pdr_filter.walk_map.joint import _by_state, solve_group, step_positions
 from pdr_filter.walk_map.likeness import (
@@ -22,12 +23,14 @@ from pdr_filter.walk_map.likeness import (
     log_ratio,
 )
 from pdr_filter.walk_map.placing import (
+    PACES,
     PlacedGroup,
     Pose,
     ScannedWalks,
     _thinned,
     adjust,
     joint_poses,
+    log_evidence,
     partners_of,
     scans_around,
     turned,
@@ -119,6 +122,38 @@ def test_the_slope_of_the_joint_poses_is_that_of_differences(chain: Chain) -> No
     adjust(walks, group, [0, 1], n_iterations=30)
     after = joint_poses(walks, group, [0, 1], scans)
     assert after.objective > before.objective + 1.0 and np.abs(after.slope[4:7]).max() < 1.0
+
+
+def test_the_evidence_of_a_walk_is_zero_far_away_and_positive_where_it_hears_the_same(chain: Chain) -> None:
+    rng = np.random.default_rng(3)
+    heard = Scans(np.arange(0, 20, 4), np.arange(0, 35, 6), np.tile(np.arange(6), 5), rng.uniform(-80, -40, 30))
+    walks = ScannedWalks.of([replace(chain, scans=heard, knows_north=False)] * 2)
+    here = Pose(0.0, np.zeros(2))
+    groups = [{0: here}, {0: here, 1: Pose(0.0, np.array([1e6, 0.0]))}, {0: here, 1: here}]
+    alone, far, same = (log_evidence(walks, PlacedGroup(poses, {0: here})) for poses in groups)
+    assert alone == pytest.approx(0.0, abs=1e-9) and far == pytest.approx(0.0, abs=1e-4)
+    assert same > 3.0
+
+
+@pytest.mark.parametrize("better", [0, 1])
+def test_of_two_paces_of_growth_the_more_probable_result_counts(monkeypatch: pytest.MonkeyPatch, better: int) -> None:
+    """At the first pace walks 1 and 2 join, at the other one walks 1 and 3, and walk 4 is removed."""
+
+    def grow(_: object, group: PlacedGroup, free: set[int], pace: int) -> None:
+        joined = {PACES[0]: (1, 2), PACES[1]: (1, 3)}[pace]
+        group.poses.update({i: Pose(float(pace), np.zeros(2)) for i in joined})
+        group.north_rad = float(pace)
+        free.difference_update({*joined, 4})
+
+    for name, other in {"grow": grow, "adjust": lambda *_, **__: None, "settle": lambda *_: [4]}.items():
+        monkeypatch.setattr(walk_map, name, other)
+    monkeypatch.setattr(walk_map, "log_evidence", lambda _, group: float(2 + better in group.poses))
+    walks = SimpleNamespace(partners=[set(range(5)) for _ in range(5)])
+    group, free = PlacedGroup({0: Pose(0.0, np.zeros(2))}, {}), {1, 2, 3, 4}
+    reasons = dict[int, str]()
+    walk_map._extend(cast(Any, walks), group, free, reasons)
+    assert set(group.poses) == {0, 1, 2 + better} and group.north_rad == PACES[better]
+    assert free == {3 - better} and reasons.keys() == {4}
 
 
 def test_walks_of_other_storeys_do_not_move_a_walk(chain: Chain) -> None:
