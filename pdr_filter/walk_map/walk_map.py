@@ -439,7 +439,7 @@ class WalkMap:
             ) from error
 
     def _walks_of(self, group: int) -> list[MappedWalk]:
-        """Return the walks of a group, or raise ValueError if there is no such group."""
+        """Return the walks of a group. Raise ValueError for an unknown group."""
         if not 0 <= group < self.n_groups:
             raise ValueError(
                 f"group must be from 0 to {self.n_groups - 1}, got {group}"
