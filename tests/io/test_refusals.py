@@ -244,6 +244,18 @@ ARGUMENTS: dict[str, tuple[Callable[[Path], object], str, str, str]] = {
         "std_m is -4",
         "write a positive number",
     ),
+    "a storey between two storeys": (
+        lambda f: fixes_of_file(write_text(f / "fixes.csv", "time_s,east_m,north_m,floor\n1,2,3,0.5\n")),
+        "fixes.csv, row 1",
+        "floor is 0.5",
+        "write the number of the storey",
+    ),
+    "a storey beyond all buildings": (
+        lambda f: fixes_of_file(write_text(f / "fixes.csv", "time_s,east_m,north_m,floor\n1,2,3,1e29\n")),
+        "fixes.csv, row 1",
+        "floor is 1e+29",
+        "write the number of the storey",
+    ),
     "loop closures": (
         lambda f: loop_closures_of_file(write_text(f / "loops.csv", "first_s,second_s\n7,5\n")),
         "loops.csv, row 1",
