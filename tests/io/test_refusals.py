@@ -174,7 +174,7 @@ REFUSALS: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         "found 'beos'",
         "--platform ios",
     ),
-    "slow samples": (lambda f: walk_csv(f, time=TIME_S * 20), "time_s", "a rate of 2.5 Hz", "50 Hz if the app can"),
+    "slow samples": (lambda f: walk_csv(f, time=TIME_S * 20), "time_s", "a rate of 2.5 Hz", "record at 25 Hz or more"),
     "times that were rounded": (rounded, "time_s", "does not increase in", "take the file as the app wrote it"),
     "few samples": (
         lambda f: write_text(f / "walk.csv", table_text({"time": TIME_S[:4]} | axes("acc_%", FORCE[:4]))),
