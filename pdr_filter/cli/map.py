@@ -63,7 +63,7 @@ def map_folder(
         for name, why in found.apart:
             console.print_line(f"apart: {name}: {why}")
         if not found.n_groups:
-            raise ValueError(f"no map: none of {len(found.apart)} walks could be joined, for the reasons above")
+            raise ValueError("no map was written, because no walk could be joined: see the lines that begin with apart")
         for group in range(found.n_groups):
             typer.echo(f"group {group}: {sum(w.group == group for w in found.walks)} walks")
         if found.n_groups > 1:

@@ -49,7 +49,7 @@ def test_a_folder_without_a_walk_that_can_be_joined_is_refused_after_the_reasons
         result = run("map", given, "--out", tmp_path / "out")
         assert result.exit_code == 2
         assert "apart: demo_walk: no Wi-Fi scans" in result.stdout
-        assert "none of 1 walks could be joined" in one_line(result.stderr)
+        assert "no map was written, because no walk could be joined" in one_line(result.stderr)
         assert not (tmp_path / "out" / "map").exists() and not (tmp_path / "out" / "map.html").exists()
 
 
