@@ -129,6 +129,9 @@ def test_the_commands_of_a_page_run_as_they_are_typed(
     mine.save(tmp_path / "walk.zip")
     recording.save(tmp_path / "surveyed" / "walk.zip")
     replace(mine, location=None, name="indoors").save(tmp_path / "indoors.zip")
+    marks = tmp_path / "surveyed" / "walk.zip.marks"  # by which a single walk is a map
+    marks.mkdir()
+    (marks / "fixes.csv").write_text("time_s,east_m,north_m\n4,0,0\n", encoding="utf-8")
     (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n4,0,0\n20,1,20\n30,10,25\n", encoding="utf-8")
     (tmp_path / "loops.csv").write_text("first_s,second_s,std_m\n3.0,6.0,10\n", encoding="utf-8")
     (tmp_path / "building.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": BUILDING}), "utf-8")

@@ -15,6 +15,7 @@ from pdr_filter.cli.options import (
     Files,
     Folder,
     Format,
+    Height,
     Loop,
     PersonFile,
     PlacementOptions,
@@ -128,7 +129,10 @@ def smooth(
     placement: PlacementOptions,
     fixes: Annotated[
         Path | None,
-        typer.Option(help="CSV of position fixes with columns time_s, east_m, north_m and optionally std_m."),
+        typer.Option(
+            help="CSV of position fixes with columns time_s, east_m, north_m and optionally std_m, floor, heading_deg "
+            "and heading_std_deg."
+        ),
     ] = None,
     fix_std_m: Annotated[
         float,
@@ -148,29 +152,33 @@ def smooth(
     ranges: RangesFile = None,
     anchors: AnchorsFile = None,
     person: PersonFile = None,
+    height_m: Height = None,
     loop: Loop = False,
-    no_marks: Annotated[
-        bool, typer.Option("--no-marks", help="Do not use the files of marks beside the recording.")
-    ] = False,
+    no_marks: Annotated[bool, typer.Option("--no-marks", help="Do not use the marks of the recording.")] = False,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
     """Smooth a whole recording with fixes and loop closures.
 
-    Without any, use the recording's own waypoints or locations. Files that pdr-filter app writes beside a recording are
-    used: fixes.csv, loop_closures.csv, person.json and walk.json.
+    Without any, use the recording's own waypoints or locations. The marks of the recording, which pdr-filter app
+    writes, are used: fixes.csv, loop_closures.csv, person.json and walk.json. They are in the folder walk.zip.marks for
+    the file walk.zip, and inside a recording that is a folder.
 
     Times in the CSV files are seconds on the clock of the recording.
     """
     import pdr_filter as pdr
     from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
-    from pdr_filter.maps.marks import Marks, read_marks
+    from pdr_filter.maps.marks import Marks, read_marks, unused_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 
     before: dict[Path, int] = {}
     with console.one_line_errors(), console.progress("smoothing"):
         marked = Marks(file) if no_marks else read_marks(file)
+        if not no_marks and fixes is None:
+            console.say_unused_fixes(unused_fixes([file]))
         recording = marked.recording(pdr.read(file, file_format))
+        if height_m is not None:
+            recording = recording.of_height(height_m)
         where = {name: value for name, value in placement.arguments().items() if value is not None}
         is_given = any((fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(placement, plan=None).given()))
         known: dict[str, Any] = marked.arguments(recording, None if is_given else fix_std_m)
@@ -179,6 +187,7 @@ def smooth(
             closed = loop_closures_of_file(loop_closures)
         closed += wifi_loop_closures(recording) if wifi_loops else []
         position_fixes: list[Any] = known.pop("fixes")
+        n_waypoints = len(position_fixes) - len(marked.fixes)
         if fixes is not None:
             position_fixes = list(fixes_of_file(fixes, fix_std_m))
         if radio is not None:
@@ -200,6 +209,8 @@ def smooth(
                 console.write_map(track, out / f"{name}.geojson")
     if marked.names:
         console.stderr().print(f"marks used: {escape(', '.join(str(marked.folder / n) for n in marked.names))}")
+    if n_waypoints:
+        console.stderr().print(f"waypoints used: {n_waypoints} of the recording")
     console.print_tracks([track])
     typer.echo(
         f"{len(result.observations)} observations, {len(result.rejected)} not used; "

@@ -80,6 +80,14 @@ def say_replaced(paths: Sequence[Path]) -> None:
         stderr().print(f"replaced existing files: {escape(', '.join(map(str, paths)))}")
 
 
+def say_unused_fixes(paths: Sequence[Path]) -> None:
+    """Print files `fixes.csv` that lie beside recordings and are not used, with the place where they are."""
+    for path in paths:
+        stderr().print(
+            f"{escape(str(path))} is not used: known positions of walk.zip are read from walk.zip.marks/fixes.csv"
+        )
+
+
 def say_without_truth(names: Sequence[str]) -> None:
     """Print the recordings for which no error can be computed."""
     if names:
@@ -96,10 +104,10 @@ def say_written(folder: Path | None) -> None:
 
 @contextmanager
 def one_line_errors() -> Generator[None]:
-    """Turn ValueError and OSError into a one-line message and exit code 2."""
+    """Turn ValueError, OSError and the ImportError of an optional package into a one-line message and exit code 2."""
     try:
         yield
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, ImportError) as error:
         say_error(message(error))
         raise typer.Exit(UNUSABLE) from None
 

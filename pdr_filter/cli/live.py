@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pdr_filter.cli import console
+from pdr_filter.cli.options import Height
 
 if TYPE_CHECKING:
     from pdr_filter.live.hub import Live
@@ -84,9 +85,7 @@ class Phones:
             "detected."
         ),
     ] = None
-    height_m: Annotated[float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m.")] = (
-        None
-    )
+    height_m: Height = None
     recipe: Annotated[str, typer.Option(help="Name of a recipe, or module:function for a recipe of your own.")] = (
         "default"
     )

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,9 +12,14 @@ from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import Scheduler, origin_deg
 
+if TYPE_CHECKING:
+    from pdr_filter.walk_map.walk_map import WalkMap
+
 
 def map_folder(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of recordings with Wi-Fi.")],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Folder of recordings with Wi-Fi, or one recording.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder for the map, the plans, the radio maps and the report.")],
     origin: Annotated[
         str | None, typer.Option(metavar="LAT,LON", help="Position of the building in degrees, for true north.")
@@ -22,41 +28,96 @@ def map_folder(
         str | None, typer.Option("--hash", metavar="SALT", help="Hash the addresses of access points with this text.")
     ] = None,
     times: Annotated[
-        bool, typer.Option("--times", help="Keep the names of the walks and the times of their steps.")
+        bool,
+        typer.Option(
+            "--times", help="Keep the names of the walks in all files, and the times of their steps in the map."
+        ),
     ] = False,
     jobs: Annotated[int, typer.Option(help="Number of processes that track walks, or -1 for all cores.")] = 1,
     scheduler: Scheduler = None,
 ) -> None:
     """Join the walks of a folder to a map of the building, without a plan or a survey.
 
-    Known positions are read from the file fixes.csv beside a recording. A run that was killed continues where it was.
+    Known positions are read from the marks of a recording: walk.zip.marks/fixes.csv for the file walk.zip, and
+    fixes.csv inside a recording that is a folder, with columns time_s, east_m, north_m and optionally std_m, floor,
+    heading_deg and heading_std_deg. A run that was killed continues where it was.
     """
     import pdr_filter as pdr
     from pdr_filter.io.folders import recordings_in
+    from pdr_filter.maps.marks import unused_fixes
 
     with console.one_line_errors():
-        paths = [str(path) for path in recordings_in(folder)]
+        paths = recordings_in(folder)
         if not paths:
             raise ValueError(f"{folder} has no recordings: give the folder that contains them")
+        console.say_unused_fixes(unused_fixes(paths))
         with console.progress("mapping"):
             found = pdr.map_walks(
-                paths, origin=origin_deg(origin), salt=salt, cache=out / "cache", jobs=jobs, scheduler=scheduler
+                map(str, paths),
+                origin=origin_deg(origin),
+                salt=salt,
+                cache=out / "cache",
+                jobs=jobs,
+                scheduler=scheduler,
             )
-        before = console.existing(out / "map" / "walk_map.json", out / "map.html")
-        found.save(out / "map", times=times)
-        found.write_report(out / "map.html")
+        for name, why in found.apart:
+            console.print_line(f"apart: {name}: {why}")
+        if not found.n_groups:
+            raise ValueError("no map was written, because no walk could be joined: see the lines that begin with apart")
         for group in range(found.n_groups):
-            found.radio(group).save(out / f"radio_{group}")
-            found.write_plan(out / f"plan_{group}.geojson", group)
-    for group in range(found.n_groups):
-        typer.echo(f"group {group}: {sum(w.group == group for w in found.walks)} walks")
-    if found.n_groups > 1:
-        typer.echo("several groups have no place in common: several buildings, or storeys without a connecting walk")
-    for name, why in found.apart:
-        typer.echo(f"apart: {name}: {why}")
-    if found.moved_access_points:
-        typer.echo(
-            f"{len(found.moved_access_points)} access points were moved or move with people: not in the radio map"
-        )
+            typer.echo(f"group {group}: {sum(w.group == group for w in found.walks)} walks")
+        if found.n_groups > 1:
+            typer.echo(
+                "several groups have no place in common: several buildings, storeys without a connecting walk, or too "
+                "few walks in between"
+            )
+        if found.moved_access_points:
+            typer.echo(
+                f"{len(found.moved_access_points)} access points were moved or move with people: not in the radio map"
+            )
+        _write(found, out, times)
+
+
+def _write(found: WalkMap, out: Path, times: bool) -> None:
+    """Write a map with its report, radio maps and plans to a folder, and remove those of an earlier map.
+
+    Without `times` no file has names of walks.
+    """
+    import pdr_filter as pdr
+    from pdr_filter.classifiers.model_files import file_pair
+    from pdr_filter.io.files.safe_files import read_json
+    from pdr_filter.values import limits
+
+    report, groups = out / "map.html", range(found.n_groups)
+    pages = [report, *(path for k in groups for path in (*file_pair(out / f"radio_{k}"), out / f"plan_{k}.geojson"))]
+    before, earlier = console.existing(out / "map", *pages), _numbered_files(out)
+    found.save(out / "map", times=times)
+    n_walks = read_json(out / "map" / "walk_map.json", limits.MAX_DESCRIPTION_BYTES)["n_walks"]
+    walks = {out / "map" / f"{i:05d}.walk" for i in range(n_walks)}
+    removed = sorted(earlier - walks - set(pages))
+    for path in removed:
+        path.unlink()
+    if not times:
+        found = pdr.WalkMap.load(out / "map")
+    found.write_report(report)
+    for group in groups:
+        found.radio(group).save(out / f"radio_{group}")
+    for group in groups:
+        found.write_plan(out / f"plan_{group}.geojson", group)
     console.stderr().print(f"written: {escape(str(out))}")
     console.say_replaced(before)
+    if removed:
+        console.stderr().print(f"removed files of an earlier map: {escape(', '.join(map(str, removed)))}")
+
+
+def _numbered_files(out: Path) -> set[Path]:
+    """Return the walks, radio maps and plans of the map in a folder. The set is empty without a map."""
+    if not (out / "map" / "walk_map.json").exists():
+        return set()
+    of_groups, of_walks = re.compile(r"radio_\d+\.(json|npz)|plan_\d+\.geojson"), re.compile(r"\d{5}\.walk")
+    return {
+        path
+        for folder, names in ((out, of_groups), (out / "map", of_walks))
+        for path in folder.iterdir()
+        if names.fullmatch(path.name)
+    }

@@ -11,8 +11,23 @@ from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 
-from pdr_filter.values import Plan
+from pdr_filter.values import Plan, limits
+from pdr_filter.values.recording import check_height
 from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, texts
+
+
+def _height_in_metres(value: float | None) -> float | None:
+    """Return the value of --height. BadParameter unless it is a plausible height in metres."""
+    try:
+        if value is not None:
+            check_height(value)
+    except ValueError:
+        low_m, high_m = limits.HEIGHT_RANGE_M
+        raise typer.BadParameter(
+            f"must be the height of a person in metres, {low_m:g} to {high_m:g}, such as 1.78, got {value:g}"
+        ) from None
+    return value
+
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, or folders of recordings.")]
 Format = Annotated[
@@ -40,6 +55,10 @@ AnchorsFile = Annotated[
     typer.Option("--anchors", help="Positions of the anchors of --ranges: GeoJSON points, each with a name."),
 ]
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
+Height = Annotated[
+    float | None,
+    typer.Option("--height", callback=_height_in_metres, help="Height of the person in m. Replaces a recorded height."),
+]
 
 
 _TEXT = {name: text.split(". ")[0].replace("`", "").rstrip(".") + "." for name, text in texts().items()}

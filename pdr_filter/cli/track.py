@@ -17,6 +17,7 @@ from pdr_filter.cli.options import (
     Files,
     Folder,
     Format,
+    Height,
     Loop,
     Online,
     PersonFile,
@@ -91,10 +92,7 @@ class Source:
     """Options that complete the contents of a file."""
 
     file_format: Format = None
-    height_m: Annotated[
-        float | None,
-        typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m. Replaces the recorded height."),
-    ] = None
+    height_m: Height = None
 
     def read(self, file: Path) -> Recording:
         """Read a recording and set the height of the person if --height is given."""

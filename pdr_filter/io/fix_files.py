@@ -14,19 +14,24 @@ from pdr_filter.io.tables.text_table import TextTable, text_rows
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.values import FloatArray, HeadingFix, Origin, PositionFix, RangeFix, limits
 
+# Standard deviations in m of fixes and loop closures in files without the column std_m.
+FIX_STD_M, LOOP_CLOSURE_STD_M = 1.0, 0.5
+_MOST_FLOORS = 1000
+_HEADING = ("heading_deg", "heading_std_deg")
 # Anchors in degrees span less than 5.6 km, and anchors in metres more than 5 cm.
 _MOST_DEG = 0.05
 
 
-def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix | HeadingFix]:
-    r"""Read position fixes, and headings if the file has them, from a CSV file.
+def fixes_of_file(path: str | Path, std_m: float = FIX_STD_M) -> list[PositionFix | HeadingFix]:
+    r"""Read position fixes, with headings and storeys if the file has them, from a CSV file.
 
     Parameters
     ----------
     path : str or Path
         CSV file with columns `time_s`, `east_m`, `north_m` and optionally `std_m`. Times are on the clock of the
         samples. Two optional columns, `heading_deg` and `heading_std_deg`, give the walking heading at the time of a
-        fix, clockwise from north. They are empty where the heading is not known.
+        fix, clockwise from north. The optional column `floor` gives the storey. Cells of optional columns are empty
+        where the value is not known.
     std_m : float, default 1.0
         Standard deviation in m of fixes in a file without the column `std_m`.
 
@@ -54,14 +59,16 @@ def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix | He
     """
     file = Path(path)
     rows = _rows(file, ("time_s", "east_m", "north_m"), "fixes", std_m)
-    found: list[PositionFix | HeadingFix] = [
-        PositionFix(t, np.array([east, north]), std**2 * np.eye(2)) for t, east, north, std in rows
-    ]
-    table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
-    if "heading_deg" not in table.fields:
-        return found
-    headings = table.parse(table.places(("heading_deg", "heading_std_deg")), []).values
-    for k, (row, (heading_deg, heading_std_deg)) in enumerate(zip(rows, headings.tolist(), strict=False)):
+    floors, headings = _optional(file, ("floor",), len(rows)), _optional(file, _HEADING, len(rows))
+    found: list[PositionFix | HeadingFix] = []
+    for k, ((t, east, north, std), (floor,)) in enumerate(zip(rows, floors, strict=True)):
+        if math.isfinite(floor) and (floor != round(floor) or abs(floor) > _MOST_FLOORS):
+            raise ValueError(
+                f"{file}, row {k + 1}: floor is {floor:g}; write the number of the storey, such as 0, or leave it empty"
+            )
+        storey = int(floor) if math.isfinite(floor) else None
+        found.append(PositionFix(t, np.array([east, north]), std**2 * np.eye(2), floor=storey))
+    for k, (row, (heading_deg, heading_std_deg)) in enumerate(zip(rows, headings, strict=True)):
         if math.isfinite(heading_deg):
             try:
                 found.append(HeadingFix(row[0], math.radians(heading_deg), math.radians(heading_std_deg)))
@@ -70,6 +77,19 @@ def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix | He
                     f"{file}, row {k + 1}: heading_std_deg must be positive and finite ({error})"
                 ) from None
     return found
+
+
+def _optional(file: Path, names: tuple[str, ...], n_rows: int) -> list[list[float]]:
+    """Return the values of optional columns in each row: NaN in empty cells, and in a file without the first column.
+
+    ValueError if a cell is not a number, or if the file has only the first of several columns.
+    """
+    table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
+    values = np.full((n_rows, len(names)), np.nan)
+    if names[0] in table.fields:
+        known = table.parse(table.places(names), []).values[:n_rows]  # a last line that is cut off is missing here
+        values[: len(known)] = known
+    return values.tolist()
 
 
 def ranges_of_file(
@@ -158,7 +178,7 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
     return {n: np.array([*here.east_north_m(float(p[1]), float(p[0])), *p[2:]]) for n, p in found.items()}
 
 
-def loop_closures_of_file(path: str | Path, std_m: float = 0.5) -> list[LoopClosure]:
+def loop_closures_of_file(path: str | Path, std_m: float = LOOP_CLOSURE_STD_M) -> list[LoopClosure]:
     """Read loop closures from a CSV file with columns `first_s`, `second_s` and optionally `std_m`.
 
     Times are on the clock of the samples. `std_m` (m) is for files without that column. ValueError names the file, the

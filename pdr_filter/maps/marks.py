@@ -1,6 +1,7 @@
 """Marks of a walk: plain files beside its recording that say where the pedestrian was and who walked.
 
-- `fixes.csv`: known positions, `time_s,east_m,north_m,std_m`, with `heading_deg,heading_std_deg` where known.
+- `fixes.csv`: known positions, `time_s,east_m,north_m,std_m`, with `heading_deg,heading_std_deg` and `floor` where
+  known.
 - `loop_closures.csv`: two times at one place, `first_s,second_s,std_m`.
 - `person.json`: step lengths of the person, as `Person.save` or `pdr_filter.Calibration.save` writes them.
 - `walk.json`: an object with any of `person` (name), `height_m`, `is_loop`, `origin` (latitude and longitude in
@@ -15,7 +16,7 @@ import csv
 import hashlib
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.io.files.archive import outside
 from pdr_filter.io.files.safe_files import open_regular, read_json, read_small, whole_file
-from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
+from pdr_filter.io.fix_files import FIX_STD_M, LOOP_CLOSURE_STD_M, fixes_of_file, loop_closures_of_file
 from pdr_filter.io.folders import only_recording_in
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
@@ -39,9 +40,10 @@ FIXES, LOOP_CLOSURES, PERSON, WALK = NAMES = ("fixes.csv", "loop_closures.csv", 
 # Complete set of new files while a save replaces the old ones; present only after a kill in the middle of a save.
 _UNFINISHED = ".marks.json"
 _COLUMNS = {
-    FIXES: ("time_s", "east_m", "north_m", "std_m", "heading_deg", "heading_std_deg"),
+    FIXES: ("time_s", "east_m", "north_m", "std_m", "heading_deg", "heading_std_deg", "floor"),
     LOOP_CLOSURES: ("first_s", "second_s", "std_m"),
 }
+_STD_M = {FIXES: FIX_STD_M, LOOP_CLOSURES: LOOP_CLOSURE_STD_M}
 _KINDS: dict[str, tuple[type, ...]] = {
     "person": (str,),
     "height_m": (int, float),
@@ -125,7 +127,7 @@ def marks_folder(recording: Path) -> Path:
 
 
 def read_marks(recording: str | Path) -> Marks:
-    r"""Read the marks of a recording from the files beside it.
+    r"""Read the marks of a recording from their files.
 
     Marks are positions, loop closures and the person that a user has set. The files are `fixes.csv`,
     `loop_closures.csv`, `person.json` and `walk.json`, which `pdr-filter app` writes too.
@@ -245,22 +247,37 @@ def table_rows(name: str, content: bytes) -> list[list[float | None]]:
     """Return the numbers in a CSV file of marks, which are the fixes or loop closures that a user has set for a walk.
 
     `name` is the name of the file, `content` its bytes. Each row has the columns of that file in their order. An empty
-    cell or a missing column is None.
+    cell or a missing column is None, except for a standard deviation, which has its default.
     """
     rows = csv.DictReader(io.StringIO(content.decode()))
-    return [[float(row[c]) if row.get(c) else None for c in _COLUMNS[name]] for row in rows]
+    default = {"std_m": _STD_M[name]}
+    return [[float(row[c]) if row.get(c) else default.get(c) for c in _COLUMNS[name]] for row in rows]
 
 
 def table_bytes(name: str, rows: list[list[float | None]]) -> bytes:
     """Return the bytes of a CSV file of marks with the name `name`, with all digits of its rows. None is an empty cell.
 
-    The columns of headings exist only if a heading is known.
+    The columns of headings exist only if a heading is known, and the column of storeys only if a storey is known. Cells
+    that are missing at the end of a row are empty.
     """
     columns = _COLUMNS[name]
-    if name == FIXES and all(row[4] is None for row in rows):
-        columns = columns[:4]
-    lines = [",".join("" if v is None else repr(float(v)) for v in row[: len(columns)]) for row in rows]
+    whole = [[*row, *[None] * (len(columns) - len(row))] for row in rows]
+    if name == FIXES:
+        is_empty = {column: all(row[k] is None for row in whole) for k, column in enumerate(columns)}
+        is_empty["heading_std_deg"] = is_empty["heading_deg"]
+        columns = (*columns[:4], *(column for column in columns[4:] if not is_empty[column]))
+    places = [_COLUMNS[name].index(column) for column in columns]
+    lines = [",".join("" if (v := row[k]) is None else repr(float(v)) for k in places) for row in whole]
     return ("\n".join([",".join(columns), *lines]) + "\n").encode()
+
+
+def unused_fixes(recordings: Collection[Path]) -> list[Path]:
+    """Return the files `fixes.csv` in the folders of recordings that are not the marks of any of these recordings."""
+    folders = {path.parent for path in recordings}
+    used = {
+        path if path.is_dir() else path.parent for path in recordings if path.is_dir() or path.stem == path.parent.name
+    }
+    return [folder / FIXES for folder in sorted(folders - used) if (folder / FIXES).is_file()]
 
 
 def _first_location(recording: Recording) -> Origin | None:

@@ -47,7 +47,10 @@ def wrong_rate(rate_hz: float, is_unit_declared: bool = False) -> str:
             "give the times in seconds"
         )
     unit = "" if is_unit_declared else unit_of_rate(rate_hz)
-    slow = f"steps cannot be detected at this rate: record at {low:g} Hz or more, 50 Hz if the app can"
+    slow = (
+        f"steps cannot be detected below {low:g} Hz: record at {limits.SUFFICIENT_RATE_HZ:g} Hz or more, 50 Hz if the "
+        "app can"
+    )
     remedy = f"the times look like {unit}, convert them to seconds" if unit else slow
     return f"time_s gives a rate of {rate_hz:.3g} Hz (median interval); {remedy}"
 

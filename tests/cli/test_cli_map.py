@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
-from commands import run
+from commands import one_line, run
 from heard import round_a_block, walk_with_wifi
 
 import pdr_filter as pdr
@@ -23,6 +25,7 @@ def test_a_folder_becomes_a_map_with_a_radio_map_a_plan_and_a_report(tmp_path: P
     (marks / "fixes.csv").write_text("time_s,east_m,north_m,std_m\n0.5,100.0,50.0,0.5\n")
     out = tmp_path / "out"
     result = run("map", walks, "--out", out, "--hash", "secret")
+    assert result.exit_code == 0
     assert "group 0: 2 walks" in result.stdout
     assert "apart: demo_walk: no Wi-Fi" in result.stdout
     found = pdr.WalkMap.load(out / "map")
@@ -38,6 +41,91 @@ def test_an_empty_folder_is_named(tmp_path: Path) -> None:
     result = run("map", tmp_path, "--out", tmp_path / "out")
     assert result.exit_code == 2
     assert tmp_path.name in result.output.replace("\n", "")
+
+
+def test_a_folder_without_a_walk_that_can_be_joined_is_refused_after_the_reasons(tmp_path: Path) -> None:
+    pdr.simulate.demo_walk().save(tmp_path / "deaf.zip")
+    for given in (tmp_path, tmp_path / "deaf.zip"):
+        result = run("map", given, "--out", tmp_path / "out")
+        assert result.exit_code == 2
+        assert "apart: demo_walk: no Wi-Fi scans" in result.stdout
+        assert "no map was written, because no walk could be joined" in one_line(result.stderr)
+        assert not (tmp_path / "out" / "map").exists() and not (tmp_path / "out" / "map.html").exists()
+
+
+def test_a_map_with_fewer_walks_and_groups_replaces_an_earlier_one_and_removes_its_other_files(tmp_path: Path) -> None:
+    walks, out = tmp_path / "walks", tmp_path / "out"
+    walks.mkdir()
+    for seed in (1, 2):
+        walk_with_wifi(round_a_block(), seed).save(walks / f"a{seed}.zip")
+        walk_with_wifi(round_a_block(), seed + 2, first=1000).save(walks / f"b{seed}.zip")
+    first = run("map", walks, "--out", out)
+    assert "group 1: 2 walks" in first.stdout and "or too few walks in between" in first.stdout
+    assert "replaced" not in first.stderr and "removed" not in first.stderr
+    (out / "radio_notes.json").write_text("{}")
+    for seed in (1, 2):
+        (walks / f"b{seed}.zip").unlink()
+    second = run("map", walks, "--out", out)
+    replaced, removed = second.stderr.strip().splitlines()[-2:]
+    for name in ("map", "map.html", "radio_0.json", "radio_0.npz", "plan_0.geojson"):
+        assert str(out / name) in replaced.split(": ")[1].split(", ")
+    gone = [out / "map" / "00002.walk", out / "map" / "00003.walk"]
+    gone += [out / "plan_1.geojson", out / "radio_1.json", out / "radio_1.npz"]
+    assert removed == f"removed files of an earlier map: {', '.join(map(str, gone))}"
+    assert not any(path.exists() for path in gone)
+    assert (out / "radio_notes.json").exists()
+    assert len(pdr.WalkMap.load(out / "map").walks) == 2
+
+
+def test_no_file_has_names_of_walks_unless_they_are_asked_for(tmp_path: Path) -> None:
+    walks = tmp_path / "walks"
+    walks.mkdir()
+    for seed in (1, 2):
+        replace(walk_with_wifi(round_a_block(), seed), name=f"anna_{seed}").save(walks / f"{seed}.zip")
+    replace(pdr.simulate.demo_walk(), name="anna_3").save(walks / "3.zip")
+
+    def names_in(out: Path) -> set[str]:
+        files = [path for path in out.rglob("*") if path.is_file() and path.parent.name != "cache"]
+        return {path.name for path in files if b"anna_" in path.read_bytes()}
+
+    without = run("map", walks, "--out", tmp_path / "without")
+    assert "apart: anna_3" in without.stdout
+    assert names_in(tmp_path / "without") == set()
+    assert run("map", walks, "--out", tmp_path / "with", "--times").exit_code == 0
+    assert {"map.html", "radio_0.json", "walk_map.json"} <= names_in(tmp_path / "with")
+    found, named = (pdr.RadioMap.load(tmp_path / folder / "radio_0") for folder in ("without", "with"))
+    np.testing.assert_array_equal(found.position_m, named.position_m)
+    plans = [(tmp_path / folder / "plan_0.geojson").read_bytes() for folder in ("without", "with")]
+    assert plans[0] == plans[1]
+
+
+def test_fixes_that_are_not_the_marks_of_a_recording_are_named_with_the_place_where_they_are_read(
+    tmp_path: Path,
+) -> None:
+    walks = tmp_path / "walks"
+    walks.mkdir()
+    pdr.simulate.demo_walk().save(walks / "deaf.zip")
+    (walks / "fixes.csv").write_text("time_s,east_m,north_m\n0.5,100.0,50.0\n")
+    for command in (("map", walks, "--out", tmp_path / "out"), ("smooth", walks / "deaf.zip")):
+        said = run(*command).stderr
+        assert f"{walks / 'fixes.csv'} is not used" in said and "walk.zip.marks/fixes.csv" in said
+    assert "not used" not in run("smooth", walks / "deaf.zip", "--fixes", walks / "fixes.csv").stderr
+    assert "not used" not in run("smooth", walks / "deaf.zip", "--no-marks").stderr
+
+
+@pytest.mark.parametrize("command", ["map", "smooth"])
+def test_the_help_names_the_place_of_the_marks(command: str) -> None:
+    assert "walk.zip.marks" in run(command, "--help").stdout
+
+
+def test_a_known_storey_is_the_storey_of_the_map(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        walk_with_wifi(round_a_block(), seed).save(tmp_path / f"walk{seed}.zip")
+    marks = tmp_path / "walk1.zip.marks"
+    marks.mkdir()
+    (marks / "fixes.csv").write_text("time_s,east_m,north_m,floor\n0.5,100.0,50.0,3\n")
+    assert run("map", tmp_path, "--out", tmp_path / "out").exit_code == 0
+    assert {floor for walk in pdr.WalkMap.load(tmp_path / "out" / "map").walks for floor in walk.floor} == {3}
 
 
 @pytest.mark.parametrize("option", ["--hash", "--jobs", "--scheduler", "--times"])

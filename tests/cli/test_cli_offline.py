@@ -116,6 +116,30 @@ def test_a_walk_is_smoothed_against_its_waypoints(walk: Path, tmp_path: Path) ->
     assert {p.suffix for p in tmp_path.iterdir()} >= {".csv", ".png"}
 
 
+def test_the_waypoints_of_a_recording_are_counted_when_they_are_used(walk: Path, tmp_path: Path) -> None:
+    n = len(pdr.read(walk).truth.waypoints)
+    assert f"waypoints used: {n} of the recording" in run("smooth", walk).stderr
+    (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n3,5,5\n100,5,30\n", encoding="utf-8")
+    assert "waypoints used" not in run("smooth", walk, "--fixes", tmp_path / "fixes.csv").stderr
+
+
+def test_a_height_replaces_that_of_the_recording_and_of_its_marks(tmp_path: Path) -> None:
+    path = replace(short_walk(), truth=Truth()).save(tmp_path / "walk.zip")
+    marks = tmp_path / "walk.zip.marks"
+    marks.mkdir()
+    (marks / "walk.json").write_text('{"height_m": 1.5}')
+    assert run("smooth", path, "--height", "2.0", "--out", tmp_path / "out").exit_code == 0
+    pdr.smooth(pdr.read(path).of_height(2.0)).track.to_csv(tmp_path / "expected.csv")
+    assert (tmp_path / "out" / "short_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
+
+
+@pytest.mark.parametrize("command", ["smooth", "track", "live"])
+def test_a_height_in_centimetres_is_refused_with_the_unit(walk: Path, command: str) -> None:
+    result = run(command, *([] if command == "live" else [walk]), "--height", "178")
+    assert result.exit_code == 2
+    assert "in metres, 0.4 to 2.8" in result.stderr and "got 178" in result.stderr
+
+
 def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) -> None:
     points = pdr.read(walk).truth.waypoints
     rows = [f"{p.time_s},{p.east_m},{p.north_m}" for p in points]

@@ -6,6 +6,7 @@ import re
 from dataclasses import replace
 
 import pytest
+import typer
 
 import pdr_filter as pdr
 from pdr_filter.cli import console
@@ -92,3 +93,10 @@ def test_a_note_that_differs_between_recordings_only_in_its_numbers_stands_once(
     console.print_notes([replace(TRACK, name=f"walk {i}", notes=own) for i, own in enumerate(notes)])
     told = capsys.readouterr().out.splitlines()
     assert told == ["4 of 4 recordings: rest", "3 of 4 recordings, such as walk 1: 1 gaps, 0.5 s in all"]
+
+
+def test_an_optional_package_that_is_missing_is_named_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(typer.Exit) as stopped, console.one_line_errors():
+        raise ImportError('floor plans need shapely: pip install "pdr_filter[maps]"')
+    assert stopped.value.exit_code == console.UNUSABLE
+    assert capsys.readouterr().err == 'error: floor plans need shapely: pip install "pdr_filter[maps]"\n'

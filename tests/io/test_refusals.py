@@ -174,7 +174,7 @@ REFUSALS: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         "found 'beos'",
         "--platform ios",
     ),
-    "slow samples": (lambda f: walk_csv(f, time=TIME_S * 20), "time_s", "a rate of 2.5 Hz", "50 Hz if the app can"),
+    "slow samples": (lambda f: walk_csv(f, time=TIME_S * 20), "time_s", "a rate of 2.5 Hz", "record at 25 Hz or more"),
     "times that were rounded": (rounded, "time_s", "does not increase in", "take the file as the app wrote it"),
     "few samples": (
         lambda f: write_text(f / "walk.csv", table_text({"time": TIME_S[:4]} | axes("acc_%", FORCE[:4]))),
@@ -243,6 +243,18 @@ ARGUMENTS: dict[str, tuple[Callable[[Path], object], str, str, str]] = {
         "fixes.csv, row 1",
         "std_m is -4",
         "write a positive number",
+    ),
+    "a storey between two storeys": (
+        lambda f: fixes_of_file(write_text(f / "fixes.csv", "time_s,east_m,north_m,floor\n1,2,3,0.5\n")),
+        "fixes.csv, row 1",
+        "floor is 0.5",
+        "write the number of the storey",
+    ),
+    "a storey beyond all buildings": (
+        lambda f: fixes_of_file(write_text(f / "fixes.csv", "time_s,east_m,north_m,floor\n1,2,3,1e29\n")),
+        "fixes.csv, row 1",
+        "floor is 1e+29",
+        "write the number of the storey",
     ),
     "loop closures": (
         lambda f: loop_closures_of_file(write_text(f / "loops.csv", "first_s,second_s\n7,5\n")),

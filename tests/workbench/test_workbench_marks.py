@@ -24,13 +24,14 @@ from pdr_filter.maps.marks import (
     marks_folder,
     read_marks,
     table_bytes,
+    table_rows,
     write_mark_files,
 )
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory
 from pdr_filter.values.recording import Recording, Truth
 from pdr_filter.workbench.worker import Worker
 
-FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None], [35.0, 3.0, 20.0, 0.5, None, None]
+FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None, None], [35.0, 3.0, 20.0, 0.5, None, None, None]
 
 
 def test_smoothing_with_a_memory_has_the_bits_of_smoothing_without() -> None:
@@ -72,6 +73,20 @@ def test_a_heading_beside_a_fix_turns_the_walk(tmp_path: Path) -> None:
     assert np.degrees(turned.walking_heading_rad[row]) == pytest.approx(90.0, abs=3.0)
     assert np.hypot(*(turned.position_m[row] - [100.0, 50.0])) < 2.0
     assert turned.distance_m == pytest.approx(start.distance_m, rel=0.01)
+
+
+def test_a_storey_beside_a_fix_numbers_the_storeys_of_the_walk_and_stays_when_a_page_adds_a_fix(tmp_path: Path) -> None:
+    path = short_walk().save(tmp_path / "walk.zip")
+    folder = marks_folder(path)
+    folder.mkdir()
+    (folder / FIXES).write_text("time_s,east_m,north_m,floor\n5,100,50,2\n9,101,50,\n")
+    marks = read_marks(path)
+    assert [fix.floor for fix in marks.fixes if isinstance(fix, pdr.PositionFix)] == [2, None]
+    smoothed = pdr.smooth(pdr.read(path), **marks.arguments(pdr.read(path))).track
+    assert set(smoothed.floor) == {2}
+    rows = table_rows(FIXES, (folder / FIXES).read_bytes())
+    write_mark_files(folder, {FIXES: table_bytes(FIXES, [*rows, SECOND])})
+    assert [fix.floor for fix in read_marks(path).fixes if isinstance(fix, pdr.PositionFix)] == [2, None, None]
 
 
 @pytest.mark.parametrize(
