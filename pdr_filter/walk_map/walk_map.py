@@ -535,7 +535,10 @@ def _by_name(known: Iterable[tuple[str, object]], chains: Sequence[Chain]) -> di
     names, found = {c.name for c in chains}, dict[str, list[Known]]()
     for name, fix in known:
         if name not in names:
-            raise ValueError(f"known names the walk {name!r}, which is not among the usable recordings: check the name")
+            raise ValueError(
+                f"known names the walk {name!r}, which is not among the usable recordings: give one of the names "
+                f"{', '.join(sorted(names)[:10]) or '(there are none)'}"
+            )
         if not isinstance(fix, PositionFix | HeadingFix):
             raise ValueError(f"known must have PositionFix or HeadingFix, got {type(fix).__name__} for {name!r}")
         found.setdefault(name, []).append(fix)
