@@ -27,7 +27,7 @@ from pdr_filter.filter.imm.motion_model import (
     MotionNoise,
     second_order_errors,
 )
-from pdr_filter.filter.step_length.person import Person, session_of_scale
+from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -517,10 +517,14 @@ def _smooth_track(
         track, modes, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess
     )
     smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
-    n_fixes = sum(result.accepted for result in smoothed.track.fixes)
-    log_scale, var = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
-    session = session_of_scale(config.model, log_scale, var, n_fixes)
-    if session is None or not n_fixes:
+    length_fixes = LengthFixes()
+    for fix, result in zip((*observed.fixes, *observed.locations), smoothed.track.fixes, strict=True):
+        length_fixes = length_fixes.plus(fix) if result.accepted else length_fixes
+    # at the steps, the prior of the log scale is that of the start plus the drift of the steps so far
+    prior_var = float(problem.start_cov[LOG_SCALE, LOG_SCALE] + np.cumsum(steps.scale_drift_var).mean())
+    estimate = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
+    session = session_of_scale(config.model, estimate, prior_var, length_fixes)
+    if session is None:
         return smoothed, walked_var_m2
     person = (config.person or Person()).pooled(Person((session,)))
     return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
