@@ -43,6 +43,7 @@ from pdr_filter.offline.smoothing.smoothed import (
     Smoothed,
     fix_results,
     floors_at_steps,
+    notes_of_reckoning,
     notes_of_solution,
     observation_table,
     without_steps,
@@ -623,7 +624,9 @@ def _smoothed(
     observations = observation_table(observed, used.row, found)
     scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
     start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
-    notes = (*track.notes, *used.notes, *notes_of_solution(track, found, observations, observed, used, scale_std))
+    heading_std_rad = np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])
+    reckoned = notes_of_reckoning(track, found, heading_std_rad)
+    notes = (*reckoned, *used.notes, *notes_of_solution(track, found, observations, observed, used, scale_std))
     smoothed = replace(
         track,
         position_m=read_only(position),
@@ -641,7 +644,7 @@ def _smoothed(
     result = Smoothed(
         track=smoothed,
         heading_offset_rad=read_only(wrap_angle(mean[:, HEADING_OFFSET])),
-        heading_offset_std_rad=read_only(np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])),
+        heading_offset_std_rad=read_only(heading_std_rad),
         log_scale=read_only(mean[:, LOG_SCALE]),
         log_scale_std=read_only(np.sqrt(cov[:, LOG_SCALE, LOG_SCALE])),
         start_position_m=start_m,
