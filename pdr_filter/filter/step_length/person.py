@@ -39,8 +39,8 @@ class Session:
     step_length_m : float
         Length in m of a typical step (`models.TYPICAL_STEP`: level walking at 1.85 steps a second).
     std : float
-        Relative standard deviation of `step_length_m` for this walk. The variation between walks of one person is not
-        in it.
+        Relative standard deviation of `step_length_m` for this walk, for learnt sessions at most `MAX_SESSION_STD`. The
+        variation between walks of one person is not in it.
     n_fixes : int
         Number of position and speed fixes that were used.
 
