@@ -228,6 +228,7 @@ def track(
     The table grows as recordings finish, and an interrupted run resumes from it.
     """
     import pdr_filter as pdr
+    from pdr_filter.filter.step_length.person import MAX_SESSION_STD
     from pdr_filter.recipes.step_length_calibration import Calibration, read_person
 
     with console.one_line_errors():
@@ -289,8 +290,8 @@ def track(
     if tracks and method.person is not None and not method.person.exists():
         console.stderr().print(
             console.escape(
-                f"{method.person} was not written, because no fixes show how long the "
-                "steps are: track a walk with fixes"
+                f"{method.person} was not written, because no fixes show the step length to {MAX_SESSION_STD:.0%}: "
+                "track a walk of ten minutes outdoors, or with known positions"
             )
         )
     if output.out is not None and files != given and listed:

@@ -155,6 +155,11 @@ class IntakeReport:
     first_time_s: float = np.nan
     last_time_s: float = np.nan
 
+    @property
+    def has_gyroscope(self) -> bool:
+        """False if all samples so far are without an angular rate."""
+        return self.n_emitted == 0 or self.n_without_rate < self.n_emitted
+
     def notes(self) -> tuple[str, ...]:
         """Return one warning for each kind of repaired, dropped or missing samples, or an empty tuple without any."""
         found: list[str] = []
@@ -212,7 +217,7 @@ class IntakeReport:
                 f"{self.longest_gap_s:.1f} s): steps in gaps are unknown, so the covariance was inflated"
             )
         missing_s = self.n_without_rate / self.rate_hz
-        if self.n_emitted and self.n_without_rate == self.n_emitted:
+        if not self.has_gyroscope:
             found.append("no gyroscope: the heading is unknown; only steps, contexts and distance can be trusted")
         elif missing_s > 1.0:
             found.append(f"no angular rate for {missing_s:.1f} s: the heading is unknown during that time")

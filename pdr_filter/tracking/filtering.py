@@ -21,7 +21,7 @@ from pdr_filter.filter.imm.pedestrian_state import StepUpdate, moved_by_heading_
 from pdr_filter.filter.imm.step_history import TRAIL_TIME
 from pdr_filter.filter.imm.tracker import TrackerState
 from pdr_filter.filter.plan_stage import PlanState
-from pdr_filter.filter.step_length.person import Person, session_of
+from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometer import Climb, ClimbState
@@ -38,8 +38,6 @@ from pdr_filter.values import (
     OnPlan,
     Origin,
     PositionFix,
-    RangeFix,
-    SpeedFix,
     Standstill,
     read_only,
     received_s,
@@ -103,8 +101,8 @@ class State:
         Fixes that have not been received yet, or whose steps are not known yet, ordered by due time.
     n_rejected_fixes : int
         Number of rejected fixes.
-    n_length_fixes : int
-        Number of accepted positions, ranges and speeds, from which the filter learns the step length.
+    length_fixes : LengthFixes
+        Number and area of the accepted fixes from which the filter learns the step length.
     particles : PlanState or None
         Particles on the floor plan. None without a plan.
     merger : MergerState
@@ -135,7 +133,7 @@ class State:
     rides: Rides = field(default_factory=Rides)
     waiting_fixes: tuple[Fix, ...] = ()
     n_rejected_fixes: int = 0
-    n_length_fixes: int = 0
+    length_fixes: LengthFixes = field(default_factory=LengthFixes)
     particles: PlanState | None = None
     merger: MergerState = field(default_factory=StreamMerger().init)
     window: WindowContext | None = None
@@ -381,7 +379,7 @@ def person_of(config: Config, state: State) -> Person | None:
 
     If the fixes tell nothing, the result is `config.person`, which may be None.
     """
-    session = session_of(config.model, state.tracker.pedestrian.estimates, state.n_length_fixes)
+    session = session_of(config.model, state.tracker.pedestrian.estimates, state.length_fixes)
     if session is None:
         return config.person
     return (config.person or Person()).pooled(Person((session,)))
@@ -601,7 +599,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         state,
         last_fixes=(*state.last_fixes, result)[-_N_LAST_FIXES:],
         n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),
-        n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix | RangeFix)),
+        length_fixes=state.length_fixes.plus(fix) if result.accepted else state.length_fixes,
     )
     return state, result
 

@@ -96,8 +96,8 @@ class Track(TrackRows):
     device : Device or None
         Gyroscope bias of the phone, as input for its next recording.
     person : Person or None
-        Step length of the person from the fixes of this recording and from the person given to `track`. None if there
-        is neither.
+        Step length of the person from the fixes of this recording, if they determine it to 10 %, and from the person
+        given to `track`. None if there is neither.
 
     Notes
     -----

@@ -124,7 +124,9 @@ def report(track: TrackRows) -> str:
     without_stairs = _is_without_stairs(track)
     if without_stairs.sum() > _NOTABLE_SHARE * len(without_stairs):
         words = f"stairs: counted as level walking in {without_stairs.sum()} of {len(without_stairs)} windows, because "
-        lines.append(words + "there is no barometer and the phone is not in a trouser pocket; record pressure")
+        has_pressure = np.isfinite(track.windows.climb_rate_mps).any()
+        words += "pressure is missing there" if has_pressure else "there is no barometer"
+        lines.append(words + " and their motion is unlike stairs with the phone in a trouser pocket; record pressure")
     used = [fix.nis for fix in track.fixes if fix.accepted and np.isfinite(fix.nis)]
     if used:
         fit = "about 2 if positions are consistent" if track.origin is None else "below 2 if locations are consistent"
@@ -175,10 +177,19 @@ def turns_at_the_ear(track: TrackRows) -> BoolArray:
 
 
 def _is_without_stairs(track: TrackRows) -> BoolArray:
-    """True for windows (W,) with motion in which stairs could not be distinguished from walking."""
+    """True for windows (W,) with walking in which stairs could not be distinguished from level walking.
+
+    Of a recording with a barometer, these are windows in a gap of at least `_MIN_DOUBT_S` without pressure.
+    """
     windows = track.windows
-    is_unknown = (windows.stairs_unknown_share > 0.5) & np.isnan(windows.climb_rate_mps)
-    return is_unknown & criteria.is_moving(windows.standing_prob)
+    without_pressure = np.isnan(windows.climb_rate_mps)
+    if not without_pressure.all():
+        gaps = long_stretches(windows.time_s, without_pressure)
+        in_gap = [(windows.time_s >= a) & (windows.time_s <= b) for a, b in gaps]
+        without_pressure &= np.any(in_gap, axis=0) if gaps else False
+    running_prob = windows.context_prob[:, [name == "running" for name in windows.contexts]].sum(axis=1)
+    is_walking = criteria.is_moving(windows.standing_prob + running_prob)
+    return (windows.stairs_unknown_share > 0.5) & without_pressure & is_walking
 
 
 def _doubts_about_windows(track: TrackRows) -> list[str]:

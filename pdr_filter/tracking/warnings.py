@@ -35,7 +35,8 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
     notes = [Note("samples", text) for text in state.sensing.conditioner.notes()]
     if state.finished and state.tracker.pedestrian.steps.n_final == 0:
         notes.append(Note("steps", criteria.NO_STEPS))
-    notes += [*_sensor_notes(config, state), *_window_notes(state.seen), *_step_notes(state.walked)]
+    has_gyroscope = state.sensing.conditioner.report.has_gyroscope
+    notes += [*_sensor_notes(config, state), *_window_notes(state.seen), *_step_notes(state.walked, has_gyroscope)]
     notes += [*config.notes, *height.notes(state.height)]
     if config.on_plan is not None:
         notes += config.on_plan.notes(state.particles)
@@ -85,21 +86,27 @@ def _window_notes(seen: WindowCounts) -> Iterator[Note]:
         yield Note("steps", f"in {seen.irregular} {of_all} {criteria.HANDLED}")
 
 
-def _step_notes(walked: StepCounts) -> Iterator[Note]:
+def _step_notes(walked: StepCounts, has_gyroscope: bool = True) -> Iterator[Note]:
     notable = max(_UNTRUSTED_SHARE * walked.n, _UNTRUSTED_NUMBER)
     if walked.on_the_spot > notable:
         yield Note("steps", f"{walked.on_the_spot} of {walked.n} {criteria.QUICK_AND_SOFT}")
+    if has_gyroscope:
+        yield from heading_notes(walked)
+    if walked.largest_move_m > 0:
+        words = f"the track moved by {walked.largest_move_m:.1f} m at {walked.largest_move_s:.0f} s, "
+        yield Note("heading", words + criteria.LATE)
+    if walked.untrusted > notable:
+        yield Note("heading", f"in {walked.untrusted} of {walked.n} steps {criteria.NO_DIRECTION}")
+
+
+def heading_notes(walked: StepCounts) -> Iterator[Note]:
+    """Return a warning if the heading is unknown in many steps."""
     if walked.heading_unknown > _UNKNOWN_NUMBER:
         words = (
             f"the heading is uncertain by more than {UNKNOWN_HEADING_RAD} rad in {walked.heading_unknown} of "
             f"{walked.n} steps, from {walked.unknown_from_s:.0f} to {walked.unknown_until_s:.0f} s: "
         )
         yield Note("heading", words + criteria.HEADING_UNKNOWN)
-    if walked.largest_move_m > 0:
-        words = f"the track moved by {walked.largest_move_m:.1f} m at {walked.largest_move_s:.0f} s, "
-        yield Note("heading", words + criteria.LATE)
-    if walked.untrusted > notable:
-        yield Note("heading", f"in {walked.untrusted} of {walked.n} steps {criteria.NO_DIRECTION}")
 
 
 def _frame_notes(state: State) -> Iterator[Note]:

@@ -130,6 +130,34 @@ def test_undetectable_stairs_are_told_beside_the_contexts_and_are_no_warning(
     assert ("stairs: counted as level walking" in walk.report()) == is_told
 
 
+def stairs_line(track: Track, climb_rate_mps: np.ndarray, context: str = "walking") -> str:
+    """Return the line of the report on stairs of windows that are unlike the stairs of the training data."""
+    n = len(track.windows)
+    prob = np.tile(np.array([name == context for name in track.windows.contexts], dtype=float), (n, 1))
+    shares = {"stairs_unknown_share": np.ones(n), "climb_rate_mps": climb_rate_mps, "context_prob": prob}
+    lines = replace(track, windows=replace(track.windows, **shares)).report().split("\n")
+    return next((line for line in lines if line.startswith("stairs:")), "")
+
+
+def test_stairs_of_a_recording_with_a_barometer_are_told_only_in_gaps_of_the_pressure(track: Track) -> None:
+    n = len(track.windows)
+    assert "because there is no barometer" in stairs_line(track, np.full(n, np.nan))
+    scattered = np.where(np.arange(n) % 5 == 0, np.nan, 0.0)
+    assert stairs_line(track, scattered) == ""
+    stopped = np.where(np.arange(n) < n // 2, 0.0, np.nan)
+    line = stairs_line(track, stopped)
+    assert f"in {n - n // 2} of {n} windows, because pressure is missing there" in line
+    assert "no barometer" not in line
+
+
+def test_running_is_not_counted_among_the_stairs_that_look_like_level_walking(track: Track) -> None:
+    assert stairs_line(track, np.full(len(track.windows), np.nan), "running") == ""
+
+
+def test_the_report_of_the_demo_walk_in_a_trouser_pocket_has_no_doubts_about_stairs() -> None:
+    assert "stairs:" not in pdr.track(pdr.simulate.demo_walk()).report()
+
+
 def test_modes_of_an_undecided_stretch_are_named(track: Track) -> None:
     prob = np.array(track.mode_prob)
     middle = (track.time_s > 12.0) & (track.time_s < 24.0)

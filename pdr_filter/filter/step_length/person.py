@@ -10,14 +10,24 @@ from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.filter.fixes.gnss import MAX_SHRINKAGE, SHRINKAGE_STD
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.motion_model import LOG_SCALE, Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.step_length.models import RECORDING_STD, TYPICAL_STEP, StepLengthFit, length_and_jacobian
-from pdr_filter.values import check_numbers, check_whole, limits
+from pdr_filter.filter.step_length.models import (
+    RECORDING_STD,
+    TYPICAL_STEP,
+    StepLengthFit,
+    length_and_jacobian,
+    scale_std,
+)
+from pdr_filter.values import Fix, PositionFix, RangeFix, SpeedFix, check_numbers, check_whole, limits
 
-# If more than this share of the prior variance is left, the fixes have added no usable information.
-_MAX_VAR_SHARE = 0.9
+# Largest relative standard deviation of a session: the spread of people of unknown height. A less certain walk says
+# less about the person than the population does. Without the prior, it would deviate from the population more than
+# twice as much as the estimate of the filter, which would amplify errors of linearisation. The limit does not depend on
+# the prior of the filter, so that the same walks are learnt with and without a known person.
+MAX_SESSION_STD = scale_std(None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,8 +39,8 @@ class Session:
     step_length_m : float
         Length in m of a typical step (`models.TYPICAL_STEP`: level walking at 1.85 steps a second).
     std : float
-        Relative standard deviation of `step_length_m` for this walk. The variation between walks of one person is not
-        in it.
+        Relative standard deviation of `step_length_m` for this walk, for learnt sessions at most `MAX_SESSION_STD`. The
+        variation between walks of one person is not in it.
     n_fixes : int
         Number of position and speed fixes that were used.
 
@@ -218,27 +228,90 @@ class Person:
         return float(weights @ logs / weights.sum()), float(weights.sum())
 
 
-def session_of(model: PedestrianModel, estimates: Estimates, n_fixes: int) -> Session | None:
+@dataclass(frozen=True, slots=True)
+class LengthFixes:
+    """Number of the used fixes that a session is learnt from, and size of the area of the correlated ones.
+
+    Attributes
+    ----------
+    n : int, default 0
+        Used positions, ranges and speeds.
+    n_correlated : int, default 0
+        Positions with correlated errors among them, such as the locations of a phone.
+    sum_m : tuple of float, default (0, 0)
+        Sum of the correlated positions, east and north.
+    square_m2 : float, default 0
+        Sum of the squared distances of the correlated positions from the origin.
+    var_m2 : float, default 0
+        Sum of the variances of the correlated positions along one axis.
+    """
+
+    n: int = 0
+    n_correlated: int = 0
+    sum_m: tuple[float, float] = (0.0, 0.0)
+    square_m2: float = 0.0
+    var_m2: float = 0.0
+
+    def plus(self, fix: Fix) -> LengthFixes:
+        """Return the sums with one more used fix. Fixes that say nothing about step lengths change nothing."""
+        if not isinstance(fix, PositionFix | SpeedFix | RangeFix):
+            return self
+        if not isinstance(fix, PositionFix) or fix.correlation_s == 0:
+            return replace(self, n=self.n + 1)
+        east_m, north_m = fix.position_m.tolist()
+        return LengthFixes(
+            self.n + 1,
+            self.n_correlated + 1,
+            (self.sum_m[0] + east_m, self.sum_m[1] + north_m),
+            self.square_m2 + east_m**2 + north_m**2,
+            self.var_m2 + fix.var_m2,
+        )
+
+    @property
+    def size_std(self) -> float:
+        """Relative standard deviation of the size of the walk in the correlated fixes, an error that all share.
+
+        A phone smooths its locations, which brings them closer to their mean (`gnss.SHRINKAGE_STD`). The error can last
+        for the whole walk, and then looks like shorter steps. It is half of the distance from the mean, and at most 1.5
+        standard deviations of a location. It is therefore large for a walk around a building and small for a walk over
+        some hundred metres. It is 0 with fewer than two such fixes.
+        """
+        if self.n_correlated < 2:
+            return 0.0
+        mean = (self.sum_m[0] / self.n_correlated) ** 2 + (self.sum_m[1] / self.n_correlated) ** 2
+        away_m2 = max(self.square_m2 / self.n_correlated - mean, 0.0)
+        most_m = MAX_SHRINKAGE * math.sqrt(self.var_m2 / self.n_correlated)
+        return SHRINKAGE_STD * min(1.0, most_m / max(SHRINKAGE_STD * math.sqrt(away_m2), 1e-9))
+
+
+def session_of(model: PedestrianModel, estimates: Estimates, fixes: LengthFixes) -> Session | None:
     """Return the step length of a walk as measured by its fixes, or None if they do not determine it.
 
     It follows from the log scale in the combined estimate of the filters.
     """
     x, P = estimates.combined
-    return session_of_scale(model, float(x[LOG_SCALE]), float(P[LOG_SCALE, LOG_SCALE]), n_fixes)
-
-
-def session_of_scale(model: PedestrianModel, log_scale: float, var: float, n_fixes: int) -> Session | None:
-    """Return the step length that belongs to an estimated log scale, or None if the fixes added too little information.
-
-    `log_scale` and `var` are mean and variance of the estimate at the end of the walk. The prior N(0, s^2) of the log
-    scale is removed from its posterior N(m, v). The remaining precision is w = 1 / v - 1 / s^2, and the remaining mean
-    is (m / v) / w. The fixes added too little information if v is at least 90 % of s^2.
-    """
     prior_var = model.noise.log_scale_std**2
-    if not 0 < var < _MAX_VAR_SHARE * prior_var:
+    return session_of_scale(model, (float(x[LOG_SCALE]), float(P[LOG_SCALE, LOG_SCALE])), prior_var, fixes)
+
+
+def session_of_scale(
+    model: PedestrianModel, estimate: tuple[float, float], prior_var: float, fixes: LengthFixes
+) -> Session | None:
+    """Return the step length that belongs to an estimated log scale, or None if the fixes do not determine it.
+
+    `estimate` are the mean m and variance v of the log scale at the end of the walk, and `prior_var` is the variance
+    s^2 of its prior, of mean zero. The prior is removed. The remaining precision is w = 1 / v - 1 / s^2, and the
+    remaining mean (m / v) / w. The variance of the session is 1 / w plus that of the size of the walk in the fixes
+    (`LengthFixes.size_std`). The result is None if its root is above `MAX_SESSION_STD`.
+    """
+    mean, var = estimate
+    if model.noise.log_scale_std == 0 or not 0 < var < prior_var:
         return None
     w = 1.0 / var - 1.0 / prior_var
-    return Session(_typical_length_m(model) * math.exp(log_scale / var / w), w**-0.5, n_fixes)
+    std = math.sqrt(1.0 / w + fixes.size_std**2)
+    if std > MAX_SESSION_STD:
+        return None
+    return Session(_typical_length_m(model) * math.exp(mean / var / w), std, fixes.n)
 
 
 def _typical_length_m(model: PedestrianModel) -> float:

@@ -25,6 +25,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pdr_filter.filter.fixes.gnss import MAX_SHRINKAGE, SHRINKAGE_STD
 from pdr_filter.values import INDEPENDENT_SHARE, BoolArray, FloatArray, IntArray, PositionFix
 
 # Entries of the error state of a location, each a Gauss-Markov process of variance one.
@@ -33,11 +34,9 @@ N_ERRORS = 6
 # Share of the variance of a location that is constant for a walk (of up to an hour), and share of its independent
 # noise.
 _CONSTANT_SHARE, _CONSTANT_S, _OWN_SHARE = 0.2, 3600.0, 0.1
-# Standard deviation of the shrinkage and of the delay of locations. The shrinkage is the fraction of its distance from
-# the mean of the locations within two minutes by which a location is too close to that mean. Both change within half a
-# minute. The shrinkage error is limited to `_SHRUNK_MOST` standard deviations of the location, because outdoors the
-# path of two minutes is long.
-_SHRUNK_STD, _SHRUNK_WITHIN_S, _SHRUNK_MOST = 0.5, 120.0, 1.5
+# The shrinkage (`SHRINKAGE_STD`) is towards the mean of the locations within two minutes. It is limited
+# (`MAX_SHRINKAGE`), because outdoors the path of two minutes is long. Shrinkage and delay change within half a minute.
+_SHRUNK_WITHIN_S = 120.0
 _LATE_STD_S, _LATE_WITHIN_S = 3.0, 15.0
 _FILTERED_S = 30.0
 # Largest speed of a pedestrian. A faster displacement is an error, or a ride.
@@ -105,7 +104,7 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
     by[:, :, _VARYING] = np.sqrt(varying)[:, None, None] * root
     by[:, :, _CONSTANT] = np.where(located, np.sqrt(_CONSTANT_SHARE), 0.0)[:, None, None] * root
     std_m = np.sqrt([f.var_m2 for f in chosen])
-    shrunk_m = _limited(_SHRUNK_STD * _from_local_mean(time_s, place_m), _SHRUNK_MOST * std_m)
+    shrunk_m = _limited(SHRINKAGE_STD * _from_local_mean(time_s, place_m), MAX_SHRINKAGE * std_m)
     by[:, :, _SHRUNK] = np.where(located[:, None], -shrunk_m, 0.0)
     by[:, :, _LATE] = -_LATE_STD_S * located[:, None] * _velocity_mps(time_s, place_m)
     memory_s = np.full((len(chosen) - 1, N_ERRORS), _CONSTANT_S)

@@ -27,7 +27,7 @@ from pdr_filter.filter.imm.motion_model import (
     MotionNoise,
     second_order_errors,
 )
-from pdr_filter.filter.step_length.person import Person, session_of_scale
+from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -43,6 +43,7 @@ from pdr_filter.offline.smoothing.smoothed import (
     Smoothed,
     fix_results,
     floors_at_steps,
+    notes_of_reckoning,
     notes_of_solution,
     observation_table,
     without_steps,
@@ -517,10 +518,14 @@ def _smooth_track(
         track, modes, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess
     )
     smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
-    n_fixes = sum(result.accepted for result in smoothed.track.fixes)
-    log_scale, var = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
-    session = session_of_scale(config.model, log_scale, var, n_fixes)
-    if session is None or not n_fixes:
+    length_fixes = LengthFixes()
+    for fix, result in zip((*observed.fixes, *observed.locations), smoothed.track.fixes, strict=True):
+        length_fixes = length_fixes.plus(fix) if result.accepted else length_fixes
+    # at the steps, the prior of the log scale is that of the start plus the drift of the steps so far
+    prior_var = float(problem.start_cov[LOG_SCALE, LOG_SCALE] + np.cumsum(steps.scale_drift_var).mean())
+    estimate = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
+    session = session_of_scale(config.model, estimate, prior_var, length_fixes)
+    if session is None:
         return smoothed, walked_var_m2
     person = (config.person or Person()).pooled(Person((session,)))
     return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
@@ -619,7 +624,9 @@ def _smoothed(
     observations = observation_table(observed, used.row, found)
     scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
     start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
-    notes = (*track.notes, *used.notes, *notes_of_solution(track, found, observations, observed, used, scale_std))
+    heading_std_rad = np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])
+    reckoned = notes_of_reckoning(track, found, heading_std_rad)
+    notes = (*reckoned, *used.notes, *notes_of_solution(track, found, observations, observed, used, scale_std))
     smoothed = replace(
         track,
         position_m=read_only(position),
@@ -637,7 +644,7 @@ def _smoothed(
     result = Smoothed(
         track=smoothed,
         heading_offset_rad=read_only(wrap_angle(mean[:, HEADING_OFFSET])),
-        heading_offset_std_rad=read_only(np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])),
+        heading_offset_std_rad=read_only(heading_std_rad),
         log_scale=read_only(mean[:, LOG_SCALE]),
         log_scale_std=read_only(np.sqrt(cov[:, LOG_SCALE, LOG_SCALE])),
         start_position_m=start_m,

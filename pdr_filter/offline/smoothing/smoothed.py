@@ -18,7 +18,9 @@ from pdr_filter.offline.smoothing.observations import (
 )
 from pdr_filter.offline.smoothing.solve import Solution
 from pdr_filter.offline.smoothing.usable import Used, name_list
+from pdr_filter.tracking.step_statistics import HEADING_UNKNOWN, LATE, UNKNOWN_HEADING_RAD, StepCounts
 from pdr_filter.tracking.track import Track
+from pdr_filter.tracking.warnings import heading_notes
 from pdr_filter.values import (
     FixResult,
     FloatArray,
@@ -32,6 +34,8 @@ from pdr_filter.values import (
 )
 
 _KINDS = ("fix", "location", "loop closure", "known heading")
+# Variance of the first heading above which the observations do not determine the direction of the walk.
+_UNKNOWN_START_RAD2 = 0.5
 # standard deviation of a known position
 KNOWN_STD_M = 1e-3
 
@@ -194,9 +198,9 @@ def notes_of_solution(
             "no fix agrees with the walk: positions in the frame of the fixes are unknown; check the times, the units "
             "and the axes of the fixes"
         )
-    elif n_good == 1 and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
+    elif n_good == 1 and _is_without_direction(found):
         notes.append("a single fix gives a position but no direction: the walking directions are unknown; add a fix")
-    elif n_good and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
+    elif n_good and _is_without_direction(found):
         notes.append("the fixes do not determine the direction of the walk: the most probable north is used")
     if used.knows_north and (found.weight[-used.n_north :] < 0.5).any():
         notes.append("magnetic north contradicts all other observations of the walk: not used")
@@ -209,7 +213,7 @@ def notes_of_solution(
             'fixes (gnss="off" for locations)'
         )
     unknown_s = float(np.asarray(track.steps.heading_unknown_s).sum())
-    if unknown_s > 1.0:
+    if unknown_s > 1.0 and n_good:
         notes.append(
             f"no angular rate for {unknown_s:.0f} s: the directions there come only from the fixes before and after"
         )
@@ -219,6 +223,31 @@ def notes_of_solution(
             "track, or add fixes"
         )
     return notes
+
+
+# Texts of online warnings about headings, which the smoother has estimated again.
+_ONLINE_ALONE = (HEADING_UNKNOWN, LATE)
+
+
+def notes_of_reckoning(track: Track, found: Solution, heading_std_rad: FloatArray) -> list[str]:
+    """Return the notes of the dead-reckoned track that hold for the smoothed track.
+
+    If one warns about unknown headings, the smoothed headings with standard deviations `heading_std_rad` (K,) are
+    counted instead. They are not counted if the direction of the whole walk is unknown, because another note says so.
+    """
+    notes = [note for note in track.notes if not any(text in note for text in _ONLINE_ALONE)]
+    (unknown,) = np.nonzero(heading_std_rad > UNKNOWN_HEADING_RAD)
+    is_warned = any(HEADING_UNKNOWN in note for note in track.notes)
+    if is_warned and len(unknown) and not _is_without_direction(found):
+        first_s, last_s = track.time_s[unknown[[0, -1]]].tolist()
+        counts = StepCounts(track.n_steps, heading_unknown=len(unknown), unknown_from_s=first_s, unknown_until_s=last_s)
+        notes += [note.text for note in heading_notes(counts)]
+    return notes
+
+
+def _is_without_direction(found: Solution) -> bool:
+    """True if the observations do not determine the direction of the walk at its start."""
+    return bool(found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > _UNKNOWN_START_RAD2)
 
 
 def floors_at_steps(track: Track, floor_changes: Sequence[FloorChange]) -> FloatArray:

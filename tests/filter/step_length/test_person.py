@@ -18,7 +18,7 @@ from pdr_filter.filter.fixes.gnss import RADIUS_68, fixes_of
 from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.imm.pedestrian_state import initial_state
 from pdr_filter.filter.step_length.models import RECORDING_STD, TYPICAL_STEP, length_and_jacobian, scale_std
-from pdr_filter.filter.step_length.person import Session, session_of
+from pdr_filter.filter.step_length.person import LengthFixes, Session, session_of, session_of_scale
 from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.simulate.population import random_person
@@ -27,20 +27,22 @@ from pdr_filter.values.recording import Recording, Subject
 HERE = pdr.Origin(48.137, 11.575)
 
 
-def walk_of(number: int, seed: int, minutes: float) -> Recording:
+def walk_of(number: int, seed: int, minutes: float, leg_m: float = 50.0) -> Recording:
     """Return a walk of a person of unknown height."""
     gait, carrying = random_person("texting", number)
-    n = int(minutes * 75 / 50)
+    n = int(minutes * 75 / leg_m)
     turns = np.random.default_rng(seed).uniform(-1.5, 1.5, size=n)
-    legs = [Leg("walking", distance_m=50.0, turn_rad=turn) for turn in turns]
+    legs = [Leg("walking", distance_m=leg_m, turn_rad=turn) for turn in turns]
     walk = simulate(legs, gait, carrying={"texting": carrying}, seed=seed, name=f"walk_{seed}")
     return replace(walk, meta={**walk.meta, "subject": {}})
 
 
-def located(walk: Recording) -> Recording:
-    """Return the recording with accurate locations, one a second."""
+def located(walk: Recording, shrinkage_m: float = 0.0) -> Recording:
+    """Return the recording with one location a second, each moved towards their mean by `shrinkage_m`."""
     times, truth = np.arange(1.0, walk.duration_s), walk.truth.position
     place_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    away_m = place_m - place_m.mean(axis=0)
+    place_m -= away_m * np.minimum(0.5, shrinkage_m / np.maximum(np.hypot(*away_m.T), 1e-6))[:, None]
     degrees = HERE.latitude_longitude_deg(place_m)
     accuracy = np.full((len(times), 2), [520.0, 3.0 * RADIUS_68])
     return replace(walk, location=pdr.Samples(times, np.column_stack([*degrees, accuracy])))
@@ -73,7 +75,7 @@ def test_locations_of_a_person_of_unknown_height_improve_the_next_recording(lear
     alone, known = (length_error(pdr.track(second, person=person), second) for person in (None, learnt))
     assert abs(alone) > 0.08
     assert abs(known) < 0.04
-    assert learnt.std < 0.04
+    assert learnt.std < 0.07
 
 
 def test_without_fixes_the_person_is_unchanged(first: Recording, learnt: pdr.Person) -> None:
@@ -91,7 +93,7 @@ def test_prior_knowledge_of_a_person_is_not_learnt_again(first: Recording, learn
     assert two.std > 0.7 * one.std
 
 
-@pytest.mark.parametrize("measurement_std", [0.01, 0.05, 0.15])
+@pytest.mark.parametrize("measurement_std", [0.01, 0.05, 0.09])
 def test_a_session_is_the_measurement_without_the_prior(measurement_std: float) -> None:
     model, measured = recipes.default().model, 0.11
     prior_var = model.noise.log_scale_std**2
@@ -99,13 +101,67 @@ def test_a_session_is_the_measurement_without_the_prior(measurement_std: float) 
     estimates = initial_state(model, np.ones(1)).estimates
     mean, cov = estimates.mean.copy(), estimates.cov.copy()
     mean[:, LOG_SCALE], cov[:, LOG_SCALE, LOG_SCALE] = gain * measured, (1 - gain) * prior_var
-    session = session_of(model, replace(estimates, mean=mean, cov=cov), 7)
+    session = session_of(model, replace(estimates, mean=mean, cov=cov), LengthFixes(7))
     fit = next(m for m in model.modes if m.context == "walking").step_length
     usual_m = float(length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)[0])
     assert session is not None
     assert (session.std, session.n_fixes) == (pytest.approx(measurement_std), 7)
     assert session.step_length_m == pytest.approx(usual_m * np.exp(measured))
-    assert session_of(model, estimates, 7) is None
+    assert session_of(model, estimates, LengthFixes(7)) is None
+
+
+@pytest.mark.parametrize("prior_std", [0.03, 0.1])
+def test_a_walk_that_is_less_certain_than_the_spread_of_people_is_not_learnt(prior_std: float) -> None:
+    """The limit is that of the walk alone: a known person, which has a smaller prior, does not change it."""
+    model = recipes.default().model
+
+    def learnt(std: float) -> Session | None:
+        var = 1 / (prior_std**-2 + std**-2)
+        return session_of_scale(model, (0.02, var), prior_std**2, LengthFixes(7))
+
+    assert learnt(0.099) is not None
+    assert learnt(0.101) is None
+
+
+def spread_fixes(extent_m: float, std_m: float, correlation_s: float) -> LengthFixes:
+    """Return the sums of fixes at the four corners of a square."""
+    corners = extent_m * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]]) + [900.0, -400.0]
+    fixes = LengthFixes()
+    for time_s, place_m in enumerate(corners):
+        fixes = fixes.plus(pdr.PositionFix(float(time_s), place_m, std_m**2 * np.eye(2), correlation_s=correlation_s))
+    return fixes
+
+
+def test_locations_that_a_phone_has_smoothed_determine_the_size_of_large_walks_alone() -> None:
+    away_m = np.hypot(200.0, 200.0)
+    assert spread_fixes(200.0, 4.0, 20.0).size_std == pytest.approx(1.5 * 4.0 / away_m)
+    assert spread_fixes(5.0, 4.0, 20.0).size_std == pytest.approx(0.5)
+    assert spread_fixes(0.0, 4.0, 20.0).size_std == pytest.approx(0.5)
+    assert spread_fixes(5.0, 4.0, 0.0).size_std == 0.0
+    assert spread_fixes(5.0, 4.0, 0.0).n == 4
+
+
+def test_locations_of_a_walk_around_a_building_teach_no_step_length() -> None:
+    walk = located(walk_of(NUMBER, 3, 3.0, leg_m=10.0), shrinkage_m=4.0)
+    assert pdr.track(walk).person is None
+    assert pdr.smooth(walk).track.person is None
+
+
+def test_locations_closer_together_than_the_walk_bias_the_step_length_within_its_uncertainty(first: Recording) -> None:
+    shrunk = located(first, shrinkage_m=5.0)
+    for estimate in (pdr.track, lambda walk: pdr.smooth(walk).track):
+        unbiased, person = estimate(first).person, estimate(shrunk).person
+        assert np.log(unbiased.step_length_m / person.step_length_m) < person.std
+
+
+def test_smoothing_learns_the_same_from_a_walk_with_and_without_earlier_walks(first: Recording) -> None:
+    alone = pdr.smooth(first).track.person
+    assert alone is not None
+    earlier = pdr.Person((Session(1.1 * alone.step_length_m, 0.02, 30),))
+    both = pdr.smooth(first, person=earlier).track.person
+    assert both is not None and len(both.sessions) == 2
+    assert both.sessions[1].step_length_m == pytest.approx(alone.step_length_m, rel=0.007)
+    assert both.sessions[1].std == pytest.approx(alone.sessions[0].std, rel=0.03)
 
 
 def test_walks_are_pooled_by_precision_and_each_counts_once() -> None:

@@ -333,6 +333,25 @@ def test_a_single_fix_gives_a_position_but_no_direction() -> None:
     assert [n for n in result.notes if "a single fix" in n]
 
 
+def test_without_a_gyroscope_no_note_speaks_of_its_bias_or_of_fixes_that_do_not_exist() -> None:
+    blind = replace(WALKED, gyroscope=None)
+    for notes in (pdr.track(blind).notes, smooth(blind).notes):
+        assert [note for note in notes if "no gyroscope: the heading is unknown" in note]
+        assert not [note for note in notes if "gyroscope bias" in note or "before and after" in note]
+
+
+def test_the_warning_about_headings_counts_the_smoothed_headings() -> None:
+    gyroscope = WALKED.gyroscope
+    assert gyroscope is not None
+    missing = (gyroscope.time_s > 8.0) & (gyroscope.time_s < 14.0)
+    walk = replace(WALKED, gyroscope=pdr.Samples(gyroscope.time_s[~missing], gyroscope.values[~missing]))
+    alone, fixed = smooth(walk), smooth(walk, fixes_of(WALKED))
+    n = int((alone.heading_offset_std_rad > 0.5).sum())
+    assert n > 20 > (fixed.heading_offset_std_rad > 0.5).sum()
+    assert [note for note in alone.notes if f"uncertain by more than 0.5 rad in {n} of {alone.track.n_steps}" in note]
+    assert not [note for note in fixed.notes if "uncertain by more than" in note]
+
+
 def test_without_a_gyroscope_the_fixes_give_the_directions_with_a_large_covariance() -> None:
     fixes = fixes_of(WALKED)
     blind, seeing = smooth(replace(WALKED, gyroscope=None), fixes), smooth(WALKED, fixes)
