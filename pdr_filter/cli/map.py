@@ -85,16 +85,11 @@ def _write(found: WalkMap, out: Path, times: bool) -> None:
     """
     import pdr_filter as pdr
     from pdr_filter.classifiers.model_files import file_pair
-    from pdr_filter.io.files.safe_files import read_json
-    from pdr_filter.values import limits
 
     report, groups = out / "map.html", range(found.n_groups)
     pages = [report, *(path for k in groups for path in (*file_pair(out / f"radio_{k}"), out / f"plan_{k}.geojson"))]
-    before, earlier = console.existing(out / "map", *pages), _numbered_files(out)
+    before, removed = console.existing(out / "map", *pages), sorted(_files_of_groups(out) - set(pages))
     found.save(out / "map", times=times)
-    n_walks = read_json(out / "map" / "walk_map.json", limits.MAX_DESCRIPTION_BYTES)["n_walks"]
-    walks = {out / "map" / f"{i:05d}.walk" for i in range(n_walks)}
-    removed = sorted(earlier - walks - set(pages))
     for path in removed:
         path.unlink()
     if not times:
@@ -110,14 +105,9 @@ def _write(found: WalkMap, out: Path, times: bool) -> None:
         console.stderr().print(f"removed files of an earlier map: {escape(', '.join(map(str, removed)))}")
 
 
-def _numbered_files(out: Path) -> set[Path]:
-    """Return the walks, radio maps and plans of the map in a folder. The set is empty without a map."""
+def _files_of_groups(out: Path) -> set[Path]:
+    """Return the radio maps and plans of the map in a folder. The set is empty without a map."""
     if not (out / "map" / "walk_map.json").exists():
         return set()
-    of_groups, of_walks = re.compile(r"radio_\d+\.(json|npz)|plan_\d+\.geojson"), re.compile(r"\d{5}\.walk")
-    return {
-        path
-        for folder, names in ((out, of_groups), (out / "map", of_walks))
-        for path in folder.iterdir()
-        if names.fullmatch(path.name)
-    }
+    names = re.compile(r"radio_\d+\.(json|npz)|plan_\d+\.geojson")
+    return {path for path in out.iterdir() if names.fullmatch(path.name)}

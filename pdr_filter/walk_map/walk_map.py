@@ -364,7 +364,9 @@ class WalkMap:
         return _mapped(chains, others, known, self._salt, kept, self._north)
 
     def save(self, folder: str | Path, *, times: bool = False) -> Path:
-        """Write the map to a folder. By default it contains no times, names of walks, known fixes or notes.
+        """Write the map to a folder, in place of an earlier map.
+
+        By default it contains no times, names of walks, known fixes or notes.
 
         Parameters
         ----------
@@ -400,6 +402,8 @@ class WalkMap:
         files = {folder / f"{i:05d}.walk": to_bytes(chain) for i, chain in enumerate(chains)}
         files[folder / "groups.bin"] = to_bytes((self._groups, known, self._north))
         write_files(files | {folder / "walk_map.json": (json.dumps(card, indent=2) + "\n").encode()})
+        for path in set(folder.glob("?????.walk")) - files.keys():  # of an earlier, larger map
+            path.unlink()
         return folder
 
     @classmethod

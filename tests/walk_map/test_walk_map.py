@@ -124,6 +124,8 @@ def test_a_saved_map_has_no_times_and_no_names_unless_they_are_asked_for(mapped:
     fewer = loaded.remove([loaded.walks[-1].name])
     assert len(fewer.walks) == 7
     np.testing.assert_array_equal(fewer.walks[0].position_m, mapped.walks[0].position_m)  # the frame stays
+    fewer.save(tmp_path / "map")
+    assert len(list((tmp_path / "map").glob("*.walk"))) == 7  # none of the earlier map is left
     whole = pdr.WalkMap.load(mapped.save(tmp_path / "whole", times=True))
     assert [w.name for w in whole.walks] == [w.name for w in mapped.walks]
     np.testing.assert_array_equal(whole.walks[3].at(9.0)[0], mapped.walks[3].at(9.0)[0])

@@ -300,18 +300,18 @@ def session_of_scale(
     """Return the step length that belongs to an estimated log scale, or None if the fixes do not determine it.
 
     `estimate` are the mean m and variance v of the log scale at the end of the walk, and `prior_var` is the variance
-    s^2 of its prior, of mean zero. The prior is removed. The remaining precision is w = 1 / v - 1 / s^2, and the
-    remaining mean (m / v) / w. The variance of the session is 1 / w plus that of the size of the walk in the fixes
+    s^2 of its prior, of mean zero. The prior is removed. The remaining variance is u = v s^2 / (s^2 - v), and the
+    remaining mean m u / v. The variance of the session is u plus that of the size of the walk in the fixes
     (`LengthFixes.size_std`). The result is None if its root is above `MAX_SESSION_STD`.
     """
     mean, var = estimate
     if model.noise.log_scale_std == 0 or not 0 < var < prior_var:
         return None
-    w = 1.0 / var - 1.0 / prior_var
-    std = math.sqrt(1.0 / w + fixes.size_std**2)
+    own_var = var * prior_var / (prior_var - var)
+    std = math.sqrt(own_var + fixes.size_std**2)
     if std > MAX_SESSION_STD:
         return None
-    return Session(_typical_length_m(model) * math.exp(mean / var / w), std, fixes.n)
+    return Session(_typical_length_m(model) * math.exp(mean * own_var / var), std, fixes.n)
 
 
 def _typical_length_m(model: PedestrianModel) -> float:

@@ -121,6 +121,8 @@ def test_a_walk_that_is_less_certain_than_the_spread_of_people_is_not_learnt(pri
 
     assert learnt(0.099) is not None
     assert learnt(0.101) is None
+    barely_less = float(np.nextafter(prior_std**2, 0.0))
+    assert session_of_scale(model, (0.0, barely_less), prior_std**2, LengthFixes(7)) is None
 
 
 def spread_fixes(extent_m: float, std_m: float, correlation_s: float) -> LengthFixes:
