@@ -12,6 +12,7 @@ from simulated_steps import Walk, simulated_walk
 
 import pdr_filter as pdr
 from pdr_filter.offline.calibration.fit import calibrate
+from pdr_filter.offline.smoothing import solve as solve_module
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -55,6 +56,25 @@ def solved(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
 
 def rms_m(walk: Walk, mean: np.ndarray) -> float:
     return float(np.sqrt(np.square(mean[:, :2] - walk.position_m[1:]).sum(axis=1).mean()))
+
+
+@pytest.mark.parametrize(("last_m", "converged"), [(5e-4, True), (5e-3, False)])
+def test_a_slow_solution_has_converged_if_its_last_step_is_below_a_millimetre(
+    monkeypatch: pytest.MonkeyPatch, last_m: float, converged: bool
+) -> None:
+    rng = np.random.default_rng(1)
+    walk = simulated_walk(40, rng)
+    problem = problem_of(walk, walk.fixes(10, 1.0, rng))
+    exact = solve_module._solved
+
+    def slow(graph: object, of: Problem) -> tuple[np.ndarray, float]:
+        state, turn = exact(graph, of)
+        return np.full_like(state, 2.0 * last_m), turn  # from the 20th step on, half of the change is made
+
+    monkeypatch.setattr(solve_module, "_solved", slow)
+    start = np.zeros((problem.n_states, 6))
+    found = solve_module._gauss_newton(problem, start, 0.0, problem.possible)
+    assert found[2] is converged
 
 
 # --- exactness ------------------------------------------------------------------------------------------------------
