@@ -40,7 +40,10 @@ def walk_with_wifi(legs: list[Leg], seed: int, start_m: tuple[float, float] = (0
 
 
 def hearing(walk: Recording, start_m: ArrayLike, heard: Callable[[FloatArray, FloatArray], Wifi]) -> Recording:
-    """A walk whose truth starts at `start_m`, with what is heard at the times (S,) and places (S, 2) of its scans."""
+    """Return the walk with Wi-Fi, and with its truth moved so that it starts at `start_m`.
+
+    `heard` gives the receptions for the times (S,) and the places (S, 2) of the scans.
+    """
     truth, points = walk.truth.position.copy(), walk.truth.waypoints.copy()
     for table in (truth, points):
         for name, start in zip(("east_m", "north_m"), np.asarray(start_m), strict=True):

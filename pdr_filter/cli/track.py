@@ -290,8 +290,8 @@ def track(
     if tracks and method.person is not None and not method.person.exists():
         console.stderr().print(
             console.escape(
-                f"{method.person} was not written, because no fixes show the step length to {MAX_SESSION_STD:.0%}: "
-                "track a walk of ten minutes outdoors, or with known positions"
+                f"{method.person} was not written, because the fixes of the walk do not determine the step length to "
+                f"{MAX_SESSION_STD:.0%}: track a walk of ten minutes outdoors, or give known positions"
             )
         )
     if output.out is not None and files != given and listed:

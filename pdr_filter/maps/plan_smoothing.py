@@ -243,9 +243,9 @@ def _notes(offset_std_rad: FloatArray) -> tuple[str, ...]:
     if unknown <= min(_UNKNOWN_NUMBER, _UNKNOWN_SHARE * n):
         return ()
     return (
-        f"the walking direction on the plan is uncertain by more than {UNKNOWN_HEADING_RAD} rad in {unknown} of {n} "
-        "steps, because several ways fit the walk: the positions there are means and do not follow it; give fixes or "
-        "a radio map",
+        "several routes on the plan fit the walk, so that its direction is uncertain by more than "
+        f"{UNKNOWN_HEADING_RAD} rad in {unknown} of {n} steps: positions of these steps are averages over the routes; "
+        "give fixes or a radio map",
     )
 
 

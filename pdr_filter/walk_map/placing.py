@@ -43,8 +43,9 @@ _MOST_SCANS, _SMALLEST_GAIN, _MOST_DAMPING = 500, 0.05, 100.0
 # Walks that are adjusted together. Later walks are fitted to these, so that the cost grows linearly.
 MOST_TOGETHER = 200
 _MOST_ROUNDS = 60
-# Numbers of placed walks for each walk that joins in a round. Walks that are wrong together can confirm each other, and
-# then keep others from their place. At another pace they seldom do. Chosen on 18 sets of given walks.
+# Numbers of placed walks for each walk that joins in a round. Walks that are misplaced in the same way can confirm each
+# other, and then keep other walks from their correct place. With another number this seldom happens again. Chosen on 18
+# sets of given walks.
 PACES = 2, 8
 
 
@@ -327,10 +328,10 @@ def _is_confirmed(walks: ScannedWalks, group: PlacedGroup, walk: int) -> bool:
 
 
 def log_evidence(walks: ScannedWalks, group: PlacedGroup) -> float:
-    """Return the log probability of the scans of a group at its poses, relative to that of each walk alone.
+    """Return the log probability of all scans of a group at its poses minus the sum of those of each walk alone.
 
-    Groups of different walks can be compared: a walk that is not joined counts zero. Of many scans, evenly chosen ones
-    are used.
+    A walk that is not in the group contributes zero, so that groups of different walks can be compared. Of many scans,
+    evenly chosen ones are used.
     """
     some = np.arange(0, len(walks.owner), math.ceil(len(walks.owner) / (2 * _MOST_SCANS)))
     scans = some[np.isin(walks.owner[some], list(group.poses))]

@@ -402,7 +402,8 @@ class WalkMap:
         files = {folder / f"{i:05d}.walk": to_bytes(chain) for i, chain in enumerate(chains)}
         files[folder / "groups.bin"] = to_bytes((self._groups, known, self._north))
         write_files(files | {folder / "walk_map.json": (json.dumps(card, indent=2) + "\n").encode()})
-        for path in set(folder.glob("?????.walk")) - files.keys():  # of an earlier, larger map
+        # an earlier map in this folder can have had more walks
+        for path in set(folder.glob("?????.walk")) - files.keys():
             path.unlink()
         return folder
 

@@ -201,8 +201,9 @@ def storeys(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 ABOUT_NUMBERS = (
-    "F1 by the walks with the most partners, one after the other or together, and with the true direction of each walk "
-    "instead of that of its magnetometer; below, walks drawn at random."
+    "Storeys by the walks with the most partners, one after the other or together, and with the true direction of each "
+    "walk instead of that of its magnetometer; below, walks drawn at random. Maps without joined walks are not in the "
+    "mean of the errors."
 )
 
 
@@ -217,8 +218,24 @@ def with_true_direction(walk: Walk) -> Walk:
     return replace(walk, chain=replace(chain, mean=mean, frame_rad=chain.frame_rad + turn_rad, problem=problem))
 
 
+def mean_row(name: str, walks: Sequence[Walk], n_given: int) -> list[str]:
+    """Means of the figures of maps with one given walk each. Without joined walks, a map has no errors."""
+    found = [row(name, walks, *mapped(walks, ranks=[k])) for k in range(min(n_given, len(walks)))]
+    means = [name, found[0][1]]
+    for cells in list(zip(*found, strict=True))[2:]:
+        known = [cell.split() for cell in cells if cell != "-"]
+        unit = known[0][1] if known else ""
+        digits = 0 if unit == "%" else 1
+        means.append(f"{np.mean([float(k[0]) for k in known]):.{digits}f} {unit}" if known else "-")
+    return means
+
+
 def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
-    """All of F1 by other given walks, by several ones and with true directions, and parts of F1, drawn at random."""
+    """Storeys by many given walks, F1 by several ones and with true directions, and parts of F1, drawn at random."""
+    means = [
+        mean_row(f"{name}, mean of {min(10, len(group))} given walks", group, 10)
+        for name, group in by_storey(walks_of(arguments.data))
+    ]
     every = [w for w in walks_of(arguments.data) if w.storey == CHOSEN_ON]
     rows = [row(f"F1, given walk {k + 1}", every, *mapped(every, ranks=[k])) for k in range(4)]
     rows += [row(f"F1, given walks 1 to {n}", every, *mapped(every, ranks=range(n))) for n in (2, 3, 4)]
@@ -229,7 +246,7 @@ def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
             chosen = np.random.default_rng(seed).permutation(len(every))[:n]
             part = [every[i] for i in sorted(chosen)]
             rows.append(row(f"{len(part)} walks of F1, draw {seed + 1}", part, *mapped(part)))
-    tables.write("walk_map_numbers", COLUMNS, rows, ABOUT_NUMBERS)
+    tables.write("walk_map_numbers", COLUMNS, [*means, *rows], ABOUT_NUMBERS)
 
 
 ABOUT_RADIO = (

@@ -25,7 +25,7 @@ MODELS = Path(__file__).resolve().parents[2] / "models"
 def test_a_person_without_fixes_is_not_written_and_a_message_says_so(walk: Path, tmp_path: Path) -> None:
     result = run("track", walk, "--person", tmp_path / "me.json")
     assert result.exit_code == 0
-    assert "me.json was not written, because no fixes show" in result.stderr.replace("\n", "")
+    assert "me.json was not written, because the fixes of the walk do not determine" in result.stderr.replace("\n", "")
     assert not (tmp_path / "me.json").exists()
 
 

@@ -410,14 +410,14 @@ def test_smoothed_steps_keep_their_lengths_if_the_direction_is_unknown_and_a_not
     assert_allclose(found.track.step_length_m, alone.step_length_m, rtol=0.1)
     assert_allclose(found.track.distance_m, alone.distance_m, rtol=0.05)
     assert_allclose(found.track.step_speed_mps * np.asarray(alone.steps.duration_s), found.track.step_length_m)
-    assert any("walking direction on the plan is uncertain" in note for note in found.track.notes)
+    assert any("several routes on the plan fit the walk" in note for note in found.track.notes)
 
 
 def test_smoothed_positions_are_sums_of_the_steps_if_the_direction_is_known(plan: pdr.FloorPlan) -> None:
     track = pdr.smooth(WALK, FIXES, plan=plan).track
     moved_m = np.linalg.norm(np.diff(track.position_m, axis=0), axis=1).sum()
     assert_allclose(track.walked_m[-1] - track.walked_m[0], moved_m, rtol=0.02)
-    assert not any("on the plan is uncertain" in note for note in track.notes)
+    assert not any("several routes on the plan" in note for note in track.notes)
 
 
 def test_a_smoothed_step_has_the_circular_mean_heading_and_the_mean_length_of_its_particles() -> None:

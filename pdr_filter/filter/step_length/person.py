@@ -23,10 +23,11 @@ from pdr_filter.filter.step_length.models import (
 )
 from pdr_filter.values import Fix, PositionFix, RangeFix, SpeedFix, check_numbers, check_whole, limits
 
-# Largest relative standard deviation of a session: the spread of people of unknown height. A less certain walk says
-# less about the person than the population does. Without the prior, it would deviate from the population more than
-# twice as much as the estimate of the filter, which would amplify errors of linearisation. The limit does not depend on
-# the prior of the filter, so that the same walks are learnt with and without a known person.
+# Largest relative standard deviation of the step length that is learnt from a walk. Less certain walks are not
+# stored. The value is that of step lengths among people of unknown height, because a less certain walk says less
+# about the person than this distribution. Without the prior, it would deviate from the population more than twice as
+# much as the estimate of the filter, which would amplify errors of linearisation. The limit does not depend on the
+# prior of the filter, so that the same walks are learnt with and without a known person.
 MAX_SESSION_STD = scale_std(None)
 
 

@@ -192,9 +192,9 @@ class RadioMap:
         most probable storey, given the scan. A variance of 6 m2 is added on each axis for the errors of the map, plus
         the variance of the mapped positions (`position_std_m`). The reception time of a fix is the end of the scan. The
         errors of successive scans are correlated (`correlation_s`), and scans that would add almost no information give
-        no fix. A scan gives no fix either if it hears fewer than five access points of the map. The same applies if its
-        standard deviation per axis, without `position_std_m`, is above 15 m, as in unmapped or ambiguous areas. The
-        storey is set if its probability is at least 95 %.
+        no fix. A scan also gives no fix if it hears fewer than five access points of the map. The same applies if the
+        standard deviation of its position is above 15 m per axis before the variance of the mapped positions is added,
+        as in unmapped or ambiguous areas. The storey is set if its probability is at least 95 %.
 
         Parameters
         ----------

@@ -28,8 +28,8 @@ _OF_POSITION = np.eye(2, N_STATES)
 _MIN_ANCHORS_APART = 30
 # Assumed standard deviation of the first estimate of a measurement's position, and the factor on the gate there.
 _GUESS_STD_M, _ROUGH_LIMIT = 2.0, 4.0
-# Largest change of a state (m, rad, log scale) in the last step of a converged solution. Slow iterations shrink the
-# change by a tenth in each step, so that states are then wrong by at most 1 cm.
+# A solution has converged if its last step changed no state (m, rad, log scale) by more than this. In the slowest cases
+# each change is 0.9 times the one before, so that the remaining changes sum to ten times the last one: 1 cm.
 _CONVERGED = 1e-3
 
 
