@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
+from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.step_length import models as step_length
 from pdr_filter.filter.step_length.models import TYPICAL_STEP, StepLengthFit, StepLengthModel, length_and_jacobian
 from pdr_filter.filter.step_length.person import Person
@@ -337,18 +338,30 @@ class Calibration:
         error of the parameters is the same in all steps of a walk.
         """
         fits = self.fits(subject)
-        used = self.contexts
+        names = {m.name: _length_of(m, self.contexts, config.contexts) for m in config.model.modes}
+        used = tuple(name for name in self.contexts if name in names.values())
+        if self.contexts and not used:
+            raise ValueError(
+                f"the calibration has step lengths of {', '.join(self.contexts)}, but recipe {config.name!r} has the "
+                f"modes {', '.join(names)}: give the configuration that was calibrated, or calibrate with this one"
+            )
         sure = {name: replace(fits[name], theta_cov=np.zeros_like(fits[name].theta_cov)) for name in used}
-        modes = tuple(replace(m, step_length=sure.get(m.context, m.step_length)) for m in config.model.modes)
+        modes = tuple(replace(m, step_length=sure.get(names[m.name], m.step_length)) for m in config.model.modes)
         noise = replace(config.model.noise, log_scale_std=self.scale_std(subject))
         name = self.person_of(subject)
         which = (
             f"calibrated for {', '.join(used)}; other contexts keep" if used else "no context is calibrated; all keep"
         )
         text = f"step lengths {self._whose(subject)}: {which} the step lengths of the recipe"
-        note = Note("step lengths", text)
-        notes = tuple(n for n in config.notes if n.about != "height" or name is None)
-        return replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
+        of_config = tuple(n for n in config.notes if n.about != "height" or name is None)
+        notes = (*of_config, Note("step lengths", text), *_replaced(config.model.modes, modes))
+        if unused := set(self.contexts) - set(used):
+            text = (
+                f"step lengths of {', '.join(sorted(unused))} in the calibration are not used, because the recipe has "
+            )
+            text += "no such modes: give the configuration that was calibrated"
+            notes = (*notes, Note("step lengths", text))
+        return replace(config.with_model(modes=modes, noise=noise), notes=notes)
 
     def _whose(self, subject: Subject | None) -> str:
         """Return a phrase that names the person whose parameters are used."""
@@ -569,6 +582,30 @@ def _check_numbers(calibration: Calibration) -> None:
         raise ValueError("models must contain the model of at least one context, got none")
 
 
+def _length_of(mode: Mode, names: Collection[str], contexts: Collection[str]) -> str:
+    """Return the name of the calibrated step length of a mode.
+
+    It is the name of the mode if that is among `names`, and does not name another of the `contexts`, or else the
+    context of the mode.
+    """
+    is_own = mode.name in names and mode.name not in contexts
+    return mode.name if is_own else mode.context
+
+
+def _replaced(before: Sequence[Mode], after: Sequence[Mode]) -> list[Note]:
+    """Return a list with a note about modes whose step-length model differs in class after a calibration."""
+    changed = [
+        f"{type(new.step_length.model).__name__} in place of {type(old.step_length.model).__name__} for {old.name}"
+        for old, new in zip(before, after, strict=True)
+        if old.moves and type(old.step_length.model) is not type(new.step_length.model)
+    ]
+    if not changed:
+        return []
+    text = f"the calibration has other step-length models than the recipe, {', '.join(changed)}"
+    remedy = "to keep those of the recipe, calibrate with its configuration, or with the name of its model (model)"
+    return [Note("step lengths", f"{text}: {remedy}")]
+
+
 def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:
     """Return the slice of each context in the parameter vector theta (P,) of all contexts, and its length P."""
     ends = np.cumsum([0, *(m.n_params for m in models.values())])
@@ -722,7 +759,8 @@ def _model_of(context: str, n_params: Any, config: Config | None) -> StepLengthM
     `n_params`. ValueError unless `config` has a model of such a class, with that number, for the context.
     """
     modes = () if config is None else config.model.modes
-    model = next((mode.step_length.model for mode in modes if mode.context == context), None)
+    named = [mode for mode in modes if mode.name == context] or [mode for mode in modes if mode.context == context]
+    model = named[0].step_length.model if named else None
     if model is None or is_shipped(model) or model.n_params != n_params:
         raise ValueError(
             f"the step-length model of {context} has a class outside of pdr_filter, "
