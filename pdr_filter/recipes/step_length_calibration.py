@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from itertools import pairwise
 from os import PathLike
@@ -132,6 +132,9 @@ class Calibration:
         Warnings, and reports about segments that were skipped, reinterpreted or rejected.
     card : dict, optional
         Version, date and other information about the calibration.
+    mode_contexts : dict of str to str, optional
+        Context of each mode whose step length was calibrated separately, because other modes of its context have
+        different ones. The name of the mode then stands for a context in all other fields.
 
     Raises
     ------
@@ -163,6 +166,7 @@ class Calibration:
     segments: Table
     notes: tuple[str, ...] = ()
     card: Mapping[str, Any] | None = None
+    mode_contexts: Mapping[str, str] = field(default_factory=dict[str, str])
 
     __reduce__ = pickled
 
@@ -190,9 +194,10 @@ class Calibration:
         A context with only a few uncertain steps in segments of other contexts is not calibrated. A context whose step
         length is held at zero, such as standing, is left out.
         """
-        found = set(self.segments.context.tolist())
+        of = self.mode_contexts
+        found = {of.get(c, c) for c in self.segments.context.tolist()}
         k, k_cov = self.k, self.k_cov
-        return tuple(c for c in self.models if c in found and (k[c].any() or k_cov[c].any()))
+        return tuple(c for c in self.models if of.get(c, c) in found and (k[c].any() or k_cov[c].any()))
 
     @property
     def main_context(self) -> str:
@@ -338,7 +343,8 @@ class Calibration:
         error of the parameters is the same in all steps of a walk.
         """
         fits = self.fits(subject)
-        names = {m.name: _length_of(m, self.contexts, config.contexts) for m in config.model.modes}
+        own = self.mode_contexts
+        names = {m.name: m.name if own.get(m.name) == m.context else m.context for m in config.model.modes}
         used = tuple(name for name in self.contexts if name in names.values())
         if self.contexts and not used:
             raise ValueError(
@@ -485,6 +491,7 @@ class Calibration:
             "n_segments": dict(self.n_segments),
             "notes": list(self.notes),
             "card": dict(self.card or {}),
+            "mode_contexts": dict(self.mode_contexts),
         }
         FORMAT.write(path, description, arrays)
         return file_pair(path)[0]
@@ -580,16 +587,6 @@ def _check_numbers(calibration: Calibration) -> None:
         raise ValueError(f"residual_std_m and recording_std must be from 0 to {_LARGEST_STD}, got {known}")
     if calibration.main_context not in calibration.models:
         raise ValueError("models must contain the model of at least one context, got none")
-
-
-def _length_of(mode: Mode, names: Collection[str], contexts: Collection[str]) -> str:
-    """Return the name of the calibrated step length of a mode.
-
-    It is the name of the mode if that is among `names`, and does not name another of the `contexts`, or else the
-    context of the mode.
-    """
-    is_own = mode.name in names and mode.name not in contexts
-    return mode.name if is_own else mode.context
 
 
 def _replaced(before: Sequence[Mode], after: Sequence[Mode]) -> list[Note]:
@@ -708,6 +705,7 @@ def _assemble(config: Config | None, description: Mapping[str, Any], arrays: Arr
         segments=table(of_prefix(_SEGMENT, arrays)),
         notes=tuple(description["notes"]),
         card=description["card"],
+        mode_contexts=description.get("mode_contexts", {}),
     )
 
 

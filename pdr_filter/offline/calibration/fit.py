@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,7 +22,7 @@ from pdr_filter.offline.calibration.model_forms import (
     standard_error,
     start_of,
 )
-from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, lengths_of_modes, own_priors
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, own_priors, separate_modes
 from pdr_filter.offline.calibration.segments import (
     AnySegment,
     Segment,
@@ -143,15 +145,17 @@ def calibrate(
         raise ValueError(f"got {len(known)} tracks for {len(chosen)} recordings: give one track for each recording")
     check_subject(subject, each_a_person)
     _check_stds(recording_std, anchor_std_m)
-    contexts, walking, names = CONTEXTS, "walking", None
+    contexts, walking, separate = CONTEXTS, "walking", dict[str, str]()
     if config is not None:
-        contexts = config.contexts
         walking = next((c.name for c in config.model.context_set.contexts if c.is_level_walking), walking)
         joined = {*(priors or {}), *([] if model is None else [walking])}
-        of_modes = lengths_of_modes(config.model, joined)
-        if not set(of_modes.values()) <= set(contexts):
-            names, contexts = of_modes, tuple(dict.fromkeys(of_modes.values()))
-        own = own_priors(config.model, joined)
+        own, separate = own_priors(config.model, joined), separate_modes(config.model, joined)
+        contexts = (*(c for c in config.contexts if c not in separate.values()), *separate)
+        if prior_std is not None and walking in separate.values():
+            raise ValueError(
+                f"prior_std (--prior) is for one step length, but modes of {walking} have different ones: set "
+                "theta_cov of each StepLengthFit instead"
+            )
         if model is not None or own.get(walking) is DEFAULT_PRIORS["walking"]:
             own.pop(walking, None)
         priors = {**own, **(priors or {})}
@@ -161,7 +165,7 @@ def calibrate(
     for done, (recording, own) in enumerate(zip(chosen, known, strict=True), 1):
         own = own if own is not None else track_of(recording, config)
         name = recording.name if each_a_person else subject
-        found, remarks = segments_of(recording, own, anchor_std_m, measure, name, names)
+        found, remarks = segments_of(recording, own, anchor_std_m, measure, name, separate)
         of_each.append((found, not recording.subject.id))
         notes += remarks
         if progress is not None:
@@ -180,6 +184,7 @@ def calibrate(
         recording_std=recording_std,
         notes=(*name_notes, *notes),
         walking=walking,
+        mode_contexts=separate,
     )
 
 
@@ -227,10 +232,12 @@ def calibrate_segments(
     recording_std: float = RECORDING_STD,
     notes: Sequence[str] = (),
     walking: str = "walking",
+    mode_contexts: Mapping[str, str] = MappingProxyType({}),
 ) -> Calibration:
     """Return the calibration of segments that `segments_of` has already extracted.
 
-    The parameters are the same as of `calibrate`. `walking` is the name of the context of level walking.
+    The parameters are the same as of `calibrate`. `walking` is the name of the context of level walking, and
+    `mode_contexts` has the contexts of modes that the segments distinguish.
     """
     _check_stds(recording_std)
     if not segments:
@@ -248,7 +255,8 @@ def calibrate_segments(
     held = _held(segments, full)
     sums = integrate(segments, models_of(full), start_of(full))
     found = estimate_segments(segments, sums, full, loss, recording_std)
-    return _assemble(segments, sums, found, full, recording_std, (*choice, *held), notes)
+    result = _assemble(segments, sums, found, full, recording_std, (*choice, *held), notes)
+    return replace(result, mode_contexts=mode_contexts)
 
 
 def _held(segments: Sequence[AnySegment], priors: Mapping[str, StepLengthPrior]) -> list[str]:

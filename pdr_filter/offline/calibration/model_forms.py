@@ -56,11 +56,6 @@ def forms_of(
         raise ValueError(
             f"prior_std (--prior) must be a fraction of a step, above 0 and up to 1, got {prior_std}; 0.1 is usual"
         )
-    if prior_std is not None and walking not in contexts:
-        raise ValueError(
-            f"prior_std (--prior) is for one step length of {walking}, but there are step lengths of "
-            f"{', '.join(contexts)}: set theta_cov of each StepLengthFit instead"
-        )
     is_given = walking in given or walking not in contexts
     chosen = {model: known[model]} if model is not None else {"given": given} if is_given else known
     forms: dict[str, dict[str, StepLengthPrior]] = {}

@@ -33,8 +33,8 @@ PEOPLE_RELATIVE_STD = scale_std(USUAL_HEIGHT_M)
 # Relative standard deviation of a group's mean step length about the default one. The step lengths of four groups of
 # unknown height deviate by -10, 0, +10 and +20 %, which is a root mean square of 12.2 %: hypot(0.10, 0.07).
 GROUP_RELATIVE_STD = 0.10
-# Share of the largest effect on a typical step from which a parameter counts as effective. A weaker parameter would need
-# ten times as many of its standard deviations as the strongest one for the same difference between people.
+# Share of the largest effect on a typical step from which a parameter can differ between people. A weaker parameter
+# would need ten times as many of its standard deviations as the strongest one for the same difference of lengths.
 _MIN_EFFECT = 0.1
 
 
@@ -267,40 +267,37 @@ def eq12_priors(between_std_m: float = 0.05) -> dict[str, StepLengthPrior]:
     return {"stationary": DEFAULT_PRIORS["stationary"], **moving}
 
 
-def lengths_of_modes(model: PedestrianModel, joined: Collection[str] = ()) -> dict[str, str]:
-    """Return the name of the calibrated step length of each mode, by the name of the mode.
+def separate_modes(model: PedestrianModel, joined: Collection[str] = ()) -> dict[str, str]:
+    """Return the context of each mode that shares it with a mode of another step length, by the name of the mode.
 
-    The name is the context of the mode. Modes of one context with different step lengths are calibrated separately,
-    under their own names, unless the context is in `joined`. Modes without a context of the classifier are left out.
-    ValueError if a mode has the name of another step length.
+    These modes are calibrated separately, under their own names, unless the context is in `joined`. ValueError if such
+    a mode has the name of another context.
     """
-    of_context: dict[str, list[Mode]] = {}
-    for mode in model.modes:
-        if mode.context != IRREGULAR:
-            of_context.setdefault(mode.context, []).append(mode)
-    names: dict[str, str] = {}
-    for context, (first, *others) in of_context.items():
-        is_one = context in joined or all(equal_fits(first.step_length, mode.step_length) for mode in others)
-        names |= {mode.name: context if is_one else mode.name for mode in (first, *others)}
-        if not is_one and (taken := {first.name, *(mode.name for mode in others)} & (set(of_context) - {context})):
-            raise ValueError(
-                f"mode {', '.join(sorted(taken))} of the context {context} has the name of another context, so that "
-                "their step lengths cannot be distinguished: rename the mode"
-            )
-    return names
+    separate = {
+        mode.name: mode.context
+        for mode in model.modes
+        if mode.context not in (IRREGULAR, *joined)
+        and any(m.context == mode.context and not equal_fits(m.step_length, mode.step_length) for m in model.modes)
+    }
+    if taken := [name for name, context in separate.items() if name != context and name in model.contexts]:
+        raise ValueError(
+            f"modes {', '.join(taken)} have the name of another context, so that calibrated step lengths would be "
+            "confused: rename the modes"
+        )
+    return separate
 
 
 def own_priors(model: PedestrianModel, joined: Collection[str] = ()) -> dict[str, StepLengthPrior]:
-    """Return priors from the step lengths of a filter's modes, by the names of `lengths_of_modes`.
+    """Return priors from the step lengths of a filter's modes, by context, or by mode for `separate_modes`.
 
     A step length of the default recipe, in a context with the same meaning, has its prior in `DEFAULT_PRIORS`. For
     others, a parameter with zero variance in the filter is fixed in the calibration. The first parameter with an effect
     on a typical step differs between people. Its standard deviation changes the length of a typical step by the
     relative standard deviation of the filter's step scale.
     """
-    names = lengths_of_modes(model, joined)
-    relative_std = model.noise.log_scale_std or PEOPLE_RELATIVE_STD
-    return {names[mode.name]: _prior_of(mode, relative_std) for mode in reversed(model.modes) if mode.name in names}
+    separate, relative_std = separate_modes(model, joined), model.noise.log_scale_std or PEOPLE_RELATIVE_STD
+    named = {m.name if m.name in separate else m.context: m for m in reversed(model.modes) if m.context != IRREGULAR}
+    return {name: _prior_of(mode, relative_std) for name, mode in named.items()}
 
 
 def _prior_of(mode: Mode, relative_std: float) -> StepLengthPrior:

@@ -7,7 +7,7 @@ steps times the sine and cosine of their headings. Given this sum, the displacem
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -371,7 +371,7 @@ def segments_of(
     anchor_std_m: float | None = None,
     measure: str = "displacement",
     subject: str | None = None,
-    lengths_of_modes: Mapping[str, str] | None = None,
+    separate: Collection[str] = (),
 ) -> tuple[list[Segment], list[str]]:
     """Return the segments of known length of a recording, with notes about the rest.
 
@@ -392,9 +392,9 @@ def segments_of(
         segments of known walked distance that contain a turn.
     subject : str, optional
         Name of the person, for a recording without one.
-    lengths_of_modes : mapping of str to str, optional
-        Name of the step length of each mode of the track, if modes of one context have different ones. The segments
-        then have these names in place of the contexts.
+    separate : collection of str, optional
+        Names of modes that have their own step length, although they share their context with other modes. In the
+        segments, these modes replace their context.
 
     Returns
     -------
@@ -406,7 +406,7 @@ def segments_of(
     Raises
     ------
     ValueError
-        If `measure` is unknown, or if the track has other modes than `lengths_of_modes`.
+        If `measure` is unknown, or if the track does not have the modes `separate`.
 
     Notes
     -----
@@ -435,10 +435,7 @@ def segments_of(
         measure = "length"
         notes.append("no gyroscope, so no headings: step lengths are summed instead of step vectors")
     steps = steps_of(track.steps)
-    if lengths_of_modes is None:
-        names, prob = track.contexts, step_contexts(track)
-    else:
-        names, prob = _step_lengths(track, lengths_of_modes)
+    names, prob = _of_modes(track, separate) if separate else (track.contexts, step_contexts(track))
     segments: list[Segment] = []
     empty: list[str] = []
     bent: list[str] = []
@@ -512,18 +509,16 @@ def step_contexts(track: TrackRows) -> FloatArray:
     return prob
 
 
-def _step_lengths(track: TrackRows, lengths_of_modes: Mapping[str, str]) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the N names in `lengths_of_modes`, and the mode probabilities of each step summed by name, (K, N)."""
-    if unknown := set(lengths_of_modes) - set(track.modes):
+def _of_modes(track: TrackRows, separate: Collection[str]) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the names of the modes `separate` and of the contexts of other modes, and their probabilities (K, N)."""
+    if unknown := set(separate) - set(track.modes):
         raise ValueError(
             f"the track has no modes {', '.join(sorted(unknown))}, which the configuration has: give tracks of this "
             "configuration, or leave them out"
         )
-    names = tuple(dict.fromkeys(lengths_of_modes.values()))
-    prob = np.zeros((track.n_steps, len(names)))
-    for mode, name in lengths_of_modes.items():
-        prob[:, names.index(name)] += track.mode_prob[:, track.modes.index(mode)]
-    return names, prob
+    of_mode = [m if m in separate else c for m, c in zip(track.modes, track.mode_contexts, strict=True)]
+    names = tuple(dict.fromkeys(n for n, c in zip(of_mode, track.mode_contexts, strict=True) if c in track.contexts))
+    return names, track.mode_prob @ np.array([[name == n for n in names] for name in of_mode], dtype=float)
 
 
 def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_Stretch], list[str]]:
