@@ -301,6 +301,8 @@ def test_a_calibration_of_many_has_the_bits_of_one_by_one_and_names_what_it_left
     assert set(found.subjects) == {"s0", "s1"}
     assert [note for note in found.notes if "broken.zip" in note and "skipped" in note]
     assert seen == pytest.approx([(i + 1) / (N + 1) for i in range(N + 1)])
+    assert found.segments.recording.tolist() == expected.segments.recording.tolist()
+    assert len(set(found.segments.recording)) == N  # all recordings have the same name
 
 
 def test_what_is_sent_for_a_calibration_is_sums_whatever_the_number_of_steps(cohort: Path) -> None:

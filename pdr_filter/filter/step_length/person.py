@@ -214,8 +214,8 @@ class Person:
         if not usual_m > 0:
             kind = type(_main_mode(model.modes).step_length.model).__name__
             raise ValueError(
-                f"person needs the length of a typical step, but {kind} gives {usual_m:g} m for models.TYPICAL_STEP: "
-                "correct its parameters, or track without person"
+                f"person scales the length of a typical step, but {kind} gives {usual_m:g} m for a typical step "
+                "(models.TYPICAL_STEP): correct its parameters, or track without person"
             )
         factor = math.exp((log_length - math.log(usual_m)) * precision / (precision + prior))
         std = math.sqrt(1.0 / (precision + prior) + RECORDING_STD**2)

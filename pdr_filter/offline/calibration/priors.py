@@ -303,11 +303,11 @@ def own_priors(model: PedestrianModel, joined: Collection[str] = ()) -> dict[str
 def _prior_of(mode: Mode, relative_std: float) -> StepLengthPrior:
     """Return the prior of the step length of a mode, with zero length if the mode does not move."""
     fit = mode.step_length
-    if not mode.moves:
-        return _constant_length(0.0, 0.0, 0.0, fit.residual_std_m)
     for usual in context_modes(bounce_fit(getattr(fit.model, "height_m", None))):
         if replace(mode.meaning, name=usual.context) == usual.meaning and equal_fits(fit, usual.step_length):
             return DEFAULT_PRIORS[usual.context]
+    if not mode.moves:
+        return _constant_length(0.0, 0.0, 0.0, fit.residual_std_m)
     std, between_std = np.sqrt(np.maximum(np.diag(fit.theta_cov), 0.0)), np.zeros(len(fit.theta))
     length_m, slope = length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)
     main = _main_parameter(std, slope)
@@ -319,10 +319,12 @@ def _prior_of(mode: Mode, relative_std: float) -> StepLengthPrior:
 def _main_parameter(std: FloatArray, slope: FloatArray) -> int:
     """Return the index of the first parameter with an effect on a typical step, or 0 if no parameter has one.
 
-    The effect is the prior standard deviation (p,) times the derivative (p,) of the length. It is at least the share
-    `_MIN_EFFECT` of the largest effect, so that the parameter of an inactive branch is not taken.
+    The effect is the prior standard deviation (p,) times the derivative (p,) of the length, or the derivative if all
+    parameters are held. It is at least the share `_MIN_EFFECT` of the largest effect, so that the parameter of an
+    inactive branch is not taken.
     """
-    effect = np.abs(np.where(slope == 0, 0.0, std) * slope)
+    active = slope != 0
+    effect = np.abs(np.where(active, std if std[active].any() else 1.0, 0.0) * slope)
     return int(np.argmax(effect >= _MIN_EFFECT * effect.max()))
 
 
