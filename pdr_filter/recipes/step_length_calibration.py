@@ -335,7 +335,12 @@ class Calibration:
         Returns
         -------
         Config
-            Changed copy.
+            Changed copy. Further notes name replaced step-length models, and step lengths without a mode.
+
+        Raises
+        ------
+        ValueError
+            If the configuration has no mode of any calibrated context.
 
         Notes
         -----
@@ -354,9 +359,10 @@ class Calibration:
         sure = {name: replace(fits[name], theta_cov=np.zeros_like(fits[name].theta_cov)) for name in used}
         modes = tuple(replace(m, step_length=sure.get(names[m.name], m.step_length)) for m in config.model.modes)
         noise = replace(config.model.noise, log_scale_std=self.scale_std(subject))
+        fitted = [c if self.k_cov[c].any() else f"{c} (held, not fitted)" for c in used]
         name = self.person_of(subject)
         which = (
-            f"calibrated for {', '.join(used)}; other contexts keep" if used else "no context is calibrated; all keep"
+            f"calibrated for {', '.join(fitted)}; other contexts keep" if used else "no context is calibrated; all keep"
         )
         text = f"step lengths {self._whose(subject)}: {which} the step lengths of the recipe"
         of_config = tuple(n for n in config.notes if n.about != "height" or name is None)

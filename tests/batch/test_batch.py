@@ -281,7 +281,7 @@ def cohort(walks: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         values = {"start_s": ends_s[:1], "end_s": ends_s[1:], "distance_m": [15.0 + i], "n_steps": [np.nan]}
         truth = replace(recording.truth, segments=table({name: np.array(v) for name, v in values.items()}))
         meta = {**recording.meta, "subject": {"id": f"s{i % 2}", "height_m": 1.75}}
-        write_recording(replace(recording, truth=truth, meta=meta), folder / f"walk_{i}.zip")
+        write_recording(replace(recording, name="walk", truth=truth, meta=meta), folder / f"walk_{i}.zip")
     (folder / "broken.zip").write_text("no zip")
     return folder
 

@@ -177,8 +177,13 @@ def test_step_lengths_that_are_held_are_refused_or_named(corridor: Recording) ->
     rng, k = np.random.default_rng(2), np.array([0.34])
     held = prior(StaticStepLength(1.0), [0.3], [0.0], [0.0])
     walked = [segment(rng, BounceStepLength(), k), segment(rng, BounceStepLength(), k, upstairs=1.0)]
-    (note,) = (n for n in calibrate_segments(walked, {"upstairs": held}).notes if "not fitted" in n)
+    found = calibrate_segments(walked, {"upstairs": held})
+    (note,) = (n for n in found.notes if "not fitted" in n)
     assert note.startswith("the step length of upstairs is not fitted")
+    assert (
+        "calibrated for walking, upstairs (held, not fitted); other"
+        in found.config(pdr.recipes.default()).notes[0].text
+    )
 
 
 # --- parameters without an effect -----------------------------------------------------------------------------------
