@@ -369,10 +369,9 @@ class Calibration:
         notes = (*of_config, Note("step lengths", text), *_replaced(config.model.modes, modes))
         if unused := set(self.contexts) - set(used):
             text = (
-                f"step lengths of {', '.join(sorted(unused))} in the calibration are not used, because the recipe has "
+                f"calibrated step lengths of {', '.join(sorted(unused))} are not used, because the recipe has no such"
             )
-            text += "no such modes: give the configuration that was calibrated"
-            notes = (*notes, Note("step lengths", text))
+            notes = (*notes, Note("step lengths", f"{text} modes: give the configuration that was calibrated"))
         return replace(config.with_model(modes=modes, noise=noise), notes=notes)
 
     def _whose(self, subject: Subject | None) -> str:

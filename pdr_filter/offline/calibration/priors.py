@@ -268,16 +268,20 @@ def eq12_priors(between_std_m: float = 0.05) -> dict[str, StepLengthPrior]:
 
 
 def separate_modes(model: PedestrianModel, joined: Collection[str] = ()) -> dict[str, str]:
-    """Return the context of each mode that shares it with a mode of another step length, by the name of the mode.
+    """Return the context of each mode that shares it with a mode of another length of steps, by the name of the mode.
 
     These modes are calibrated separately, under their own names, unless the context is in `joined`. ValueError if such
     a mode has the name of another context.
     """
+
+    def is_apart(one: Mode, other: Mode) -> bool:
+        is_equal = one.moves == other.moves and equal_fits(one.step_length, other.step_length)
+        return one.context == other.context and not is_equal
+
     separate = {
         mode.name: mode.context
         for mode in model.modes
-        if mode.context not in (IRREGULAR, *joined)
-        and any(m.context == mode.context and not equal_fits(m.step_length, mode.step_length) for m in model.modes)
+        if mode.context not in (IRREGULAR, *joined) and any(is_apart(mode, other) for other in model.modes)
     }
     if taken := [name for name, context in separate.items() if name != context and name in model.contexts]:
         raise ValueError(

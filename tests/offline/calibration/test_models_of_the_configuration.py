@@ -17,6 +17,7 @@ from pdr_filter.filter.step_length.models import (
     KimStepLength,
     StaticStepLength,
     WeinbergStepLength,
+    bounce_fit,
     length_and_jacobian,
 )
 from pdr_filter.filter.step_length.person import Person, Session
@@ -86,7 +87,7 @@ def test_a_calibration_of_other_models_or_modes_says_so_in_the_track(corridor: R
     assert "TianStepLength in place of FrequencyVarianceStepLength for constant" in note
     by_mode = pdr.calibrate(corridor, config=config)
     notes = [n.text for n in by_mode.config(pdr.recipes.default()).notes]
-    assert any("step lengths of constant, kim in the calibration are not used" in note for note in notes)
+    assert any("calibrated step lengths of constant, kim are not used" in note for note in notes)
     level = pdr.ContextModel.load("context").renamed({"walking": "level"})
     modes = [replace(m, name="level", context="level") if m.name == "walking" else m for m in config.model.modes[:-3]]
     renamed = pdr.recipes.default().with_contexts(level, [*modes, pdr.Mode("level")])
@@ -163,6 +164,10 @@ def test_modes_with_one_step_length_or_a_named_model_are_calibrated_together() -
     assert separate_modes(config.model, ["walking"]) == {}
     assert "kim" not in own_priors(config.model, ["walking"])
     assert separate_modes(config.with_step_length("walking", KIM).with_step_length("constant", KIM).model) == {}
+    treadmill = replace(config.model.modes[-1], name="treadmill", step_length=bounce_fit(), moves=False)
+    both = pdr.recipes.default().with_modes([*pdr.recipes.default().model.modes, treadmill])
+    assert separate_modes(both.model) == {"walking": "walking", "treadmill": "walking"}
+    assert own_priors(both.model)["walking"] is DEFAULT_PRIORS["walking"]
     with pytest.raises(ValueError, match="modes running have the name of another context"):
         modes = [m for m in config.model.modes if m.name != "running"]
         separate_modes(config.with_modes([*modes, replace(modes[-1], name="running", step_length=KIM)]).model)
