@@ -18,7 +18,7 @@ from pdr_filter.batch.workers import Failure, each
 from pdr_filter.io.files.safe_files import whole_file
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import known_format, read
-from pdr_filter.offline.calibration.segments import AnySegment, SummedSegment, segments_of
+from pdr_filter.offline.calibration.segments import AnySegment, SummedSegment, segments_of, with_distinct_names
 from pdr_filter.offline.robust_loss import LOSSES
 from pdr_filter.tracking import whole_recording as recording_run
 from pdr_filter.values.serialisation import from_bytes, to_bytes
@@ -164,7 +164,7 @@ def calibrate(
         if progress is not None:
             progress(len(found) / len(files))
     in_order = [found[i] for i in range(len(files))]
-    segments = [segment for one in in_order for segment in one.segments]
+    segments = with_distinct_names((one.segments, each_a_person and one.is_nameless) for one in in_order)
     notes = [note for one in in_order for note in one.notes]
     if not segments:
         raise ValueError("no usable segments to calibrate with: " + ("; ".join(notes) or "no recordings"))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import partial
 from itertools import pairwise
 from os import PathLike
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
+from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.step_length import models as step_length
 from pdr_filter.filter.step_length.models import TYPICAL_STEP, StepLengthFit, StepLengthModel, length_and_jacobian
 from pdr_filter.filter.step_length.person import Person
@@ -131,6 +132,9 @@ class Calibration:
         Warnings, and reports about segments that were skipped, reinterpreted or rejected.
     card : dict, optional
         Version, date and other information about the calibration.
+    mode_contexts : dict of str to str, optional
+        Context of each mode whose step length was calibrated separately, because other modes of its context have
+        different ones. The name of the mode then stands for a context in all other fields.
 
     Raises
     ------
@@ -162,6 +166,7 @@ class Calibration:
     segments: Table
     notes: tuple[str, ...] = ()
     card: Mapping[str, Any] | None = None
+    mode_contexts: Mapping[str, str] = field(default_factory=dict[str, str])
 
     __reduce__ = pickled
 
@@ -189,9 +194,10 @@ class Calibration:
         A context with only a few uncertain steps in segments of other contexts is not calibrated. A context whose step
         length is held at zero, such as standing, is left out.
         """
-        found = set(self.segments.context.tolist())
+        of = self.mode_contexts
+        found = {of.get(c, c) for c in self.segments.context.tolist()}
         k, k_cov = self.k, self.k_cov
-        return tuple(c for c in self.models if c in found and (k[c].any() or k_cov[c].any()))
+        return tuple(c for c in self.models if of.get(c, c) in found and (k[c].any() or k_cov[c].any()))
 
     @property
     def main_context(self) -> str:
@@ -329,7 +335,12 @@ class Calibration:
         Returns
         -------
         Config
-            Changed copy.
+            Changed copy. Further notes name replaced step-length models, and step lengths without a mode.
+
+        Raises
+        ------
+        ValueError
+            If the configuration has no mode of any calibrated context.
 
         Notes
         -----
@@ -337,18 +348,31 @@ class Calibration:
         error of the parameters is the same in all steps of a walk.
         """
         fits = self.fits(subject)
-        used = self.contexts
+        own = self.mode_contexts
+        names = {m.name: m.name if own.get(m.name) == m.context else m.context for m in config.model.modes}
+        used = tuple(name for name in self.contexts if name in names.values())
+        if self.contexts and not used:
+            raise ValueError(
+                f"the calibration has step lengths of {', '.join(self.contexts)}, but recipe {config.name!r} has the "
+                f"modes {', '.join(names)}: give the configuration that was calibrated, or calibrate with this one"
+            )
         sure = {name: replace(fits[name], theta_cov=np.zeros_like(fits[name].theta_cov)) for name in used}
-        modes = tuple(replace(m, step_length=sure.get(m.context, m.step_length)) for m in config.model.modes)
+        modes = tuple(replace(m, step_length=sure.get(names[m.name], m.step_length)) for m in config.model.modes)
         noise = replace(config.model.noise, log_scale_std=self.scale_std(subject))
+        fitted = [c if self.k_cov[c].any() else f"{c} (held, not fitted)" for c in used]
         name = self.person_of(subject)
         which = (
-            f"calibrated for {', '.join(used)}; other contexts keep" if used else "no context is calibrated; all keep"
+            f"calibrated for {', '.join(fitted)}; other contexts keep" if used else "no context is calibrated; all keep"
         )
         text = f"step lengths {self._whose(subject)}: {which} the step lengths of the recipe"
-        note = Note("step lengths", text)
-        notes = tuple(n for n in config.notes if n.about != "height" or name is None)
-        return replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
+        of_config = tuple(n for n in config.notes if n.about != "height" or name is None)
+        notes = (*of_config, Note("step lengths", text), *_replaced(config.model.modes, modes))
+        if unused := set(self.contexts) - set(used):
+            text = (
+                f"calibrated step lengths of {', '.join(sorted(unused))} are not used, because the recipe has no such"
+            )
+            notes = (*notes, Note("step lengths", f"{text} modes: give the configuration that was calibrated"))
+        return replace(config.with_model(modes=modes, noise=noise), notes=notes)
 
     def _whose(self, subject: Subject | None) -> str:
         """Return a phrase that names the person whose parameters are used."""
@@ -472,6 +496,7 @@ class Calibration:
             "n_segments": dict(self.n_segments),
             "notes": list(self.notes),
             "card": dict(self.card or {}),
+            "mode_contexts": dict(self.mode_contexts),
         }
         FORMAT.write(path, description, arrays)
         return file_pair(path)[0]
@@ -567,6 +592,20 @@ def _check_numbers(calibration: Calibration) -> None:
         raise ValueError(f"residual_std_m and recording_std must be from 0 to {_LARGEST_STD}, got {known}")
     if calibration.main_context not in calibration.models:
         raise ValueError("models must contain the model of at least one context, got none")
+
+
+def _replaced(before: Sequence[Mode], after: Sequence[Mode]) -> list[Note]:
+    """Return a list with a note about modes whose step-length model differs in class after a calibration."""
+    changed = [
+        f"{type(new.step_length.model).__name__} in place of {type(old.step_length.model).__name__} for {old.name}"
+        for old, new in zip(before, after, strict=True)
+        if old.moves and type(old.step_length.model) is not type(new.step_length.model)
+    ]
+    if not changed:
+        return []
+    text = f"the calibration has other step-length models than the recipe, {', '.join(changed)}"
+    remedy = "to keep those of the recipe, calibrate with its configuration, or with the name of its model (model)"
+    return [Note("step lengths", f"{text}: {remedy}")]
 
 
 def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:
@@ -671,6 +710,7 @@ def _assemble(config: Config | None, description: Mapping[str, Any], arrays: Arr
         segments=table(of_prefix(_SEGMENT, arrays)),
         notes=tuple(description["notes"]),
         card=description["card"],
+        mode_contexts=description.get("mode_contexts", {}),
     )
 
 
@@ -722,7 +762,8 @@ def _model_of(context: str, n_params: Any, config: Config | None) -> StepLengthM
     `n_params`. ValueError unless `config` has a model of such a class, with that number, for the context.
     """
     modes = () if config is None else config.model.modes
-    model = next((mode.step_length.model for mode in modes if mode.context == context), None)
+    named = [mode for mode in modes if mode.name == context] or [mode for mode in modes if mode.context == context]
+    model = named[0].step_length.model if named else None
     if model is None or is_shipped(model) or model.n_params != n_params:
         raise ValueError(
             f"the step-length model of {context} has a class outside of pdr_filter, "

@@ -281,7 +281,7 @@ def cohort(walks: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         values = {"start_s": ends_s[:1], "end_s": ends_s[1:], "distance_m": [15.0 + i], "n_steps": [np.nan]}
         truth = replace(recording.truth, segments=table({name: np.array(v) for name, v in values.items()}))
         meta = {**recording.meta, "subject": {"id": f"s{i % 2}", "height_m": 1.75}}
-        write_recording(replace(recording, truth=truth, meta=meta), folder / f"walk_{i}.zip")
+        write_recording(replace(recording, name="walk", truth=truth, meta=meta), folder / f"walk_{i}.zip")
     (folder / "broken.zip").write_text("no zip")
     return folder
 
@@ -301,6 +301,8 @@ def test_a_calibration_of_many_has_the_bits_of_one_by_one_and_names_what_it_left
     assert set(found.subjects) == {"s0", "s1"}
     assert [note for note in found.notes if "broken.zip" in note and "skipped" in note]
     assert seen == pytest.approx([(i + 1) / (N + 1) for i in range(N + 1)])
+    assert found.segments.recording.tolist() == expected.segments.recording.tolist()
+    assert len(set(found.segments.recording)) == N  # all recordings have the same name
 
 
 def test_what_is_sent_for_a_calibration_is_sums_whatever_the_number_of_steps(cohort: Path) -> None:

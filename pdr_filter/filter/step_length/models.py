@@ -1038,6 +1038,12 @@ def _key(model: StepLengthModel) -> Hashable:
     return model
 
 
+def equal_fits(one: StepLengthFit, other: StepLengthFit) -> bool:
+    """Return True if two fits have equal models, parameters, covariances and residuals."""
+    a, b = ((_key(f.model), f.theta.tolist(), f.theta_cov.tolist(), f.residual_std_m) for f in (one, other))
+    return a == b
+
+
 def _moments(
     model: StepLengthModel, step: Step, theta: FloatArray, theta_cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

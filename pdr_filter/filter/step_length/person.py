@@ -204,14 +204,20 @@ class Person:
         Raises
         ------
         ValueError
-            If a step-length model is not linear in its parameters.
+            If a step-length model is not linear in its parameters, or gives no positive length for a typical step.
         """
         log_length, precision = self._pooled()
-        usual = math.log(_typical_length_m(model))
         prior = model.noise.log_scale_std**-2 if model.noise.log_scale_std > 0 else math.inf
         if precision == 0 or math.isinf(prior):
             return model
-        factor = math.exp((log_length - usual) * precision / (precision + prior))
+        usual_m = _typical_length_m(model)
+        if not usual_m > 0:
+            kind = type(_main_mode(model.modes).step_length.model).__name__
+            raise ValueError(
+                f"person scales the length of a typical step, but {kind} gives {usual_m:g} m for a typical step "
+                "(models.TYPICAL_STEP): correct its parameters, or track without person"
+            )
+        factor = math.exp((log_length - math.log(usual_m)) * precision / (precision + prior))
         std = math.sqrt(1.0 / (precision + prior) + RECORDING_STD**2)
         modes = tuple(replace(mode, step_length=_scaled(mode.step_length, factor)) for mode in model.modes)
         return replace(model, modes=modes, noise=replace(model.noise, log_scale_std=std))
@@ -309,10 +315,10 @@ def session_of_scale(
     if model.noise.log_scale_std == 0 or not 0 < var < prior_var:
         return None
     own_var = var * prior_var / (prior_var - var)
-    std = math.sqrt(own_var + fixes.size_std**2)
-    if std > MAX_SESSION_STD:
+    std, usual_m = math.sqrt(own_var + fixes.size_std**2), _typical_length_m(model)
+    if std > MAX_SESSION_STD or not usual_m > 0:
         return None
-    return Session(_typical_length_m(model) * math.exp(mean * own_var / var), std, fixes.n)
+    return Session(usual_m * math.exp(mean * own_var / var), std, fixes.n)
 
 
 def _typical_length_m(model: PedestrianModel) -> float:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,8 +22,15 @@ from pdr_filter.offline.calibration.model_forms import (
     standard_error,
     start_of,
 )
-from pdr_filter.offline.calibration.priors import StepLengthPrior, own_priors
-from pdr_filter.offline.calibration.segments import AnySegment, Segment, SegmentSums, integrate, segments_of
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, own_priors, separate_modes
+from pdr_filter.offline.calibration.segments import (
+    AnySegment,
+    Segment,
+    SegmentSums,
+    integrate,
+    segments_of,
+    with_distinct_names,
+)
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import UNNAMED, Calibration
@@ -67,11 +76,13 @@ def calibrate(
     tracks : iterable of Track, optional
         Tracks of the recordings, if they have been computed already.
     config : Config, optional
-        Configuration that detects steps, headings and contexts. The default is the default recipe. For contexts with
-        other names, and for step-length models from outside the package, the step lengths of its modes are the priors.
+        Configuration that detects steps, headings and contexts. The default is the default recipe. The step-length
+        models of its modes are fitted, and their parameters and covariances are the priors. Modes of one context with
+        different step lengths are fitted separately, under their own names.
     model : {"bounce", "eq12", "kim", "tian", "weinberg"}, optional
-        Step-length model of walking. By default it is chosen: "bounce", unless there are enough segments and another
-        model has a clearly smaller held-out error. A note states the choice.
+        Step-length model of walking. By default it is that of `config`. If that is the default one, the model is
+        chosen: "bounce", unless there are enough segments and another model has a clearly smaller held-out error. A
+        note states the choice.
     prior_std : float, optional
         Relative standard deviation of the population's step length of walking, about the default one. The default is
         0.1 for "bounce".
@@ -99,8 +110,8 @@ def calibrate(
     Raises
     ------
     ValueError
-        If there is nothing to calibrate with, or if data and priors do not determine a parameter. The message names the
-        parameters and the remedy.
+        If there is nothing to calibrate with, if all step lengths of the segments are held, or if data and priors do
+        not determine a parameter. The message names the parameters and the remedy.
 
     See Also
     --------
@@ -134,29 +145,35 @@ def calibrate(
         raise ValueError(f"got {len(known)} tracks for {len(chosen)} recordings: give one track for each recording")
     check_subject(subject, each_a_person)
     _check_stds(recording_std, anchor_std_m)
-    contexts, walking = CONTEXTS, "walking"
+    contexts, walking, separate = CONTEXTS, "walking", dict[str, str]()
     if config is not None:
-        contexts = config.contexts
         walking = next((c.name for c in config.model.context_set.contexts if c.is_level_walking), walking)
-        own = own_priors(config.model)
-        if model is not None:
+        joined = {*(priors or {}), *([] if model is None else [walking])}
+        own, separate = own_priors(config.model, joined), separate_modes(config.model, joined)
+        contexts = (*(c for c in config.contexts if c not in separate.values()), *separate)
+        if prior_std is not None and walking in separate.values():
+            raise ValueError(
+                f"prior_std (--prior) is for one step length, but modes of {walking} have different ones: set "
+                "theta_cov of each StepLengthFit instead"
+            )
+        if model is not None or own.get(walking) is DEFAULT_PRIORS["walking"]:
             own.pop(walking, None)
         priors = {**own, **(priors or {})}
     forms_of(priors, model, prior_std, contexts, walking)  # raises its errors before the slow tracking
-    segments: list[Segment] = []
+    of_each: list[tuple[list[Segment], bool]] = []
     notes: list[str] = []
-    n_unnamed = 0
     for done, (recording, own) in enumerate(zip(chosen, known, strict=True), 1):
         own = own if own is not None else track_of(recording, config)
         name = recording.name if each_a_person else subject
-        found, remarks = segments_of(recording, own, anchor_std_m, measure, name)
-        n_unnamed += bool(found) and not recording.subject.id
-        segments += found
+        found, remarks = segments_of(recording, own, anchor_std_m, measure, name, separate)
+        of_each.append((found, not recording.subject.id))
         notes += remarks
         if progress is not None:
             progress(done / len(chosen))
+    segments = with_distinct_names((found, each_a_person and is_nameless) for found, is_nameless in of_each)
     if not segments:
         raise ValueError("nothing to calibrate with: " + "; ".join(notes))
+    n_unnamed = sum(bool(found) and is_nameless for found, is_nameless in of_each)
     name_notes = without_name(n_unnamed, subject, each_a_person)
     return calibrate_segments(
         segments,
@@ -167,6 +184,7 @@ def calibrate(
         recording_std=recording_std,
         notes=(*name_notes, *notes),
         walking=walking,
+        mode_contexts=separate,
     )
 
 
@@ -214,10 +232,12 @@ def calibrate_segments(
     recording_std: float = RECORDING_STD,
     notes: Sequence[str] = (),
     walking: str = "walking",
+    mode_contexts: Mapping[str, str] = MappingProxyType({}),
 ) -> Calibration:
     """Return the calibration of segments that `segments_of` has already extracted.
 
-    The parameters are the same as of `calibrate`. `walking` is the name of the context of level walking.
+    The parameters are the same as of `calibrate`. `walking` is the name of the context of level walking, and
+    `mode_contexts` has the contexts of modes that the segments distinguish.
     """
     _check_stds(recording_std)
     if not segments:
@@ -230,11 +250,32 @@ def calibrate_segments(
         check_array(f"{segment.name}: distance_m", segment.distance_m, "positive")
         if not segment.n_steps > 0:
             raise ValueError(f"{segment.name}: the segment contains no steps; remove it")
-    name, choice = best_form(segments, forms, loss, recording_std)
+    name, choice = best_form(segments, forms, loss, recording_std, walking)
     full = forms[name]
+    held = _held(segments, full)
     sums = integrate(segments, models_of(full), start_of(full))
     found = estimate_segments(segments, sums, full, loss, recording_std)
-    return _assemble(segments, sums, found, full, recording_std, choice, notes)
+    result = _assemble(segments, sums, found, full, recording_std, (*choice, *held), notes)
+    return replace(result, mode_contexts=mode_contexts)
+
+
+def _held(segments: Sequence[AnySegment], priors: Mapping[str, StepLengthPrior]) -> list[str]:
+    """Return a list with a note about step lengths of the segments that have no free parameter.
+
+    ValueError if no step length of the segments has one.
+    """
+    walked = {s.context_names[int(np.argmax(s.steps_in))] for s in segments} & set(priors)
+    held = sorted(name for name in walked if priors[name].mean.any() and not priors[name].std.any())
+    if not held:
+        return []
+    what = f"the step length of {', '.join(held)} is not fitted, because the standard deviation of its parameters is 0"
+    remedy = (
+        "give it one (theta_cov of its StepLengthFit, shared_std_m of known_length, std of its prior), or, if the "
+        "configuration has been calibrated before, give that of the recipe"
+    )
+    if len(held) < len(walked):
+        return [f"{what}: {remedy}"]
+    raise ValueError(f"nothing to calibrate: {what}: {remedy}, or name a model of walking (model, --model)")
 
 
 def _assemble(

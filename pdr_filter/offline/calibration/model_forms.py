@@ -38,8 +38,9 @@ def forms_of(
 ) -> dict[str, dict[str, StepLengthPrior]]:
     """Return the priors of all contexts for each candidate model of walking, by name.
 
-    There is one candidate if `priors` contains the context of walking or a `model` is named, otherwise all of
-    `candidates`. The contexts are in the order of `contexts`. Raises ValueError for unknown or contradicting arguments.
+    There is one candidate if `priors` contains the context of walking, if it is none of `contexts`, or if a `model` is
+    named, otherwise all of `candidates`. The contexts are in the order of `contexts`. Raises ValueError for unknown or
+    contradicting arguments.
     """
     given, known = dict(priors or {}), {name: {walking: of["walking"]} for name, of in candidates().items()}
     if unknown := set(given) - set(contexts):
@@ -55,7 +56,8 @@ def forms_of(
         raise ValueError(
             f"prior_std (--prior) must be a fraction of a step, above 0 and up to 1, got {prior_std}; 0.1 is usual"
         )
-    chosen = {"given": given} if walking in given else known if model is None else {model: known[model]}
+    is_given = walking in given or walking not in contexts
+    chosen = {model: known[model]} if model is not None else {"given": given} if is_given else known
     forms: dict[str, dict[str, StepLengthPrior]] = {}
     for name, own in chosen.items():
         full = {**DEFAULT_PRIORS, **given, **own}
@@ -197,9 +199,13 @@ def lengths(sums: SegmentSums, people: FloatArray) -> FloatArray:
 
 
 def best_form(
-    segments: Sequence[AnySegment], forms: Mapping[str, Priors], loss: str, recording_std: float
+    segments: Sequence[AnySegment],
+    forms: Mapping[str, Priors],
+    loss: str,
+    recording_std: float,
+    walking: str = "walking",
 ) -> tuple[str, list[str]]:
-    """Return the name of the best model of walking, and a list with a note about the choice.
+    """Return the name of the best model of the context `walking`, and a list with a note about the choice.
 
     The first model is kept unless another one has a clearly smaller held-out error on the segments of walking. The
     error must be smaller by the fraction `_MIN_IMPROVEMENT`, and by two standard errors of the paired difference of
@@ -207,7 +213,7 @@ def best_form(
     is returned with an empty list.
     """
     first = next(iter(forms))
-    walked = [s for s in segments if s.context_names[int(np.argmax(s.steps_in))] == "walking"]
+    walked = [s for s in segments if s.context_names[int(np.argmax(s.steps_in))] == walking]
     groups = _groups_of([s.subject for s in walked], [s.recording for s in walked])
     n_groups = len(set(groups.tolist()))
     if len(forms) < 2 or len(walked) < MIN_SEGMENTS or n_groups < MIN_GROUPS:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.filter.imm.motion_model import Mode
+from pdr_filter.filter.imm.modes import context_modes
+from pdr_filter.filter.imm.motion_model import IRREGULAR, Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import (
     USUAL_HEIGHT_M,
@@ -20,6 +21,7 @@ from pdr_filter.filter.step_length.models import (
     TianStepLength,
     WeinbergStepLength,
     bounce_fit,
+    equal_fits,
     length_and_jacobian,
     scale_std,
 )
@@ -31,8 +33,9 @@ PEOPLE_RELATIVE_STD = scale_std(USUAL_HEIGHT_M)
 # Relative standard deviation of a group's mean step length about the default one. The step lengths of four groups of
 # unknown height deviate by -10, 0, +10 and +20 %, which is a root mean square of 12.2 %: hypot(0.10, 0.07).
 GROUP_RELATIVE_STD = 0.10
-_PACKAGE = __name__.split(".")[0]
-_MIN_SLOPE = 1e-9  # smallest derivative of the length with respect to a parameter, to avoid a division by zero
+# Share of the largest effect on a typical step from which a parameter can differ between people. A weaker parameter
+# would need ten times as many of its standard deviations as the strongest one for the same difference of lengths.
+_MIN_EFFECT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,15 +139,18 @@ def prior(
 
 
 def weak_prior(
-    model: StepLengthModel, mean: ArrayLike | None = None, personal: tuple[int, ...] = (0,), step: Step = TYPICAL_STEP
+    model: StepLengthModel,
+    mean: ArrayLike | None = None,
+    personal: tuple[int, ...] | None = None,
+    step: Step = TYPICAL_STEP,
 ) -> StepLengthPrior:
     """Return a weakly informative prior for any step-length model.
 
     The prior is only strong enough to separate parameters that have the same effect on the data. A term is the
     contribution of one parameter to the length of the typical step: the parameter times the derivative of the length
-    with respect to it. Without a `mean`, the first term has the mean 0.7 m and each other term the mean 0 m. All terms
-    have a standard deviation of 0.7 m. With a `mean`, each parameter has this mean, and each term has a standard
-    deviation of 0.35 m.
+    with respect to it. Without a `mean`, the first term with an effect has the mean 0.7 m and each other term the mean
+    0 m. All terms have a standard deviation of 0.7 m. With a `mean`, each parameter has this mean, and each term has a
+    standard deviation of 0.35 m.
 
     Parameters
     ----------
@@ -152,9 +158,10 @@ def weak_prior(
         Step-length model with p parameters.
     mean : array_like (p,), optional
         Prior mean of the parameters.
-    personal : tuple of int, default (0,)
-        Indices of the parameters that differ between people. A single one has a standard deviation of 7 % of a step
-        between people. With n of them, each has this value divided by sqrt(n).
+    personal : tuple of int, optional
+        Indices of the parameters that differ between people, by default the first one with an effect on the typical
+        step. A single one has a standard deviation of 7 % of a step between people. With n of them, each has this value
+        divided by sqrt(n).
     step : Step, optional
         Typical step for which the terms are computed.
 
@@ -173,15 +180,17 @@ def weak_prior(
     """
     start = np.ones(model.n_params) if mean is None else np.array(mean, dtype=float)
     length, slope = length_and_jacobian(model, step, start)
-    slope = np.where(np.abs(slope) < 1e-9, 1.0, slope)
+    has_effect = np.abs(slope) > 1e-9
+    slope = np.where(has_effect, slope, 1.0)
+    first = int(np.argmax(has_effect))
     if mean is None:
         std = 0.7 / np.abs(slope)
-        centre = np.where(np.arange(model.n_params) == 0, 0.7 / slope, 0.0)
+        centre = np.where(np.arange(model.n_params) == first, 0.7 / slope, 0.0)
         length_m = 0.7
     else:
         std, centre, length_m = 0.35 / np.abs(slope), start, float(length)
     between = np.zeros(model.n_params)
-    own = list(personal)
+    own = [first] if personal is None else list(personal)
     between[own] = PEOPLE_RELATIVE_STD * length_m / np.abs(slope[own]) / np.sqrt(max(len(own), 1))
     return StepLengthPrior(model, centre, std, between)
 
@@ -258,32 +267,69 @@ def eq12_priors(between_std_m: float = 0.05) -> dict[str, StepLengthPrior]:
     return {"stationary": DEFAULT_PRIORS["stationary"], **moving}
 
 
-def own_priors(model: PedestrianModel) -> dict[str, StepLengthPrior]:
-    """Return priors from the step lengths of a filter's modes, for contexts that `DEFAULT_PRIORS` does not cover.
+def separate_modes(model: PedestrianModel, joined: Collection[str] = ()) -> dict[str, str]:
+    """Return the context of each mode that shares it with a mode of another length of steps, by the name of the mode.
 
-    These are contexts with other names, and contexts whose step-length model is from outside the package. A parameter
-    with zero variance in the filter is fixed in the calibration. The first parameter that is not fixed differs between
-    people. Its standard deviation changes the length of a typical step by the relative standard deviation of the
-    filter's step scale.
+    These modes are calibrated separately, under their own names, unless the context is in `joined`. ValueError if such
+    a mode has the name of another context.
     """
-    named = {m.context: m for m in reversed(model.modes) if m.context in model.contexts}
-    return {
-        context: _prior_of(mode, model.noise.log_scale_std)
-        for context, mode in named.items()
-        if context not in DEFAULT_PRIORS or type(mode.step_length.model).__module__.split(".")[0] != _PACKAGE
+
+    def is_apart(one: Mode, other: Mode) -> bool:
+        is_equal = one.moves == other.moves and equal_fits(one.step_length, other.step_length)
+        return one.context == other.context and not is_equal
+
+    separate = {
+        mode.name: mode.context
+        for mode in model.modes
+        if mode.context not in (IRREGULAR, *joined) and any(is_apart(mode, other) for other in model.modes)
     }
+    if taken := [name for name, context in separate.items() if name != context and name in model.contexts]:
+        raise ValueError(
+            f"modes {', '.join(taken)} have the name of another context, so that calibrated step lengths would be "
+            "confused: rename the modes"
+        )
+    return separate
+
+
+def own_priors(model: PedestrianModel, joined: Collection[str] = ()) -> dict[str, StepLengthPrior]:
+    """Return priors from the step lengths of a filter's modes, by context, or by mode for `separate_modes`.
+
+    A step length of the default recipe, in a context with the same meaning, has its prior in `DEFAULT_PRIORS`. For
+    others, a parameter with zero variance in the filter is fixed in the calibration. The first parameter with an effect
+    on a typical step differs between people. Its standard deviation changes the length of a typical step by the
+    relative standard deviation of the filter's step scale.
+    """
+    separate, relative_std = separate_modes(model, joined), model.noise.log_scale_std or PEOPLE_RELATIVE_STD
+    named = {m.name if m.name in separate else m.context: m for m in reversed(model.modes) if m.context != IRREGULAR}
+    return {name: _prior_of(mode, relative_std) for name, mode in named.items()}
 
 
 def _prior_of(mode: Mode, relative_std: float) -> StepLengthPrior:
     """Return the prior of the step length of a mode, with zero length if the mode does not move."""
     fit = mode.step_length
+    for usual in context_modes(bounce_fit(getattr(fit.model, "height_m", None))):
+        if replace(mode.meaning, name=usual.context) == usual.meaning and equal_fits(fit, usual.step_length):
+            return DEFAULT_PRIORS[usual.context]
     if not mode.moves:
         return _constant_length(0.0, 0.0, 0.0, fit.residual_std_m)
     std, between_std = np.sqrt(np.maximum(np.diag(fit.theta_cov), 0.0)), np.zeros(len(fit.theta))
-    free = np.flatnonzero(std > 0)[:1]
     length_m, slope = length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)
-    between_std[free] = relative_std * abs(float(length_m)) / np.maximum(np.abs(slope[free]), _MIN_SLOPE)
+    main = _main_parameter(std, slope)
+    if std[main] * slope[main] != 0:
+        between_std[main] = relative_std * abs(float(length_m) / slope[main])
     return StepLengthPrior(fit.model, fit.theta, std, between_std, fit.residual_std_m)
+
+
+def _main_parameter(std: FloatArray, slope: FloatArray) -> int:
+    """Return the index of the first parameter with an effect on a typical step, or 0 if no parameter has one.
+
+    The effect is the prior standard deviation (p,) times the derivative (p,) of the length, or the derivative if all
+    parameters are held. It is at least the share `_MIN_EFFECT` of the largest effect, so that the parameter of an
+    inactive branch is not taken.
+    """
+    active = slope != 0
+    effect = np.abs(np.where(active, std if std[active].any() else 1.0, 0.0) * slope)
+    return int(np.argmax(effect >= _MIN_EFFECT * effect.max()))
 
 
 def candidates() -> dict[str, dict[str, StepLengthPrior]]:
@@ -310,9 +356,14 @@ def candidates() -> dict[str, dict[str, StepLengthPrior]]:
 
 
 def with_relative_std(prior: StepLengthPrior, relative_std: float) -> StepLengthPrior:
-    """Return a prior whose first parameter has a standard deviation of this share of a typical step."""
+    """Return a prior with a standard deviation of this share of a typical step in its `_main_parameter`."""
     check_array("the relative standard deviation of a prior", relative_std, "positive", (), "0.1 is usual")
     length, slope = length_and_jacobian(prior.model, TYPICAL_STEP, prior.mean)
-    std = prior.std.copy()
-    std[0] = relative_std * float(length) / abs(slope[0])
+    std, main = prior.std.copy(), _main_parameter(prior.std, slope)
+    if slope[main] == 0:
+        raise ValueError(
+            f"no parameter of {type(prior.model).__name__} changes the length of a typical step: omit prior_std "
+            "(--prior), and give the parameters a standard deviation"
+        )
+    std[main] = relative_std * abs(float(length) / slope[main])
     return replace(prior, std=std)

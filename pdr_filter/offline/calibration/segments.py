@@ -6,7 +6,8 @@ steps times the sine and cosine of their headings. Given this sum, the displacem
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -285,6 +286,29 @@ class SegmentSums:
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
 
+def with_distinct_names(found: Iterable[tuple[Sequence[AnySegment], bool]]) -> list[AnySegment]:
+    """Return the segments of several recordings, with a number after the name of a recording that repeats.
+
+    Otherwise, recordings with the same name would share an error of scale. Each entry has the segments of one
+    recording, and True if its person is named after the recording.
+    """
+    used, segments = set[str](), list[AnySegment]()
+    count = Counter[str]()
+    for of_one, is_named_after in found:
+        if not of_one:
+            continue
+        name = plain = of_one[0].recording
+        while name in used:
+            count[plain] += 1
+            name = f"{plain} ({count[plain] + 1})"
+        used.add(name)
+        for s in of_one:
+            segments.append(
+                s if name == plain else replace(s, recording=name, subject=name if is_named_after else s.subject)
+            )
+    return segments
+
+
 def integrate(
     segments: Sequence[AnySegment],
     models: Mapping[str, StepLengthModel],
@@ -347,6 +371,7 @@ def segments_of(
     anchor_std_m: float | None = None,
     measure: str = "displacement",
     subject: str | None = None,
+    separate: Collection[str] = (),
 ) -> tuple[list[Segment], list[str]]:
     """Return the segments of known length of a recording, with notes about the rest.
 
@@ -367,6 +392,9 @@ def segments_of(
         segments of known walked distance that contain a turn.
     subject : str, optional
         Name of the person, for a recording without one.
+    separate : collection of str, optional
+        Names of modes that have their own step length, although they share their context with other modes. In the
+        segments, these modes replace their context.
 
     Returns
     -------
@@ -378,7 +406,7 @@ def segments_of(
     Raises
     ------
     ValueError
-        If `measure` is unknown.
+        If `measure` is unknown, or if the track does not have the modes `separate`.
 
     Notes
     -----
@@ -407,7 +435,7 @@ def segments_of(
         measure = "length"
         notes.append("no gyroscope, so no headings: step lengths are summed instead of step vectors")
     steps = steps_of(track.steps)
-    prob = step_contexts(track)
+    names, prob = _of_modes(track, separate) if separate else (track.contexts, step_contexts(track))
     segments: list[Segment] = []
     empty: list[str] = []
     bent: list[str] = []
@@ -438,7 +466,7 @@ def segments_of(
                 height_m=recording.subject.height_m,
                 start_s=stretch.start_s,
                 end_s=stretch.end_s,
-                context_names=track.contexts,
+                context_names=names,
             )
         )
     if empty:
@@ -479,6 +507,18 @@ def step_contexts(track: TrackRows) -> FloatArray:
             return track.context_prob
         prob[:, track.contexts.index(context)] += track.mode_prob[:, m]
     return prob
+
+
+def _of_modes(track: TrackRows, separate: Collection[str]) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the names of the modes `separate` and of the contexts of other modes, and their probabilities (K, N)."""
+    if unknown := set(separate) - set(track.modes):
+        raise ValueError(
+            f"the track has no modes {', '.join(sorted(unknown))}, which the configuration has: give tracks of this "
+            "configuration, or leave them out"
+        )
+    of_mode = [m if m in separate else c for m, c in zip(track.modes, track.mode_contexts, strict=True)]
+    names = tuple(dict.fromkeys(n for n, c in zip(of_mode, track.mode_contexts, strict=True) if c in track.contexts))
+    return names, track.mode_prob @ np.array([[name == n for n in names] for name in of_mode], dtype=float)
 
 
 def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_Stretch], list[str]]:

@@ -237,6 +237,22 @@ def test_recordings_without_subject_are_of_one_person_unless_each_a_person_is_se
         calibrate(nameless, tracks=[track, track], subject="anna", each_a_person=True)
 
 
+def test_recordings_with_one_name_are_different_recordings(walk: tuple[Recording, Track]) -> None:
+    recording, track = walk
+    apart, alike = (
+        calibrate([replace(recording, name=name) for name in names], tracks=[track] * 4)
+        for names in (("a", "b", "c", "d"), ("walk", "walk (2)", "walk", "walk"))
+    )
+    np.testing.assert_array_equal(alike.people_cov, apart.people_cov)
+    np.testing.assert_array_equal(alike.segments.left_out_m, apart.segments.left_out_m)
+    assert alike.card is not None
+    assert alike.card["recordings"] == 4
+    assert list(dict.fromkeys(alike.segments.recording)) == ["walk", "walk (2)", "walk (3)", "walk (4)"]
+    nameless = [replace(recording, meta={}, name="walk")] * 2
+    each = calibrate([*nameless, replace(recording, name="walk")], tracks=[track] * 3, each_a_person=True)
+    assert set(each.subjects) == {"walk", "walk (2)", "simulated"}
+
+
 @pytest.mark.parametrize(
     ("options", "named"),
     [({"subject": "anna"}, "subject 'anna'"), ({"each_a_person": True}, "each_a_person (--each-a-person)")],

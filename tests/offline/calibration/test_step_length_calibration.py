@@ -422,9 +422,10 @@ def test_people_of_a_weak_prior_differ_by_seven_percent_of_a_typical_step() -> N
     assert terms_m[2] == 0.0
 
 
+@pytest.mark.parametrize("walking", ["walking", "level"])
 @pytest.mark.parametrize(("errors", "name"), [((3.00, 2.99, 5.0), "bounce"), ((3.0, 2.0, 5.0), "eq12")])
 def test_another_model_is_chosen_only_if_it_is_clearly_better(
-    monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], name: str
+    monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], name: str, walking: str
 ) -> None:
     def held_out(some: Sequence[Any], priors: Mapping[str, Any], *_: object) -> tuple[dict[str, Any], Any]:
         each = (*errors, *[max(errors)] * len(priors))
@@ -433,7 +434,9 @@ def test_another_model_is_chosen_only_if_it_is_clearly_better(
     monkeypatch.setattr(forms, "left_out_errors", held_out)
     rng = np.random.default_rng(1)
     walked = [segment(rng, KimStepLength(), np.array([0.55]), f"p{i % 8}") for i in range(40)]
-    found, (note,) = forms.best_form(walked, forms.forms_of(), "gnc", 0.025)
+    contexts = tuple(walking if c == "walking" else c for c in CONTEXTS)
+    walked = [replace(s, context_names=contexts) for s in walked]
+    found, (note,) = forms.best_form(walked, forms.forms_of(contexts=contexts, walking=walking), "gnc", 0.025, walking)
     assert found == name
     assert "clearly better" in note
 
