@@ -8,9 +8,11 @@ import numpy as np
 
 from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.values.quaternions import rotation_matrix
 from pdr_filter.values.recording import Recording, Samples
 from pdr_filter.values.track_placement import TrackPlacement
+from pdr_filter.values.track_rows import TrackRows
 
 # Standard deviation of magnetic north against true north at an unknown place. The root mean square of the declination
 # is 9.5 degrees over the twenty largest cities of the world, and 15 degrees over the globe from 55 S to 65 N.
@@ -62,6 +64,33 @@ def with_north_of_attitude(recording: Recording, north: str | None) -> Recording
         return recording
     field_ut = np.array(_FIELD_UT[north]) @ rotation_matrix(recording.attitude.values)
     return replace(recording, magnetometer=Samples(recording.attitude.time_s, field_ut))
+
+
+_FIRST_STEPS = 4  # two strides, over which a swing of the arm averages out
+_REST_S = 0.5  # duration of the means of the specific force
+
+
+def first_heading_rad(recording: Recording, track: TrackRows) -> float:
+    """Return the heading in the frame of the start that a heading given for the start refers to, rad.
+
+    It is zero, the direction of the device at the first sample, if the phone stays in its place. If the tilt of the
+    phone changes between the first sample and the first strides, the phone was moved, and its turn is not that of the
+    pedestrian. The result is then the first walking direction, averaged over four steps.
+    """
+    since_s = np.asarray(track.steps.carried_since_s)
+    first = np.flatnonzero(np.isfinite(since_s))[:_FIRST_STEPS]
+    if len(first) == 0:
+        return 0.0
+    time_s, force = recording.accelerometer.time_s, recording.accelerometer.values
+    begin_s, end_s = float(time_s[0]), float(track.time_s[first[-1]])
+    at_start = force[time_s < begin_s + _REST_S].mean(axis=0)
+    walking = force[(time_s > track.time_s[first[0]] - track.steps.duration_s[first[0]]) & (time_s <= end_s)].mean(
+        axis=0
+    )
+    cosine = at_start @ walking / (np.linalg.norm(at_start) * np.linalg.norm(walking))
+    if not cosine < np.cos(WalkingHeading.max_tilt_rad):  # also if a mean is unknown
+        return 0.0
+    return float(np.angle(np.exp(1j * track.walking_heading_rad[first]).sum()))
 
 
 def live_config(first: Recording, config: Config) -> Config:

@@ -40,7 +40,7 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
     notes += [*config.notes, *height.notes(state.height)]
     if config.on_plan is not None:
         notes += config.on_plan.notes(state.particles)
-    return [*notes, *_frame_notes(state), *notes_of_rides(state.rides, vertices), *_fix_notes(state)]
+    return [*notes, *_frame_notes(config, state), *notes_of_rides(state.rides, vertices), *_fix_notes(state)]
 
 
 def device_notes(config: Config, state: State) -> list[str]:
@@ -109,7 +109,7 @@ def heading_notes(walked: StepCounts) -> Iterator[Note]:
         yield Note("heading", words + criteria.HEADING_UNKNOWN)
 
 
-def _frame_notes(state: State) -> Iterator[Note]:
+def _frame_notes(config: Config, state: State) -> Iterator[Note]:
     frame, where = state.tracker.pedestrian.frame, state.locations
     if where.n_unusable:
         yield Note("fixes", where.unusable())
@@ -126,6 +126,9 @@ def _frame_notes(state: State) -> Iterator[Note]:
     if state.finished and frame.name == "north" and frame.compass is not None:
         words = f"north comes from the magnetic field, ± {np.degrees(frame.compass.std_rad):.0f} degrees (one standard "
         yield Note("heading", words + "deviation): give position fixes or heading_rad for a better north")
+    elif state.finished and frame.name == "start" and config.sensing.north is not None and frame.north is None:
+        words = "the magnetic field does not determine north, as with iron in the phone or a magnetometer without "
+        yield Note("heading", words + "calibration: walk with turns, or give position fixes or heading_rad")
 
 
 def notes_of_rides(rides: Rides, vertices: FloatArray | None) -> Iterator[Note]:

@@ -34,7 +34,7 @@ from pdr_filter.tracking.filtering import (
     person_of,
     update,
 )
-from pdr_filter.tracking.georeferencing import with_north, with_north_of_attitude
+from pdr_filter.tracking.georeferencing import first_heading_rad, with_north, with_north_of_attitude
 from pdr_filter.tracking.gnss_alignment import aligned
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.warnings import notes_of
@@ -172,9 +172,10 @@ class Run:
         if self.recording.location is not None and given.gnss is None and given.is_given:
             note = "the locations of the recording were not used, because origin or heading_rad was given"
             result = replace(result, notes=(*result.notes, note))
-        if place is None:
-            return result if given.heading_rad is None else result.turned(given.heading_rad)
-        return result.placed(place if given.heading_rad is None else replace(place, turn_rad=given.heading_rad))
+        if given.heading_rad is None:
+            return result if place is None else result.placed(place)
+        turn_rad = given.heading_rad - first_heading_rad(self.recording, result)
+        return result.turned(turn_rad) if place is None else result.placed(replace(place, turn_rad=turn_rad))
 
 
 def prepared_run(

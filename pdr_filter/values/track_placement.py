@@ -43,10 +43,11 @@ class TrackPlacement:
     origin : Origin or (latitude_deg, longitude_deg), optional
         Geographic position of the origin of the track: the start of the walk, or the origin of the frame of `fixes`.
     heading_rad : float, optional
-        True heading of the person at the first sample. In rad, clockwise from north. The track is rotated by it. If the
-        person or the phone turns before the first step, this is not the direction of the first steps. An error of this
-        heading rotates the whole track about its start. To state the standard deviation of the heading, give an
-        `Origin` with `turn_rad` and `turn_std_rad` instead.
+        True heading of the person at the first sample, in rad, clockwise from north. The track is rotated by it. If the
+        phone is moved before the first steps, as from the hand to an ear or into a pocket, its turn does not show that
+        of the person, and the heading is that of the first steps. An error of this heading rotates the whole track
+        about its start. To state the standard deviation of the heading, give an `Origin` with `turn_rad` and
+        `turn_std_rad` instead.
     north : {"magnetic", "rotation-vector", "true-heading", "off"}, optional
         Source of true north until fixes determine it: the magnetometer or the phone's own attitude. "magnetic": the
         magnetometer, which is also the default if the locations of the recording are used. "rotation-vector": the

@@ -117,6 +117,23 @@ def test_a_track_on_a_floor_plan_cannot_be_rotated(alone: pdr.Track) -> None:
         replace(alone, plan=plan, frame="plan", origin=Origin(*HERE)).turned(1.0)
 
 
+@pytest.mark.parametrize("mode", ["pocket", "calling", "swinging", "texting"])
+@pytest.mark.parametrize("track_of", [pdr.track, lambda *args, **named: pdr.smooth(*args, **named).track])
+def test_a_given_heading_is_that_of_the_first_steps_after_the_phone_was_moved(mode: str, track_of: Any) -> None:
+    first = "pocket" if mode == "texting" else "texting"
+    legs = [Leg("stationary", duration_s=5.0, carrying_mode=first), Leg("walking", distance_m=40.0, carrying_mode=mode)]
+    for seed in (1, 2):
+        track = track_of(simulate(legs, carrying_mode=first, seed=seed), heading_rad=2.0)
+        along_m = track.end_position_m @ [np.sin(2.0), np.cos(2.0)]
+        assert along_m > np.cos(0.35) * np.linalg.norm(track.end_position_m) > 20.0
+
+
+def test_a_given_heading_is_that_before_a_turn_of_the_person_at_rest() -> None:
+    legs = [Leg("stationary", duration_s=5.0), Leg("walking", distance_m=40.0, turn_rad=1.2)]
+    track = pdr.track(simulate(legs, seed=1), heading_rad=0.5)
+    assert np.arctan2(*track.end_position_m) == pytest.approx(1.7, abs=0.3)
+
+
 def test_the_speed_at_an_unknown_time_is_nan(alone: pdr.Track) -> None:
     during_s = float(alone.time_s[5]) - 0.1
     np.testing.assert_equal(np.isnan(alone.speed_mps([during_s, np.nan, -1.0])), [False, True, False])

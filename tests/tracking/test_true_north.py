@@ -262,8 +262,9 @@ def test_an_attitude_with_known_north_rotates_the_track_like_the_magnetic_field(
 
 
 def test_only_magnetic_north_is_corrected_by_the_declination(walk: Recording) -> None:
-    quat = np.tile([1.0, 0.0, 0.0, 0.0], (len(walk.accelerometer.time_s), 1))
-    own = replace(walk, attitude=Samples(walk.accelerometer.time_s, quat))
+    time_s = np.arange(0.0, walk.duration_s, 0.02)
+    true = phone_motion(LEGS, seed=3, start_heading_rad=2.0).rotation(time_s)
+    own = replace(walk, attitude=Samples(time_s, true.as_quat()[:, [3, 0, 1, 2]]))
     for north, declination_rad in (("rotation-vector", HERE.declination_rad()), ("true-heading", 0.0)):
         there, nowhere = (pdr.track(own, origin=o, north=north) for o in (HERE, None))
         turned_rad = wrap_angle(there.walking_heading_rad - nowhere.walking_heading_rad)

@@ -223,8 +223,8 @@ class Frame:
         frame = replace(frame, later=(*self.later, north)) if self.since else replace(frame, north=north)
         return frame._reestimated()
 
-    def with_compass(self, compass: Compass) -> Frame:
-        """Return the frame with the present magnetic north.
+    def with_compass(self, compass: Compass | None) -> Frame:
+        """Return the frame with the present magnetic north, or None if it is unknown.
 
         A frame that is joined, or whose rotation a heading fix has determined, is unchanged.
         """

@@ -300,9 +300,14 @@ def _consider_error_m(walked: Walked, P: FloatArray) -> FloatArray:
 
 
 def _with_compass(frame: Frame, step: Step, heading_offset_rad: float) -> Frame:
-    """Return the frame with the magnetic north of a step, if the step has one."""
+    """Return the frame with the magnetic north of a step, if the step has one.
+
+    A north with a standard deviation of more than one radian carries no information, and the frame is then without it.
+    """
     if not (math.isfinite(step.north_std_rad) and math.isfinite(step.shown_offset_std_rad)):
         return frame
+    if step.north_std_rad > _MAX_NORTH_STD_RAD:
+        return frame.with_compass(None)
     # rotation from the track frame to north: walking direction relative to north minus walking direction in that frame
     angle_rad = float(wrap_angle(step.shown_offset_rad - step.north_rad - heading_offset_rad))
     return frame.with_compass(Compass(angle_rad, step.north_std_rad**2 + step.shown_offset_std_rad**2))
@@ -323,6 +328,8 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
         path=state.path.predicted(P, estimates.combined[1]),
     )
 
+
+_MAX_NORTH_STD_RAD = 1.0  # limit of a normal density on a circle
 
 # The square of 50 degrees. Above it the rotation to the fixes is estimated again; below it the walking directions
 # restore the heading. Among 0.25, 0.4, 0.5, 0.6 and 0.75 this value has the smallest errors of the shape on routes 21

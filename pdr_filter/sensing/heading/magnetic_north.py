@@ -6,8 +6,9 @@ In the attitude frame (east, north, up, rotated by an unknown angle about up), t
 
 Here m is the field of the Earth, R the rotation from the sensor to the frame, b the hard iron (iron in the phone and a
 wrong calibration), and e the disturbance of the place. A linear regression over the way estimates m and b together. b
-becomes observable when the pedestrian turns. Before that, the prior of b determines the uncertainty of m. In a building
-e may rotate single readings by 90 degrees. It averages out, because it changes every few metres, and the remaining
+becomes observable when the pedestrian turns. Before that, the priors of m and b determine the uncertainty of m. The
+prior of b has heavy tails, because raw magnetometer data contain the whole hard iron of the phone. In a building e may
+rotate single readings by 90 degrees. It averages out, because it changes every few metres, and the remaining
 error follows from its scatter.
 
 Readings are not gated by the magnitude or dip of the field, because these hardly show which readings point north. In
@@ -38,7 +39,15 @@ _TIME, _SQUARES, _READING_COLUMNS = 0, slice(1, 50), 50
 _MAX_LATENCY_S = 20.0
 _M, _B, _F = slice(0, 3), slice(3, 6), 6
 _DIAGONAL = np.diag_indices(_F)
-_PRIOR_INFORMATION_M = 1e-9  # prior information of m, 1/uT2, practically none
+# Prior standard deviation of the Earth's field on the horizontal axes and on the vertical one, uT. The World Magnetic
+# Model has a horizontal field of 0 to 42 uT, 27 uT in the root mean square, and a vertical field of at most 67 uT.
+_EARTH_STD_UT = 20.0, 20.0, 45.0
+# Prior of the hard iron: a mixture of normal densities, by their probabilities and by their standard deviations in
+# units of `iron_std_ut`. The first one is for calibrated magnetometers. With 7 uT, the others have 28 and 140 uT, for
+# a calibration that became wrong and for raw data. Public recordings of raw data have 20 to 300 uT.
+_IRON_PROB, _IRON_FACTORS = np.array([0.9, 0.05, 0.05]), np.array([1.0, 4.0, 20.0])
+# Squared length of the mean direction below which north is unknown: a standard deviation of 5 rad.
+_LEAST_SQUARED_LENGTH = 1e-11
 # Share of new readings after which the regression is solved again. North changes little in the attitude frame.
 _SOLVE_SHARE = 0.05
 
@@ -99,8 +108,9 @@ class MagneticNorth:
     declination_rad, declination_std_rad : float, default 0
         Direction of magnetic north east of true north, and its standard deviation, rad.
     iron_std_ut : float, default 7
-        Prior standard deviation of the hard iron on each axis, uT. It is the rms of pedestrians who turned; single
-        values reach 13, and are 0 to 3 in the other sets. The horizontal field of the Earth is 20 to 35 uT.
+        Prior standard deviation of the hard iron of a calibrated magnetometer on each axis, uT. It is the rms of
+        pedestrians who turned; single values reach 13, and are 0 to 3 in the other sets. The horizontal field of the
+        Earth is 20 to 35 uT. With a probability of a tenth, the standard deviation is 4 or 20 times as large.
     disturbance_ut, disturbance_readings : float, default 8 and 4
         Prior standard deviation of the disturbances on each axis, uT, and its weight as a number of independent
         readings. Malls have 4, an office 6, a building of steel 15 uT.
@@ -254,32 +264,45 @@ class MagneticNorth:
 
         The measured field f is the sum of the field of the Earth m = (m_e, m_n, m_u), the hard iron b rotated by R from
         the sensor to the attitude frame, and the disturbance e. n correlated readings are worth n / c independent ones,
-        with c = (1 + r) / (1 - r) and r = exp(-1 / correlation). X = [1 R] are the regressors of a reading. For x = (m,
-        b) and the variance v of e so far, P^-1 = diag(0, 1 / iron^2) + sum X' X / (c v), and P^-1 x = sum X' f / (c v).
-        The direction of magnetic north psi = atan2(m_e, m_n) has the variance u' P u / (m_e^2 + m_n^2) with u = (cos
-        psi, -sin psi, 0).
+        with c = (1 + r) / (1 - r) and r = exp(-1 / correlation). X = [1 R] are the regressors of a reading. The
+        component i of the prior has the information L_i = diag(1 / earth^2, 1 / iron_i^2) of x = (m, b). With the
+        variance v of e so far, P_i^-1 = L_i + sum X' X / (c v) and P_i^-1 x_i = sum X' f / (c v), and the log
+        evidence is (log |P_i L_i| + x_i' P_i^-1 x_i) / 2. The direction of magnetic north psi_i = atan2(m_e, m_n) has
+        the variance u' P_i u / (m_e^2 + m_n^2) with u = (cos psi_i, -sin psi_i, 0). The result is the mean of the
+        directions e^(j psi_i) over the components, of which each has the length exp(-variance_i / 2).
         """
-        c, iron_information = 1.0 / math.tanh(0.5 / self.correlation_readings), 1.0 / self.iron_std_ut**2
+        c = 1.0 / math.tanh(0.5 / self.correlation_readings)
         weight = 1.0 / (c * state.variance_ut2)
         XX, Xf, ff = state.squares[:_F, :_F], state.squares[:_F, _F], float(state.squares[_F, _F])
-        information = weight * XX
-        information[_DIAGONAL] += 3 * (_PRIOR_INFORMATION_M,) + 3 * (iron_information,)
+        prior = np.empty((len(_IRON_PROB), _F))
+        prior[:, _M] = np.square(1.0 / np.array(_EARTH_STD_UT))
+        prior[:, _B] = (1.0 / np.square(self.iron_std_ut * _IRON_FACTORS))[:, None]
+        information = np.repeat((weight * XX)[None], len(prior), axis=0)
+        information[:, *_DIAGONAL] += prior
         P = np.linalg.inv(information)
         x = weight * (P @ Xf)
-        residual_ut2 = ff - 2.0 * float(x @ Xf) + float(x @ XX @ x)
+        log_evidence = np.log(_IRON_PROB) + 0.5 * (np.linalg.slogdet(P)[1] + np.log(prior).sum(axis=1))
+        log_evidence += 0.5 * weight * (x @ Xf)
+        prob = np.exp(log_evidence - log_evidence.max())
+        prob /= prob.sum()
+        residual_ut2 = ff - 2.0 * (x @ Xf) + ((x @ XX) * x).sum(axis=1)
         prior_ut2 = self.disturbance_readings * self.disturbance_ut**2
         # The three components of m use up the degrees of freedom of one independent reading.
-        n_independent, share = max(state.n / c - 1.0, 0.0), max(residual_ut2, 0.0) / (3.0 * c)
+        n_independent, share = max(state.n / c - 1.0, 0.0), max(float(prob @ residual_ut2), 0.0) / (3.0 * c)
         variance_ut2 = (prior_ut2 + share) / (self.disturbance_readings + n_independent)
-        east, north = float(x[0]), float(x[1])
-        psi = math.atan2(east, north)
-        cosine, sine = math.cos(psi), math.sin(psi)
-        (ee, en), (_, nn) = P[:2, :2].tolist()
-        across_ut2 = cosine**2 * ee - 2.0 * cosine * sine * en + sine**2 * nn
-        var = across_ut2 / max(east * east + north * north, 1e-6) + self.declination_std_rad**2
-        north_rad, std_rad = psi - self.declination_rad, math.sqrt(var)
+        east, north = x[:, 0], x[:, 1]
+        horizontal_ut2 = np.maximum(east**2 + north**2, 1e-6)
+        # u' P u, with the horizontal field (m_e, m_n) for (sin psi, cos psi)
+        across_ut2 = north**2 * P[:, 0, 0] - 2.0 * north * east * P[:, 0, 1] + east**2 * P[:, 1, 1]
+        length = np.exp(-0.5 * across_ut2 / horizontal_ut2**2) / np.sqrt(horizontal_ut2)
+        mean_north, mean_east = float((prob * length) @ north), float((prob * length) @ east)
+        var = -math.log(max(mean_north**2 + mean_east**2, _LEAST_SQUARED_LENGTH)) + self.declination_std_rad**2
         return replace_unchecked(
-            state, variance_ut2=variance_ut2, n_fresh=0, north_rad=north_rad, north_std_rad=std_rad
+            state,
+            variance_ut2=variance_ut2,
+            n_fresh=0,
+            north_rad=math.atan2(mean_east, mean_north) - self.declination_rad,
+            north_std_rad=math.sqrt(var),
         )
 
 

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from helpers import a_step, cut_uniform
+from scipy.stats import multivariate_normal
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
@@ -84,10 +85,10 @@ def test_before_the_first_turn_hard_iron_is_part_of_the_standard_deviation() -> 
     assert found(*way(TURNS))[-1].north_std_rad < 0.6 * last.north_std_rad
 
 
-def test_the_sums_are_those_of_a_least_squares_fit_to_all_readings() -> None:
+def test_north_is_the_mean_direction_of_normal_densities_of_all_readings() -> None:
     rng = np.random.default_rng(0)
     place_ut = np.repeat(rng.normal(scale=5.0, size=(40, 3)), 3, axis=0)
-    block, attitude, steps = way(TURNS, 1.1, np.array([3.0, -4.0, 2.0]), place_ut)
+    block, attitude, steps = way(TURNS, 1.1, np.array([16.0, -12.0, 10.0]), place_ut)
     # with a given variance, as if estimated from a million readings
     stage = MagneticNorth(disturbance_ut=6.0, disturbance_readings=1e6)
     last = found(block, attitude, steps, stage)[-1]
@@ -98,16 +99,34 @@ def test_the_sums_are_those_of_a_least_squares_fit_to_all_readings() -> None:
     n = len(steps)
     weight = np.exp(-(STEP_S * np.arange(n)[::-1]) / stage.memory_s)
     r = math.exp(-1.0 / stage.correlation_readings)
-    std = 6.0 * np.sqrt((1 + r) / (1 - r) / weight)
-    rows = np.concatenate([np.hstack([np.eye(3), means[k]]) / std[k] for k in range(n)])
-    right = np.concatenate([readings[k] / std[k] for k in range(n)])
-    rows = np.vstack([rows, np.hstack([np.zeros((3, 3)), np.eye(3) / stage.iron_std_ut])])
-    fit = np.linalg.lstsq(rows, np.concatenate([right, np.zeros(3)]), rcond=None)[0]
-    cov = np.linalg.inv(rows.T @ rows)
-    assert last.north_rad == pytest.approx(math.atan2(fit[0], fit[1]), abs=1e-6)
-    # the derivative of the angle by differences
-    slope = [(math.atan2(*(fit[:2] + d)) - math.atan2(*(fit[:2] - d))) / 2e-5 for d in ([1e-5, 0.0], [0.0, 1e-5])]
-    assert last.north_std_rad == pytest.approx(math.sqrt(slope @ cov[:2, :2] @ slope), rel=1e-3)
+    noise_var = np.repeat(36.0 * (1 + r) / (1 - r) / weight, 3)
+    regressors = np.concatenate([np.hstack([np.eye(3), means[k]]) for k in range(n)])
+    z = readings[:n].ravel()
+    log_prob, directions = [], []
+    for prob, iron_ut in ((0.9, 7.0), (0.05, 28.0), (0.05, 140.0)):
+        prior = np.diag([400.0, 400.0, 2025.0, *3 * [iron_ut**2]])
+        cov_z = regressors @ prior @ regressors.T + np.diag(noise_var)
+        gain = np.linalg.solve(cov_z, regressors @ prior).T
+        m, cov = (gain @ z)[:2], (prior - gain @ regressors @ prior)[:2, :2]
+        log_prob.append(math.log(prob) + multivariate_normal(np.zeros(3 * n), cov_z).logpdf(z))
+        # the derivative of the angle by differences
+        slope = [(math.atan2(*(m + d)) - math.atan2(*(m - d))) / 2e-5 for d in ([1e-5, 0.0], [0.0, 1e-5])]
+        directions.append(np.exp(1j * math.atan2(*m) - 0.5 * (slope @ cov @ slope)))
+    prob = np.exp(np.array(log_prob) - max(log_prob))
+    mean = np.array(directions) @ prob / prob.sum()
+    assert np.sort(prob / prob.sum())[1] > 0.05  # two components count
+    assert last.north_rad == pytest.approx(float(np.angle(mean)), abs=1e-6)
+    assert last.north_std_rad == pytest.approx(math.sqrt(-2.0 * math.log(abs(mean))), rel=1e-4)
+
+
+@pytest.mark.parametrize("iron_ut", [150.0, 300.0])
+def test_raw_data_leave_north_unknown_until_the_pedestrian_turns(iron_ut: float) -> None:
+    for direction in np.linspace(0.0, 6.0, 7):
+        iron = iron_ut * np.array([math.cos(direction), 0.8 * math.sin(direction), 0.6 * math.sin(direction)])
+        straight, turned = found(*way(np.zeros(120), 0.7, iron))[-1], found(*way(TURNS, 0.7, iron))[-1]
+        assert straight.north_std_rad > 1.0
+        assert turned.north_std_rad < 0.5
+        assert abs(error_rad(turned, 0.7)) < 0.1
 
 
 @pytest.mark.parametrize("scatter_ut", [3.0, 6.0, 15.0])
