@@ -40,7 +40,7 @@ from pdr_filter.filter.height.vertical_modes import DOWN, DRIFT, JUMP, LIFT, N_M
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.weighting import context_log_evidence
 from pdr_filter.sensing.contexts.context_stage import WindowContext, with_stairs_in_thirds
-from pdr_filter.sensing.features.barometer import RISER_M, Climb
+from pdr_filter.sensing.features.barometer import RISER_M, Climb, ClimbState
 from pdr_filter.values import (
     Context,
     FloatArray,
@@ -52,6 +52,7 @@ from pdr_filter.values import (
     repetition,
     replace_unchecked,
 )
+from pdr_filter.values.uncertainty import is_floor_unknown
 
 # Longest ride in a lift or on an escalator. Aircraft cabins, trains and cable cars take longer.
 LONGEST_RIDE_S = 120.0
@@ -78,6 +79,8 @@ _UNSEEN_LIFT_M2 = 0.04
 _UNSEEN_MOST_M2 = (4 * USUAL_STOREY_M) ** 2
 # Standard deviation of the height of a storey that has not been visited: storeys have 2.6 to 5.5 m.
 _STOREY_STD_M = 0.7
+# Time of a stuck barometer, and resolution, from which a warning is issued. 0.3 hPa are 2.5 m, most of a storey.
+_NOTABLE_STUCK_S, _COARSE_HPA = 5.0, 0.3
 # Age of the last pressure from which steps are processed without a barometer.
 PRESSURE_AGE_S = 4.0
 # Largest delay of a step by the step gate. For this time a second of the barometer may still receive steps.
@@ -411,13 +414,31 @@ def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
     )
 
 
-def notes(state: HeightState) -> list[Note]:
-    """Return a warning if the pressure has changed a lot without a climb, else an empty list."""
-    if state.known.most_air_m < _NOTABLE_AIR_M:
-        return []
-    hpa = state.known.most_air_m / _M_PER_HPA
-    change = f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft, a vehicle or by the weather: "
-    return [Note("height", change + "heights and floors ignore this change")]
+def notes(state: HeightState, barometer: ClimbState) -> list[Note]:
+    """Return warnings about an unknown storey, a stuck or coarse barometer, and a large change of the air."""
+    found, known = list[Note](), state.known
+    cause = ""
+    if barometer.stuck_s >= _NOTABLE_STUCK_S:
+        cause = f"the barometer gave one value for {barometer.stuck_s:.0f} s in total"
+    elif math.isnan(known.pressure_s):
+        cause = "there is no barometer"
+    elif _COARSE_HPA < barometer.quantum_hpa < math.inf:
+        cause = f"the pressure is rounded to {barometer.quantum_hpa:.2g} hPa"
+    elif state.step_s - known.pressure_s > PRESSURE_AGE_S:
+        cause = f"the pressure ends at {known.pressure_s:.0f} s"
+    if is_floor_unknown(np.array(known.height_std_m)):
+        words = f"height and storey are unknown, ± {known.height_std_m:.0f} m at the end: "
+        words += f"{cause or 'the pressure has gaps'}, and nothing else shows stairs; "
+        found.append(Note("height", words + "record the pressure, or give fixes with floors"))
+    elif cause and not math.isnan(known.pressure_s):
+        found.append(Note("height", f"heights are uncertain: {cause}; record the pressure without rounding"))
+    if known.most_air_m >= _NOTABLE_AIR_M:
+        hpa = known.most_air_m / _M_PER_HPA
+        words = (
+            f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft, a vehicle or by the weather: "
+        )
+        found.append(Note("height", words + "heights and floors ignore this change"))
+    return found
 
 
 def _after_pressure(second: PressureSecond, model: PedestrianModel) -> HeightEstimate:

@@ -240,7 +240,8 @@ class ClimbRate:
         last_hpa = np.add.reduceat(samples[1, _ranges(lasts, n_last)], np.cumsum(n_last) - n_last) / n_last
         # Noise averages out over the samples. Rounding does not, because it is the same in all equal values.
         rounding_m = metres_per_hpa * np.where(np.isfinite(quantum_hpa), quantum_hpa, 0.0) / math.sqrt(12)
-        std_mps = np.sqrt(rate_var + 2.0 * (rounding_m / self.window_s) ** 2)  # the difference of two rounded values
+        # A rate of repeated values is the difference of two rounded ones.
+        std_mps = np.sqrt(rate_var + 2.0 * (np.where(equal_s > 0, rounding_m, 0.0) / self.window_s) ** 2)
         end_m = -self.scale_height_m * np.log(last_hpa / STANDARD_PRESSURE_HPA)
         end_std_m = np.hypot(noise_m / np.sqrt(n_last), rounding_m * np.sqrt(np.maximum(equal_s / self.hop_s, 1.0)))
         columns = (samples[0, ends - 1], rate_mps, std_mps, n, end_m, end_std_m)
