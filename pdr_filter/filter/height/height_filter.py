@@ -341,7 +341,7 @@ def on_step(
     if state.recent:
         passages += state.known.floors.passages
     n_unseen = state.n_unseen + state.stairs_unknown_share
-    unseen_var = _unseen_var_m2(n_unseen) - _unseen_var_m2(state.n_unseen) + _UNSEEN_LIFT_M2 * (since_s - elapsed_s)
+    unseen_var = unseen_var_m2(n_unseen) - unseen_var_m2(state.n_unseen) + _UNSEEN_LIFT_M2 * (since_s - elapsed_s)
     slope_var = (_UNMEASURED_SLOPE_M**2 + state.stairs_unknown_share * _UNMEASURED_STAIRS_M**2) * elapsed_s
     height = _after_unmeasured_step(
         state.known, step_s, elapsed_s, (up_prob, down_prob), (unseen_var, slope_var), place
@@ -494,7 +494,7 @@ def _after_pressure(second: PressureSecond, model: PedestrianModel) -> HeightEst
     )
 
 
-def _unseen_var_m2(n_steps: float) -> float:
+def unseen_var_m2(n_steps: float) -> float:
     """Return the variance of the height after steps on which stairs cannot be recognised, m2.
 
     Each step is on stairs with the probability s, up or down by a riser r, and the direction has the correlation
