@@ -57,11 +57,19 @@ def stuck(time_s: FloatArray, hpa: FloatArray) -> tuple[FloatArray, FloatArray]:
     return time_s, np.where(time_s > 60.0, hpa[np.searchsorted(time_s, 60.0)], hpa)
 
 
+def lost(time_s: FloatArray, hpa: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return time_s[time_s < 60.0], hpa[time_s < 60.0]
+
+
+def rounded(time_s: FloatArray, hpa: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return time_s, np.round(hpa)
+
+
 FAULTS: dict[str, tuple[Change | None, str]] = {
     "missing": (None, "there is no barometer"),
-    "lost": (lambda t, p: (t[t < 60.0], p[t < 60.0]), "the pressure ends at 60 s"),
+    "lost": (lost, "the pressure ends at 59 s"),
     "stuck": (stuck, "the barometer gave one value for"),
-    "rounded": (lambda t, p: (t, np.round(p)), "the pressure is rounded to 1 hPa"),
+    "rounded": (rounded, "the pressure is rounded to 1 hPa"),
 }
 
 
@@ -321,6 +329,7 @@ def test_the_deviation_on_a_real_walk_holds_what_a_faulty_barometer_does_not_sho
     given = replace(recording, barometer=None) if fault is None else with_pressure(recording, fault)
     track = pdr.track(given)
     points = recording.truth.waypoints
+    assert points is not None
     true_m = np.array([recording.meta["floor_heights_m"][f"{floor:g}"] for floor in points.floor])
     k = np.clip(np.searchsorted(track.time_s, points.time_s), 0, track.n_steps - 1)
     assert (np.abs(track.height_m[k] - (true_m - true_m[0])) < 3.0 * track.height_std_m[k]).all()
