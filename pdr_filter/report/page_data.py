@@ -65,7 +65,7 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
     if not track.is_level:
         data["height"] = _column(track.height_m[shown], 2)
         data["height_std"] = _column(track.height_std_m[shown], 3)
-        data["floor"] = track.floor[shown].tolist()
+        data["floor"] = [track.known_floor[k] for k in shown.tolist()]
     if len(track.anchors_m):
         data["anchors"] = _points(track.anchors_m)
     if any(places := [_places(track, row) for row in shown]):

@@ -17,7 +17,7 @@ from pdr_filter.sensing.stream_merging import SENSORS
 from pdr_filter.tracking.filtering import State
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import CARRYING_MODES, FixResult, FloatArray, OnPlan, Step, as_plain, read_only
-from pdr_filter.values.uncertainty import worst_std_m
+from pdr_filter.values.uncertainty import floor_prob, worst_std_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -141,6 +141,7 @@ class Now:
         return {
             **named,
             "position_std_m": as_plain(self.position_std_m),
+            "floor_prob": float(floor_prob(np.array(self.height_std_m))),
             "context_prob": as_plain(dict(zip(self.contexts, self.context_prob, strict=True))),
             "carrying_prob": as_plain(dict(zip(CARRYING_MODES, self.carrying_prob, strict=True))),
         }

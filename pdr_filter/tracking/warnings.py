@@ -37,7 +37,7 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
         notes.append(Note("steps", criteria.NO_STEPS))
     has_gyroscope = state.sensing.conditioner.report.has_gyroscope
     notes += [*_sensor_notes(config, state), *_window_notes(state.seen), *_step_notes(state.walked, has_gyroscope)]
-    notes += [*config.notes, *height.notes(state.height)]
+    notes += [*config.notes, *height.notes(state.height, state.barometer)]
     if config.on_plan is not None:
         notes += config.on_plan.notes(state.particles)
     return [*notes, *_frame_notes(config, state), *notes_of_rides(state.rides, vertices), *_fix_notes(state)]

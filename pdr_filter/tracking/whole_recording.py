@@ -19,7 +19,7 @@ from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.device import Device
-from pdr_filter.sensing.features.barometer import Climb
+from pdr_filter.sensing.features.barometer import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Sensing, SensingState
 from pdr_filter.tracking.filtering import (
     Output,
@@ -236,7 +236,8 @@ def outputs(
     state = init(config)
     pedestrian = replace_unchecked(state.tracker.pedestrian, path=NoPath())
     tracker = replace_unchecked(state.tracker, pedestrian=pedestrian)
-    state = add_fixes(config, replace(state, tracker=tracker, climbs=_climbs(config, recording)), fixes)
+    barometer, climbs = _climbs(config, recording)
+    state = add_fixes(config, replace(state, tracker=tracker, barometer=barometer, climbs=tuple(climbs)), fixes)
     if (with_location or with_hills) and (location := recording.location) is not None:
         latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
         where = latitude_deg, longitude_deg, accuracy_m
@@ -366,19 +367,19 @@ def classify(recording: Recording, config: Config | None = None) -> Windows:
     """
     config = given_or_default(recording, config)
     recording, _ = one_clock(recording)
-    climbs = _climbs(config, recording)
+    _, climbs = _climbs(config, recording)
     _, events = run_sensing(config.sensing, recording)
     windows = [event for event in events if isinstance(event, WindowContext)]
     context_set = config.model.context_set
     return _windows(with_climbs(windows, [climb_at(climbs, w.time_s) for w in windows], context_set), context_set)
 
 
-def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:
-    """Return the climb rates from the barometer, or an empty tuple without barometer."""
-    barometer = recording.barometer
-    if barometer is None:
-        return ()
-    return tuple(config.climb_rate.update(config.climb_rate.init(), barometer.time_s, barometer.values[:, 0])[1])
+def _climbs(config: Config, recording: Recording) -> tuple[ClimbState, list[Climb]]:
+    """Return the state after all pressures, and the climb rates, which are none without barometer."""
+    state, barometer = config.climb_rate.init(), recording.barometer
+    return (
+        (state, []) if barometer is None else config.climb_rate.update(state, barometer.time_s, barometer.values[:, 0])
+    )
 
 
 def given_or_default(recording: object, config: Config | None) -> Config:

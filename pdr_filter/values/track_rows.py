@@ -18,7 +18,7 @@ from pdr_filter.values.origin import Origin
 from pdr_filter.values.plan import Plan
 from pdr_filter.values.plan_estimate import Cluster
 from pdr_filter.values.step import steps_of
-from pdr_filter.values.uncertainty import worst_std_m
+from pdr_filter.values.uncertainty import floor_prob, is_floor_unknown, worst_std_m
 from pdr_filter.values.windows import Windows
 
 _WINDOW_S = 2.0  # duration of a context window
@@ -281,6 +281,17 @@ class TrackRows:
         return not (is_significant.any() or self.floor_passages or (self.floor != self.floor[:1]).any())
 
     @property
+    def floor_prob(self) -> FloatArray:
+        """Probability (K,) that the storey is right. Below 0.5 files and reports give the storey as unknown."""
+        return floor_prob(self.height_std_m)
+
+    @property
+    def known_floor(self) -> list[int | None]:
+        """Storey of each step, or None where it is unknown."""
+        unknown = is_floor_unknown(self.height_std_m)
+        return [None if no else floor for floor, no in zip(self.floor.tolist(), unknown.tolist(), strict=True)]
+
+    @property
     def direction_trust(self) -> FloatArray:
         """Agreement (K,) of the strides on the walking direction at each step, 0 to 1."""
         return np.asarray(self.steps.direction_trust)
@@ -386,8 +397,8 @@ class TrackRows:
         dict
             `name`, `n_steps`, `distance_m`, `duration_s`, `end_east_m`, `end_north_m`, `end_std_m`, `estimate`,
             `frame`, `contexts` (seconds in each), `moving_without_steps_s` and `notes`. A track with a place also has
-            `end_latitude_deg` and `end_longitude_deg`. A track with heights also has `end_height_m`, `end_height_std_m`
-            and `end_floor`.
+            `end_latitude_deg` and `end_longitude_deg`. A track with heights also has `end_height_m`,
+            `end_height_std_m`, `end_floor` (None if it is unknown) and `end_floor_prob`.
         """
         end = self.end_position_m
         place: dict[str, float] = {}
@@ -402,7 +413,8 @@ class TrackRows:
             height = {
                 "end_height_m": round(float(self.height_m[-1]), 3),
                 "end_height_std_m": round(float(self.height_std_m[-1]), 3),
-                "end_floor": int(self.floor[-1]),
+                "end_floor": self.known_floor[-1],
+                "end_floor_prob": round(float(self.floor_prob[-1]), 3),
             }
         return {
             "name": self.name,

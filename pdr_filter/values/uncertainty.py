@@ -2,14 +2,36 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.arrays import BoolArray, FloatArray
 
 # Radius that contains 68 % or 95 % of a circular normal distribution, in standard deviations of one axis:
 # sqrt(-2 log(1 - p)) with p = 0.683 and 0.95. Phones report the first as their accuracy.
 RADIUS_68 = 1.515
 RADIUS_95 = 2.4477
+
+
+# Half of a usual storey height, m: a larger error of the height leads to another storey.
+_HALF_STOREY_M = 1.9
+
+
+def floor_prob(height_std_m: FloatArray) -> FloatArray:
+    """Return the probability that a storey is right, for standard deviations of the height (...).
+
+    It is the probability of a normally distributed error of the height of less than half a storey. Below 0.5, which is
+    a standard deviation of 2.8 m, the storey counts as unknown.
+    """
+    std_m = np.atleast_1d(height_std_m)
+    prob = [math.erf(_HALF_STOREY_M / (math.sqrt(2.0) * std)) if std > 0 else 1.0 for std in std_m.tolist()]
+    return np.array(prob).reshape(np.shape(height_std_m))
+
+
+def is_floor_unknown(height_std_m: FloatArray) -> BoolArray:
+    """Return True for standard deviations of the height (...) with which the storey is more likely wrong than right."""
+    return floor_prob(height_std_m) < 0.5
 
 
 def worst_std_m(cov_m2: FloatArray) -> FloatArray:

@@ -144,6 +144,8 @@ class FloorState:
         True if the present stay has already updated a level.
     passages : tuple of FloorPassage
         Passages completed by the last event.
+    is_numbered : bool
+        True if a storey was given, so that the numbers of the storeys are known.
     """
 
     floor: int = 0
@@ -154,6 +156,7 @@ class FloorState:
     n_level_steps: int = 0
     is_used: bool = False
     passages: tuple[FloorPassage, ...] = ()
+    is_numbered: bool = False
 
 
 def storey_m(levels: tuple[Level, ...]) -> float:
@@ -180,6 +183,18 @@ def storey_number(levels: tuple[Level, ...], climbed_m: float) -> float:
     if climbed_m >= highest.climbed_m:
         return highest.floor + (climbed_m - highest.climbed_m) / storey_m(levels)
     return float(np.interp(climbed_m, [level.climbed_m for level in levels], [level.floor for level in levels]))
+
+
+def level_of(levels: tuple[Level, ...], floor: int, storey_std_m: float) -> Level:
+    """Return the level of a storey, interpolated or extrapolated from known levels.
+
+    `storey_std_m` is the standard deviation of the height of a storey that has not been visited.
+    """
+    nearest = min(levels, key=lambda level: abs(level.floor - floor))
+    n = floor - nearest.floor
+    return Level(
+        floor, nearest.climbed_m + n * storey_m(levels), math.hypot(nearest.std_m, storey_std_m * math.sqrt(abs(n)))
+    )
 
 
 def after_motion(
@@ -216,7 +231,7 @@ def after_motion(
             stairs_s=climbing.stairs_s + is_on_stairs * elapsed_s,
             ride_s=climbing.ride_s + (not is_on_stairs) * elapsed_s,
         )
-        return FloorState(floor, floor_since_s, state.levels, climbing), 0.0
+        return FloorState(floor, floor_since_s, state.levels, climbing, is_numbered=state.is_numbered), 0.0
     since_s = now_s if math.isnan(state.level_since_s) else state.level_since_s
     is_back = floor == climbing.from_floor
     state = replace_unchecked(
@@ -289,11 +304,17 @@ def with_level(state: FloorState, level: Level) -> FloorState:
     return replace_unchecked(state, levels=tuple(sorted([*others, level], key=lambda e: e.floor)), is_used=True)
 
 
+def on_storey(state: FloorState, level: Level) -> FloorState:
+    """Return the state on a storey that was given by a fix, with its level known."""
+    climbing = Climbing(state.floor_since_s, level.floor, level.climbed_m)
+    return replace_unchecked(with_level(state, level), floor=level.floor, climbing=climbing)
+
+
 def renumbered(state: FloorState, up: int) -> FloorState:
     """Return the state with the numbers of all storeys increased by `up`."""
     levels = tuple(replace_unchecked(level, floor=level.floor + up) for level in state.levels)
     climbing = replace_unchecked(state.climbing, from_floor=state.climbing.from_floor + up)
-    return replace_unchecked(state, floor=state.floor + up, levels=levels, climbing=climbing)
+    return replace_unchecked(state, floor=state.floor + up, levels=levels, climbing=climbing, is_numbered=True)
 
 
 def _stays(state: FloorState, now_s: float, stay_s: float) -> bool:

@@ -22,6 +22,7 @@ from pdr_filter.filter.fixes.frame_rotation import variance_factor
 from pdr_filter.filter.height import vertical_modes as vertical
 from pdr_filter.filter.height.floor_detection import (
     LEVEL_STD_M,
+    USUAL_STOREY_M,
     Climbing,
     FloorState,
     Level,
@@ -29,6 +30,8 @@ from pdr_filter.filter.height.floor_detection import (
     after_motion,
     finished,
     known_level,
+    level_of,
+    on_storey,
     renumbered,
     with_level,
     with_new_level,
@@ -37,7 +40,7 @@ from pdr_filter.filter.height.vertical_modes import DOWN, DRIFT, JUMP, LIFT, N_M
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.weighting import context_log_evidence
 from pdr_filter.sensing.contexts.context_stage import WindowContext, with_stairs_in_thirds
-from pdr_filter.sensing.features.barometer import RISER_M, Climb
+from pdr_filter.sensing.features.barometer import RISER_M, Climb, ClimbState
 from pdr_filter.values import (
     Context,
     FloatArray,
@@ -49,6 +52,7 @@ from pdr_filter.values import (
     repetition,
     replace_unchecked,
 )
+from pdr_filter.values.uncertainty import is_floor_unknown
 
 # Longest ride in a lift or on an escalator. Aircraft cabins, trains and cable cars take longer.
 LONGEST_RIDE_S = 120.0
@@ -62,8 +66,21 @@ _FLIGHT_STEPS = 12
 _RISER_STD_M = 0.01
 # Random walk of the height by unmeasured slopes, per root second: 0.4 m in a minute of walking.
 _UNMEASURED_SLOPE_M = 0.05
-# Random walk of the height by stairs that cannot be recognised (phone in the hand): one storey in ten minutes.
+# Random walk of the height by kerbs and single stairs, where stairs cannot be recognised, per root second.
 _UNMEASURED_STAIRS_M = 0.14
+# Steps on stairs that cannot be recognised (phone in the hand): a share of all steps goes up or down, as in the labels
+# of terrain (flights of 6.3 s, level stretches of 33 s), and a person climbs three storeys of 22 steps in one direction
+# before the direction is independent of the first one.
+_UNSEEN_SHARE, _UNSEEN_STEPS = 0.16, 66
+# Variance of the height that a second without a step adds by an unseen lift: one of two hundred waits of 30 s is a ride
+# of four storeys.
+_UNSEEN_LIFT_M2 = 0.04
+# Limit of the variance by unseen climbs, because buildings have few storeys: four storeys of 3.8 m.
+_UNSEEN_MOST_M2 = (4 * USUAL_STOREY_M) ** 2
+# Standard deviation of the height of a storey that has not been visited: storeys have 2.6 to 5.5 m.
+_STOREY_STD_M = 0.7
+# Time of a stuck barometer, and resolution, from which a warning is issued. 0.3 hPa are 2.5 m, most of a storey.
+_NOTABLE_STUCK_S, _COARSE_HPA = 5.0, 0.3
 # Age of the last pressure from which steps are processed without a barometer.
 PRESSURE_AGE_S = 4.0
 # Largest delay of a step by the step gate. For this time a second of the barometer may still receive steps.
@@ -205,6 +222,8 @@ class HeightState:
         Number of steps since the last second.
     step_s : float
         Time of the last step.
+    n_unseen : float
+        Steps since the last measurement of the height, each counted with its `stairs_unknown_share`.
     stairs_unknown_share : float
         Dissimilarity of the last window to the stairs of the training data, 0 to 1. At 1, the context probabilities
         give no evidence of stairs.
@@ -217,6 +236,7 @@ class HeightState:
     log_evidence: FloatArray = field(default_factory=lambda: np.zeros(N_MODES))
     n_steps: int = 0
     step_s: float = np.nan
+    n_unseen: float = 0.0
     stairs_unknown_share: float = 0.0
     start_altitude: Altitude = field(default_factory=lambda: Altitude())
 
@@ -286,7 +306,7 @@ def on_pressure(
     recent = (*state.recent, second)
     n_final = sum(s.climb.time_s < climb.time_s - LATE_S for s in state.recent)
     passages = [p for later_second in recent[1 : n_final + 1] for p in later_second.before.floors.passages]
-    without_evidence = replace_unchecked(state, log_evidence=np.zeros(N_MODES), n_steps=0)
+    without_evidence = replace_unchecked(state, log_evidence=np.zeros(N_MODES), n_steps=0, n_unseen=0.0)
     return replace_unchecked(without_evidence, known=height, recent=recent[n_final:]), tuple(passages)
 
 
@@ -305,7 +325,8 @@ def on_step(
     made, and `on_pressure` returns the passages. Without one it climbs a riser with the probability of stairs. `place`
     is an accurate location at the step, or None.
     """
-    elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if math.isfinite(state.step_s) else 0.5
+    since_s = max(step_s - state.step_s, 0.0) if math.isfinite(state.step_s) else 0.5
+    elapsed_s = min(since_s, 2.0)
     if state.recent and now_s - state.known.pressure_s < PRESSURE_AGE_S and state.known.calm_in_s == 0:
         if step_s > state.known.pressure_s:
             return replace_unchecked(state, step_s=step_s, n_steps=state.n_steps + 1), state.known, ()
@@ -319,8 +340,13 @@ def on_step(
     passages = tuple(p for later_second in state.recent[1:] for p in later_second.before.floors.passages)
     if state.recent:
         passages += state.known.floors.passages
-    unmeasured_var = (_UNMEASURED_SLOPE_M**2 + state.stairs_unknown_share * _UNMEASURED_STAIRS_M**2) * elapsed_s
-    height = _after_unmeasured_step(state.known, step_s, elapsed_s, up_prob, down_prob, unmeasured_var, place)
+    n_unseen = state.n_unseen + state.stairs_unknown_share
+    unseen_var = unseen_var_m2(n_unseen) - unseen_var_m2(state.n_unseen) + _UNSEEN_LIFT_M2 * (since_s - elapsed_s)
+    slope_var = (_UNMEASURED_SLOPE_M**2 + state.stairs_unknown_share * _UNMEASURED_STAIRS_M**2) * elapsed_s
+    height = _after_unmeasured_step(
+        state.known, step_s, elapsed_s, (up_prob, down_prob), (unseen_var, slope_var), place
+    )
+    state = replace_unchecked(state, n_unseen=n_unseen)
     state = replace_unchecked(state, step_s=step_s, known=height, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
     return state, height, passages + height.floors.passages
 
@@ -340,14 +366,36 @@ def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
 
 
 def with_floor(state: HeightState, floor: int) -> HeightState:
-    """Return the state with all storeys renumbered so that the present one has the given number."""
+    """Return the state on a given storey.
 
-    def renamed(height: HeightEstimate) -> HeightEstimate:
-        """Return a height estimate with its storeys renumbered by the same difference."""
-        return replace_unchecked(height, floors=renumbered(height.floors, floor - state.known.floors.floor))
+    The first given storey numbers the present one. A later one measures the climbed height as well, if the heights of
+    the storeys agree with it, and otherwise only changes the number of the present storey.
+    """
+    before, known = state.known.floors, state.known
+    level = level_of(before.levels, floor, _STOREY_STD_M)
+    error_var = level.std_m**2 + LEVEL_STD_M**2
+    misfit = (level.climbed_m - known.climbed_m) ** 2 / (vertical.combined(known.moments).climbed_var_m2 + error_var)
 
-    recent = tuple(replace_unchecked(second, before=renamed(second.before)) for second in state.recent)
-    return replace_unchecked(state, known=renamed(state.known), recent=recent)
+    def on_floor(height: HeightEstimate) -> HeightEstimate:
+        """Return a height estimate with the storey renumbered, or its height measured by the storey."""
+        if not before.is_numbered or misfit > _LEVEL_GATE:
+            return replace_unchecked(height, floors=renumbered(height.floors, floor - before.floor))
+        moments = vertical.at_level(height.moments, level.climbed_m, error_var)
+        now = vertical.combined(moments)
+        floors = replace_unchecked(height.floors, floor=floor)
+        if height.floors.floor != floor:
+            floors = on_storey(floors, Level(floor, now.climbed_m, _std(now.climbed_var_m2)))
+        return replace_unchecked(
+            height,
+            moments=moments,
+            climbed_m=now.climbed_m,
+            height_m=now.height_m,
+            height_var_m2=now.height_var_m2,
+            floors=floors,
+        )
+
+    recent = tuple(replace_unchecked(second, before=on_floor(second.before)) for second in state.recent)
+    return replace_unchecked(state, known=on_floor(state.known), recent=recent, n_unseen=0.0)
 
 
 def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
@@ -366,13 +414,31 @@ def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
     )
 
 
-def notes(state: HeightState) -> list[Note]:
-    """Return a warning if the pressure has changed a lot without a climb, else an empty list."""
-    if state.known.most_air_m < _NOTABLE_AIR_M:
-        return []
-    hpa = state.known.most_air_m / _M_PER_HPA
-    change = f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft, a vehicle or by the weather: "
-    return [Note("height", change + "heights and floors ignore this change")]
+def notes(state: HeightState, barometer: ClimbState) -> list[Note]:
+    """Return warnings about an unknown storey, a stuck or coarse barometer, and a large change of the air."""
+    found, known = list[Note](), state.known
+    cause = ""
+    if barometer.stuck_s >= _NOTABLE_STUCK_S:
+        cause = f"the barometer gave one value for {barometer.stuck_s:.0f} s in total"
+    elif math.isnan(known.pressure_s):
+        cause = "there is no barometer"
+    elif _COARSE_HPA < barometer.quantum_hpa < math.inf:
+        cause = f"the pressure is rounded to {barometer.quantum_hpa:.2g} hPa"
+    elif state.step_s - known.pressure_s > PRESSURE_AGE_S:
+        cause = f"the pressure ends at {known.pressure_s:.0f} s"
+    if is_floor_unknown(np.array(known.height_std_m)):
+        words = f"height and storey are unknown, ± {known.height_std_m:.0f} m at the end: "
+        words += f"{cause or 'the pressure has gaps'}, and nothing else shows stairs; "
+        found.append(Note("height", words + "record the pressure, or give fixes with floors"))
+    elif cause and not math.isnan(known.pressure_s):
+        found.append(Note("height", f"heights are uncertain: {cause}; record the pressure without rounding"))
+    if known.most_air_m >= _NOTABLE_AIR_M:
+        hpa = known.most_air_m / _M_PER_HPA
+        words = (
+            f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft, a vehicle or by the weather: "
+        )
+        found.append(Note("height", words + "heights and floors ignore this change"))
+    return found
 
 
 def _after_pressure(second: PressureSecond, model: PedestrianModel) -> HeightEstimate:
@@ -428,23 +494,35 @@ def _after_pressure(second: PressureSecond, model: PedestrianModel) -> HeightEst
     )
 
 
+def unseen_var_m2(n_steps: float) -> float:
+    """Return the variance of the height after steps on which stairs cannot be recognised, m2.
+
+    Each step is on stairs with the probability s, up or down by a riser r, and the direction has the correlation
+    exp(-k / N) after k steps: var = 2 s r^2 N (n - N (1 - exp(-n / N))).
+    """
+    n = _UNSEEN_STEPS
+    return 2.0 * _UNSEEN_SHARE * RISER_M**2 * n * (n_steps + n * math.expm1(-n_steps / n))
+
+
 def _after_unmeasured_step(
     previous: HeightEstimate,
     step_s: float,
     elapsed_s: float,
-    up_prob: float,
-    down_prob: float,
-    unmeasured_var: float,
+    stairs_prob: tuple[float, float],
+    added_var_m2: tuple[float, float],
     place: Place | None,
 ) -> HeightEstimate:
-    """Return the estimate after a step without a barometer, which climbs a riser with the probability of stairs.
+    """Return the estimate after a step without a barometer, which climbs one riser with the probability of stairs.
 
-    `unmeasured_var` is the additional variance of the height in m2, for slopes and stairs that cannot be recognised.
+    `stairs_prob` are the probabilities of a step up and down. `added_var_m2` are the variances of the height that the
+    step adds, by stairs or lifts that cannot be recognised and by slopes.
     """
+    (up_prob, down_prob), (unseen_var, slope_var) = stairs_prob, added_var_m2
     rise_m, on_stairs = RISER_M * (up_prob - down_prob), up_prob + down_prob
     stairs_var = on_stairs * (RISER_M**2 + _RISER_STD_M**2) - rise_m**2
-    climbed_var = _FLIGHT_STEPS * max(stairs_var, 0.0)
-    moments = vertical.after_step(previous.moments, rise_m, climbed_var, unmeasured_var)
+    room = max(1.0 - vertical.combined(previous.moments).climbed_var_m2 / _UNSEEN_MOST_M2, 0.0)
+    climbed_var = _FLIGHT_STEPS * max(stairs_var, 0.0) + room * unseen_var
+    moments = vertical.after_step(previous.moments, rise_m, climbed_var, slope_var)
     now = vertical.combined(moments)
     floors, slope_m = after_motion(previous.floors, step_s, elapsed_s, now.climbed_m, on_stairs, 0.0, 1, place)
     if slope_m != 0.0:

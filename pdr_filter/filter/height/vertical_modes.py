@@ -221,7 +221,10 @@ def as_slope(moments: FloatArray, climbed_m: float) -> FloatArray:
 def at_level(moments: FloatArray, climbed_m: float, var_m2: float) -> FloatArray:
     """Return the moments (7, 5, 5) after a measurement of the climbed height by the known height of a storey, in m."""
     prob = moments[:, _ONE, _ONE, None, None]
-    updated, _ = _measured(moments / prob, np.array([climbed_m, -1.0, 0.0, 0.0, 0.0]), var_m2)
+    # without any pressure six modes have the probability zero
+    updated, _ = _measured(
+        moments / np.maximum(prob, math.exp(_MIN_LOG_PROB)), np.array([climbed_m, -1.0, 0.0, 0.0, 0.0]), var_m2
+    )
     return updated * prob
 
 

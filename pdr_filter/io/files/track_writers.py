@@ -110,7 +110,8 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
         "smoothed_speed_std_mps": track.smoothed_speed_std_mps,
         "height_m": track.height_m,
         "height_std_m": track.height_std_m,
-        "floor": track.floor.astype(float),
+        "floor": np.array(track.known_floor, dtype=float),
+        "floor_prob": track.floor_prob,
         **{f"context_prob_{name}": track.context_prob[:, i] for i, name in enumerate(track.contexts)},
         **{f"mode_prob_{name}": track.mode_prob[:, i] for i, name in enumerate(track.modes)},
     }
@@ -124,7 +125,7 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
     the walk, or the origin of the fixes if the track is in the frame of its fixes. `origin` is not needed for a track
     that was placed by the locations of its recording, because this track has an origin. Properties for each vertex are
     `coordTimes` (seconds of the recording), `covariance_m2` ([ee, en, nn]) and, with a third coordinate, `floor` (the
-    storey).
+    storey, or null where it is unknown).
 
     The third coordinate is the altitude if the origin has an altitude. Otherwise it is the height above the start in m,
     if the height changes. The property `height` states which of both it is.
@@ -157,7 +158,7 @@ def _write_geojson(track: TrackRows, path: str | Path, name: str, about: str, fr
     if start_m is not None or not track.is_level:
         above_m = np.round((start_m or 0.0) + np.concatenate([[0.0], track.height_m]), 3).tolist()
         vertices = [[*vertex, height_m] for vertex, height_m in zip(vertices, above_m, strict=True)]
-        floors = [*track.floor[:1].tolist(), *track.floor.tolist()]
+        floors = [*track.known_floor[:1], *track.known_floor]
         what = "metres above the start of the walk" if start_m is None else "altitude in metres, as its locations count"
         heights = {"height": what, "floor": floors}
     line = {"type": "LineString", "coordinates": vertices}

@@ -143,7 +143,7 @@ function draw() {
   number("heading", () => headingWords(known, now.walking_heading_rad));
   byId("heading_name").title = hasNorth(known) ? "Clockwise from north" : "Relative to the first heading, because north is unknown";
   number("std", () => now.position_std_m === null ? "–" : `${now.position_std_m.toFixed(1)} m`);
-  number("floor", () => String(now.floor));
+  number("floor", () => now.floor_prob < 0.5 ? "unknown" : String(now.floor));
   number("context", () => largest(now.context_prob));
   number("carrying", () => largest(now.carrying_prob));
   text("latency", isLive && now.latency_s !== null ? `${(now.latency_s + (known.delay_s || 0)).toFixed(1)} s` : "–");

@@ -39,7 +39,7 @@
       ["east, north", `${number(t.east[k], 1)}, ${number(t.north[k], 1)} m`],
       ["standard deviation", `± ${number(t.std[k], 1)} m`],
     ];
-    if (t.height) found.push(["height, floor", `${number(t.height[k], 1)} m, ${t.floor[k]}`]);
+    if (t.height) found.push(["height, floor", `${number(t.height[k], 1)} m, ${t.floor[k] ?? "unknown"}`]);
     if (t.places?.[k].length) found.push(["possible positions", t.places[k].map(([percent]) => `${percent} %`).join(", ")]);
     if (t.from_truth) found.push(["position error", `${number(t.from_truth[k], 1)} m`]);
     return found;

@@ -40,6 +40,9 @@ _MIN_HPA, _MAX_HPA = 300.0, 1100.0
 _OTHER_UNITS = {"Pa": (0.01, "divide by 100"), "kPa": (10.0, "multiply by 10")}
 # Tolerance for the ends of a window, in s, because times of recordings have six decimals.
 _ROUNDING_S = 1e-6
+# Resolution below which equal values of some seconds show a stuck sensor: 0.25 m, twice the standard deviation of
+# draughts in a second. The longest equal stretch of the phones of ipin2023 and ipin21 lasts 0.5 s.
+_FINE_HPA = 0.03
 # Samples in a row, in order, that lie behind the last time and show a backward clock jump instead of late samples.
 _CLOCK_RESET_SAMPLES = 10
 
@@ -89,6 +92,10 @@ class ClimbState:
         Consecutive samples with increasing times that lie behind the last accepted one.
     quantum_hpa : float
         Smallest nonzero difference of consecutive samples, hPa: the resolution of the sensor.
+    changed_s : float
+        Time of the last change of the pressure, or of the first sample after a gap, s.
+    stuck_s : float
+        Time for which the sensor was stuck in total, s.
     """
 
     samples: FloatArray
@@ -96,6 +103,8 @@ class ClimbState:
     behind_s: float = -np.inf
     n_behind: int = 0
     quantum_hpa: float = np.inf
+    changed_s: float = np.nan
+    stuck_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -104,7 +113,10 @@ class ClimbRate:
 
     Samples may come at any rate. A window ends with the sample nearest to each hop, judged by the interval of the last
     two samples, and has at least three samples. No window spans a gap. After a gap the first window is complete after
-    `window_s`. Repeated and backward times are dropped, as are NaN and failed readings.
+    `window_s`. Repeated and backward times are dropped, as are NaN and failed readings. A sensor whose value stays
+    exactly equal for `stuck_after_s`, although its resolution is finer than draughts, is stuck and gives no climbs
+    until the value changes. A coarse sensor repeats its values, and their rounding error is common to all equal values:
+    the variance of the n-th equal hop is n times as large.
 
     Parameters
     ----------
@@ -113,6 +125,8 @@ class ClimbRate:
         samples. With the noise below their standard deviation is 0.026 m/s, a tenth of the climb rate on stairs.
     max_gap_s : float
         A longer time without samples is a gap, s.
+    stuck_after_s : float
+        Time of equal values after which a sensor is stuck, s.
     noise_hpa : float
         Lower limit of the standard deviation of a sample, hPa. It is needed because a few samples can lie on a line by
         chance, and a coarse sensor repeats its values. The default of 0.01 hPa (0.08 m) is the noise of the ST LPS25HB.
@@ -124,6 +138,7 @@ class ClimbRate:
     window_s: float = 4.0
     hop_s: float = 1.0
     max_gap_s: float = 2.0
+    stuck_after_s: float = 5.0
     noise_hpa: float = 0.01
     temperature_c: float = 15.0
 
@@ -161,8 +176,9 @@ class ClimbRate:
         checked = checked_pressure(time_s, pressure_hpa)
         times, pressures = (samples.tolist() for samples in state.samples)
         due_s, behind_s, n_behind, quantum_hpa = state.due_s, state.behind_s, state.n_behind, state.quantum_hpa
+        changed_s, stuck_s = state.changed_s, state.stuck_s
         first = 0  # index of the first sample after the last gap
-        windows: list[tuple[int, int, int, float]] = []
+        windows: list[tuple[int, int, int, float, float]] = []
         for t, p in checked.T.tolist():
             if len(times) > first and t <= times[-1]:
                 n_behind = n_behind + 1 if t > behind_s else 1
@@ -172,12 +188,16 @@ class ClimbRate:
                 first = len(times)
             n_behind, behind_s = 0, -np.inf
             if len(times) == first or t - times[-1] > self.max_gap_s:
-                first, due_s = len(times), t + self.window_s
+                first, due_s, changed_s = len(times), t + self.window_s, t
                 times.append(t)
                 pressures.append(p)
                 continue
+            is_stuck = (
+                p == pressures[-1] and t - changed_s >= self.stuck_after_s and not _FINE_HPA < quantum_hpa < np.inf
+            )
+            stuck_s += is_stuck * min(t - times[-1], t - changed_s)
             if p != pressures[-1]:
-                quantum_hpa = min(quantum_hpa, abs(p - pressures[-1]))
+                quantum_hpa, changed_s = min(quantum_hpa, abs(p - pressures[-1])), t
             nearest_s = t + 0.5 * (t - times[-1])  # this sample is the nearest one to all times up to here
             times.append(t)
             pressures.append(p)
@@ -185,23 +205,23 @@ class ClimbRate:
                 due_s += self.hop_s * (math.floor((nearest_s - due_s) / self.hop_s) + 1)
                 start = bisect_left(times, t - self.window_s - _ROUNDING_S, lo=first)
                 last = bisect_right(times, t - self.hop_s + _ROUNDING_S, lo=first)
-                if len(times) - start >= 3:
-                    windows.append((start, last, len(times), quantum_hpa))
+                if len(times) - start >= 3 and not is_stuck:
+                    windows.append((start, last, len(times), quantum_hpa, t - changed_s))
         samples = np.array([times, pressures])
         start = bisect_left(times, times[-1] - self.window_s - _ROUNDING_S, lo=first) if times else 0
         kept = samples[:, start:].copy()
-        return ClimbState(kept, due_s, behind_s, n_behind, quantum_hpa), self._climbs(
-            samples, windows
-        ) if windows else []
+        after = ClimbState(kept, due_s, behind_s, n_behind, quantum_hpa, changed_s, stuck_s)
+        return after, self._climbs(samples, windows) if windows else []
 
-    def _climbs(self, samples: FloatArray, windows: list[tuple[int, int, int, float]]) -> list[Climb]:
+    def _climbs(self, samples: FloatArray, windows: list[tuple[int, int, int, float, float]]) -> list[Climb]:
         """Return the climbs of windows of samples (2, B), which are times and pressures.
 
         Each window is given by the indices of its first sample, of the first sample of its last hop, and of its end.
-        The fourth number is the resolution of the sensor so far, hPa.
+        The other two are the resolution of the sensor so far, hPa, and the time since the last change of its value, s.
         """
         starts, lasts, ends = np.array([w[:3] for w in windows]).T
-        quantum_hpa, n, n_last = np.array([w[3] for w in windows]), ends - starts, ends - lasts
+        quantum_hpa, equal_s = np.array([w[3:] for w in windows]).T
+        n, n_last = ends - starts, ends - lasts
         time_s, pressure_hpa = samples[:, _ranges(starts, n)]
         each = np.cumsum(n) - n
 
@@ -216,12 +236,14 @@ class ClimbRate:
         rate_mps = sums(from_middle_s * height_m) / spread_s2
         residual_m = height_m - np.repeat(rate_mps, n) * from_middle_s
         noise_m = metres_per_hpa * self.noise_hpa
-        std_mps = np.sqrt(np.maximum(sums(residual_m * residual_m) / (n - 2), noise_m**2) / spread_s2)
+        rate_var = np.maximum(sums(residual_m * residual_m) / (n - 2), noise_m**2) / spread_s2
         last_hpa = np.add.reduceat(samples[1, _ranges(lasts, n_last)], np.cumsum(n_last) - n_last) / n_last
-        # Noise averages out over the samples. Rounding does not, because at rest it is the same in all of them.
+        # Noise averages out over the samples. Rounding does not, because it is the same in all equal values.
         rounding_m = metres_per_hpa * np.where(np.isfinite(quantum_hpa), quantum_hpa, 0.0) / math.sqrt(12)
+        # A rate of repeated values is the difference of two rounded ones.
+        std_mps = np.sqrt(rate_var + 2.0 * (np.where(equal_s > 0, rounding_m, 0.0) / self.window_s) ** 2)
         end_m = -self.scale_height_m * np.log(last_hpa / STANDARD_PRESSURE_HPA)
-        end_std_m = np.hypot(noise_m / np.sqrt(n_last), rounding_m)
+        end_std_m = np.hypot(noise_m / np.sqrt(n_last), rounding_m * np.sqrt(np.maximum(equal_s / self.hop_s, 1.0)))
         columns = (samples[0, ends - 1], rate_mps, std_mps, n, end_m, end_std_m)
         return [Climb(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
 

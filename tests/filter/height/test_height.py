@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from helpers import cut_randomly, pushed
 
 import pdr_filter as pdr
 from pdr_filter.filter.height.floor_detection import FloorState, Level, storey_number, with_new_level
+from pdr_filter.filter.height.height_filter import unseen_var_m2
 from pdr_filter.filter.height.vertical_modes import _TRANSITIONS
 from pdr_filter.offline.smoothing.storeys import with_arrivals, with_named_floors
 from pdr_filter.simulate import BAROMETER, Leg, SensorErrors, simulate
@@ -48,6 +51,26 @@ def level() -> Recording:
 
 
 Change = Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+
+def stuck(time_s: FloatArray, hpa: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return time_s, np.where(time_s > 60.0, hpa[np.searchsorted(time_s, 60.0)], hpa)
+
+
+def lost(time_s: FloatArray, hpa: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return time_s[time_s < 60.0], hpa[time_s < 60.0]
+
+
+def rounded(time_s: FloatArray, hpa: FloatArray) -> tuple[FloatArray, FloatArray]:
+    return time_s, np.round(hpa)
+
+
+FAULTS: dict[str, tuple[Change | None, str]] = {
+    "missing": (None, "there is no barometer"),
+    "lost": (lost, "the pressure ends at 59 s"),
+    "stuck": (stuck, "the barometer gave one value for"),
+    "rounded": (rounded, "the pressure is rounded to 1 hPa"),
+}
 
 
 def with_pressure(recording: Recording, change: Change) -> Recording:
@@ -282,6 +305,77 @@ def test_without_information_the_height_stays_zero_and_its_variance_grows(stairs
     assert set(track.floor) == {0}
     assert (np.diff(track.height_std_m) > 0).all()
     assert track.height_std_m[-1] > 1.0
+
+
+def test_the_deviation_holds_the_storeys_that_were_climbed_with_the_phone_in_the_hand() -> None:
+    for context, n_storeys in (("upstairs", 10), ("downstairs", 3), ("walking", 0)):
+        legs = [Leg("walking", distance_m=20.0)]
+        for _ in range(max(n_storeys, 4)):
+            legs += [*storey(context), Leg("walking", distance_m=4.0, turn_rad=1.5)]
+        recording = replace(walk(*legs), barometer=None)
+        track = pdr.track(recording)
+        error = error_m(track, recording)
+        assert (np.abs(error) < 3.2 * track.height_std_m).all()
+        assert track.height_std_m[-1] < 16.0
+        assert any(str(note).startswith("height and storey are unknown") for note in track.notes)
+        assert track.known_floor[-1] is None
+
+
+@pytest.mark.parametrize(("fault", "words"), FAULTS.values(), ids=FAULTS.keys())
+def test_the_deviation_on_a_real_walk_holds_what_a_faulty_barometer_does_not_show(
+    fault: Change | None, words: str, data_dir: Path
+) -> None:
+    recording = replace(pdr.read(data_dir / "ipin2023" / "ipin2023_anon_trial51_rep02.zip"), location=None)
+    given = replace(recording, barometer=None) if fault is None else with_pressure(recording, fault)
+    track = pdr.track(given)
+    points = recording.truth.waypoints
+    assert points is not None
+    true_m = np.array([recording.meta["floor_heights_m"][f"{floor:g}"] for floor in points.floor])
+    k = np.clip(np.searchsorted(track.time_s, points.time_s), 0, track.n_steps - 1)
+    assert (np.abs(track.height_m[k] - (true_m - true_m[0])) < 3.0 * track.height_std_m[k]).all()
+    assert sum(words in str(note) for note in track.notes) == 1
+
+
+def test_unseen_stairs_vary_like_a_direction_that_is_slowly_forgotten() -> None:
+    rng, n_steps, n_walks = np.random.default_rng(0), 300, 4000
+    # with the correlation exp(-k / 66), the direction is drawn again with the probability 1 - exp(-1 / 66) a step
+    direction, height_m = rng.choice([-1, 0, 1], (n_walks,), p=[0.08, 0.84, 0.08]), np.zeros((n_steps, n_walks))
+    for k in range(n_steps):
+        again = rng.random(n_walks) > np.exp(-1 / 66)
+        direction = np.where(again, rng.choice([-1, 0, 1], (n_walks,), p=[0.08, 0.84, 0.08]), direction)
+        height_m[k] = (height_m[k - 1] if k else 0.0) + 0.17 * direction
+    for k in (10, 60, 299):
+        assert unseen_var_m2(k + 1) == pytest.approx(height_m[k].var(), rel=0.1)
+
+
+def test_two_given_storeys_measure_the_climb_between_them(stairs: Recording) -> None:
+    recording = replace(stairs, barometer=None)
+    fixes = [PositionFix(t, np.zeros(2), 1e4 * np.eye(2), floor=floor) for t, floor in ((8.0, 3), (40.0, 5))]
+    track = pdr.track(recording, fixes=fixes)
+    after = np.searchsorted(track.time_s, 42.0)
+    assert track.floor[after] == 5
+    assert track.height_m[after] == pytest.approx(2 * 3.8, abs=2.0)
+    assert track.height_std_m[after] < 2.0
+    assert track.floor[np.searchsorted(track.time_s, 12.0)] == 3
+
+
+def test_a_given_storey_that_the_barometer_contradicts_leaves_the_height(stairs: Recording) -> None:
+    fixes = [PositionFix(t, np.zeros(2), 1e4 * np.eye(2), floor=floor) for t, floor in ((8.0, 3), (14.0, 8))]
+    with_fixes, without = pdr.track(stairs, fixes=fixes), pdr.track(stairs)
+    np.testing.assert_allclose(with_fixes.height_m, without.height_m, atol=0.05)
+    assert with_fixes.floor[np.searchsorted(with_fixes.time_s, 15.0)] == 8
+
+
+def test_an_unknown_storey_is_given_as_unknown(stairs: Recording, tmp_path: Path) -> None:
+    track = pdr.track(stairs)
+    vague = replace(track, height_std_m=np.full(track.n_steps, 5.0))
+    assert (track.floor_prob > 0.99).all()
+    assert (vague.floor_prob < 0.5).all()
+    assert (track.summary()["end_floor"], vague.summary()["end_floor"]) == (0, None)
+    rows = np.genfromtxt(vague.to_csv(tmp_path / "track.csv"), delimiter=",", names=True)
+    assert np.isnan(rows["floor"]).all()
+    floors = json.loads(vague.to_geojson(tmp_path / "track.geojson", origin=(48.0, 11.0)).read_text())
+    assert set(floors["features"][0]["properties"]["floor"]) == {None}
 
 
 def test_pressure_that_begins_late_or_ends_early_is_used_for_its_own_time(stairs: Recording) -> None:

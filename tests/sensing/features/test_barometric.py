@@ -69,7 +69,7 @@ def test_pressure_on_a_line_gives_its_slope_exactly_and_the_noise_of_the_sensor(
 
 @settings(max_examples=50, deadline=None)
 @given(
-    rate_mps=st.floats(-2.5, 2.5),
+    rate_mps=st.floats(-2.5, 2.5).filter(lambda rate: abs(rate) > 1e-6),
     rate_hz=st.floats(1.0, 30.0),
     ground_hpa=st.floats(500.0, 1080.0),
     seed=st.integers(0, 1000),
@@ -117,6 +117,29 @@ def test_noise_below_that_of_the_sensor_does_not_reduce_the_standard_deviation()
     assert twice.std_mps == pytest.approx(2 * first.std_mps)
 
 
+def test_a_fine_barometer_that_repeats_its_value_for_five_seconds_gives_no_climbs_until_it_changes() -> None:
+    time_s, hpa = climbing(0.2, duration_s=60.0)
+    hpa[(time_s >= 20.0) & (time_s < 40.0)] = hpa[200]
+    found = run(STAGE, time_s, hpa, cuts=[3, 210, 333, 401])
+    times_s = np.array([climb.time_s for climb in found])
+    assert not ((times_s > 25.1) & (times_s < 40.0)).any()
+    assert ((times_s > 20.0) & (times_s < 25.1)).sum() == 4
+    assert (times_s >= 40.0).sum() >= 19
+    state, _ = STAGE.update(STAGE.init(), time_s, hpa)
+    assert state.stuck_s == pytest.approx(15.0, abs=0.2)
+
+
+def test_equal_values_of_a_coarse_barometer_share_their_rounding_error() -> None:
+    time_s = np.arange(0.0, 60.0, 0.1)
+    hpa = 1000.0 - (time_s > 10.0)
+    found = run(STAGE, time_s, hpa)
+    std_m = {round(climb.time_s): climb.height_std_m for climb in found}
+    rounding_m = STAGE.scale_height_m / 1000.0 / np.sqrt(12.0)
+    for equal_s in (1, 9, 36):
+        assert std_m[10 + equal_s] == pytest.approx(rounding_m * np.sqrt(equal_s), rel=0.06)
+    assert min(climb.std_mps for climb in found if climb.time_s > 16.0) > 0.5  # stairs have 0.27 m/s
+
+
 # --- windows ----------------------------------------------------------------------------------------------------------
 
 
@@ -128,8 +151,8 @@ def test_windows_come_every_hop_from_the_first_full_one_on() -> None:
 
 
 def test_slow_samples_end_one_window_each_and_missed_hops_are_skipped() -> None:
-    time_s = np.arange(0, 30, 1.7)
-    found = run(STAGE, time_s, np.full(len(time_s), 1000.0))
+    time_s, hpa = climbing(0.1, 1 / 1.7)
+    found = run(STAGE, time_s, hpa)
     np.testing.assert_allclose([c.time_s for c in found], time_s[2:])
     assert {c.n_samples for c in found} == {3}
 
