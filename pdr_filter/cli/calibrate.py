@@ -106,6 +106,14 @@ def calibrate(
             raise ValueError("--distance is for one process: leave out --jobs, --scheduler and --resume")
         else:
             result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
+        n_rejected = len(result.distrusted)
+        if n_rejected == len(result.segments):
+            for line in result.report().split("\n"):
+                console.print_line(line)
+            console.say_error(
+                "nothing was written, because every segment contradicts the detected steps: see the report"
+            )
+            raise typer.Exit(1)
         as_tables = {} if tables is None else {tables / name: rows for name, rows in result.tables().items()}
         before = console.existing(
             *file_pair(out), figure, *(Path(f"{stem}{suffix}") for stem in as_tables for suffix in (".csv", ".tex"))

@@ -25,6 +25,7 @@ from pdr_filter.values import (
     check_columns,
     check_cov,
     check_name_of_context,
+    check_step_length,
     how_many,
     pickled,
     read_only,
@@ -184,12 +185,12 @@ class Calibration:
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Calibrated contexts, which are the main context of at least one segment.
+        """Calibrated contexts, which are the main context of at least one segment that was not rejected.
 
         A context with only a few uncertain steps in segments of other contexts is not calibrated. A context whose step
         length is held at zero, such as standing, is left out.
         """
-        found = set(self.segments.context.tolist())
+        found = set(self.segments.context[~self.segments.distrusted].tolist())
         k, k_cov = self.k, self.k_cov
         return tuple(c for c in self.models if c in found and (k[c].any() or k_cov[c].any()))
 
@@ -317,7 +318,8 @@ class Calibration:
     def config(self, config: Config, subject: Subject | None = None) -> Config:
         """Return a configuration with the calibrated step lengths of a person, and a note that names the person.
 
-        Contexts that were not calibrated keep the step lengths of the configuration.
+        Contexts that were not calibrated keep the step lengths of the configuration. So do all contexts if every
+        segment of the person contradicts the detected steps. Notes state this and all warnings of the calibration.
 
         Parameters
         ----------
@@ -337,18 +339,29 @@ class Calibration:
         error of the parameters is the same in all steps of a walk.
         """
         fits = self.fits(subject)
-        used = self.contexts
+        used, name = self.contexts, self.person_of(subject)
+        own = self.segments if name is None else self.segments[self.segments.subject == name]
+        n_rejected, contradicted = int(own.distrusted.sum()), ""
+        if n_rejected:
+            # without a segment that fits, the parameters of a person are those of the prior
+            used = used if n_rejected < len(own) else ()
+            contradicted = (
+                f"; {n_rejected} of {how_many(len(own), 'segment')} of the calibration contradict the detected steps "
+                "and were not used: check that the known lengths are in metres, and calibrate again"
+            )
         sure = {name: replace(fits[name], theta_cov=np.zeros_like(fits[name].theta_cov)) for name in used}
         modes = tuple(replace(m, step_length=sure.get(m.context, m.step_length)) for m in config.model.modes)
+        if not used:
+            text = f"step lengths {self._whose(subject)}: no context is calibrated; all keep the step lengths of the "
+            note = Note("step lengths", f"{text}recipe{contradicted}")
+            return replace(config, notes=(*config.notes, note))
         noise = replace(config.model.noise, log_scale_std=self.scale_std(subject))
-        name = self.person_of(subject)
-        which = (
-            f"calibrated for {', '.join(used)}; other contexts keep" if used else "no context is calibrated; all keep"
-        )
-        text = f"step lengths {self._whose(subject)}: {which} the step lengths of the recipe"
-        note = Note("step lengths", text)
+        text = f"step lengths {self._whose(subject)}: calibrated for {', '.join(used)}; other contexts keep the step "
+        found = [f"{text}lengths of the recipe{contradicted}"]
+        found += [text.removeprefix("WARNING: ") for text in self.notes if text.startswith("WARNING: ")]
         notes = tuple(n for n in config.notes if n.about != "height" or name is None)
-        return replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
+        notes += tuple(Note("step lengths", text) for text in found)
+        return replace(config.with_model(modes=modes, noise=noise), notes=notes)
 
     def _whose(self, subject: Subject | None) -> str:
         """Return a phrase that names the person whose parameters are used."""
@@ -565,6 +578,12 @@ def _check_numbers(calibration: Calibration) -> None:
     known = {**calibration.residual_std_m, "recording_std": calibration.recording_std}
     if not all(0 <= std <= _LARGEST_STD for std in known.values()):
         raise ValueError(f"residual_std_m and recording_std must be from 0 to {_LARGEST_STD}, got {known}")
+    if "walking" in calibration.contexts:
+        for theta in (calibration.theta, *calibration.people):
+            k = theta[slices_of(calibration.models)[0]["walking"]]
+            length_m, _ = typical_step_m(calibration.models["walking"], k, np.zeros((len(k), len(k))))
+            if not np.isnan(length_m):
+                check_step_length("the typical step length of walking", length_m)
     if calibration.main_context not in calibration.models:
         raise ValueError("models must contain the model of at least one context, got none")
 
