@@ -254,3 +254,17 @@ def test_a_figure_of_no_known_kind_is_refused_before_a_file_is_read(tmp_path: Pa
     assert result.exit_code == 2
     words = "me.xyz: pictures with the suffix '.xyz' are not supported; use .png, .pdf or .svg"
     assert words in one_line(result.stderr)
+
+
+def test_a_calibration_that_learns_nothing_is_not_written(tmp_path: Path) -> None:
+    walk, out = write_recording(short_walk(), tmp_path / "walk.zip"), tmp_path / "me.json"
+    much_m = 2.6 * pdr.track(pdr.read(walk)).distance_m
+    result = run("calibrate", walk, "--distance", much_m, "--out", out)
+    assert result.exit_code == 1
+    assert "every segment contradicts the detected steps" in one_line(result.stderr)
+    assert "WARNING: the step lengths are those of the prior" in result.stdout
+    assert not out.exists()
+    far = run("calibrate", walk, "--distance", 100 * much_m, "--out", out)
+    assert far.exit_code == 2
+    assert "faster than 12.5 m/s" in one_line(far.stderr)
+    assert not out.exists()
