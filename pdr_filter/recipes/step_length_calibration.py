@@ -340,13 +340,13 @@ class Calibration:
         """
         fits = self.fits(subject)
         used, name = self.contexts, self.person_of(subject)
-        own = self.segments if name is None else self.segments[self.segments.subject == name]
-        n_rejected, contradicted = int(own.distrusted.sum()), ""
+        is_own = np.array([name in (None, subject_id) for subject_id in self.segments.subject.tolist()], dtype=bool)
+        n_own, n_rejected, contradicted = int(is_own.sum()), int((is_own & self.segments.distrusted).sum()), ""
         if n_rejected:
             # without a segment that fits, the parameters of a person are those of the prior
-            used = used if n_rejected < len(own) else ()
+            used = used if n_rejected < n_own else ()
             contradicted = (
-                f"; {n_rejected} of {how_many(len(own), 'segment')} of the calibration contradict the detected steps "
+                f"; {n_rejected} of {how_many(n_own, 'segment')} of the calibration contradict the detected steps "
                 "and were not used: check that the known lengths are in metres, and calibrate again"
             )
         sure = {name: replace(fits[name], theta_cov=np.zeros_like(fits[name].theta_cov)) for name in used}
