@@ -106,6 +106,14 @@ def calibrate(
             raise ValueError("--distance is for one process: leave out --jobs, --scheduler and --resume")
         else:
             result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
+        n_rejected = len(result.distrusted)
+        if n_rejected == len(result.segments):
+            for line in result.report().split("\n"):
+                console.print_line(line)
+            console.say_error(
+                "nothing was written, because every segment contradicts the detected steps: see the report"
+            )
+            raise typer.Exit(1)
         as_tables = {} if tables is None else {tables / name: rows for name, rows in result.tables().items()}
         before = console.existing(
             *file_pair(out), figure, *(Path(f"{stem}{suffix}") for stem in as_tables for suffix in (".csv", ".tex"))
@@ -154,21 +162,30 @@ def smooth(
     person: PersonFile = None,
     height_m: Height = None,
     loop: Loop = False,
+    truth_as_fixes: Annotated[
+        bool,
+        typer.Option(
+            "--truth-as-fixes",
+            help="Use the waypoints of the recording, its ground truth, as fixes. The track is then no longer an "
+            "estimate that they can evaluate, and a note says so.",
+        ),
+    ] = False,
     no_marks: Annotated[bool, typer.Option("--no-marks", help="Do not use the marks of the recording.")] = False,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
     """Smooth a whole recording with fixes and loop closures.
 
-    Without any, use the recording's own waypoints or locations. The marks of the recording, which pdr-filter app
-    writes, are used: fixes.csv, loop_closures.csv, person.json and walk.json. They are in the folder walk.zip.marks for
-    the file walk.zip, and inside a recording that is a folder.
+    Without any, use the recording's own locations. The marks of the recording, which pdr-filter app writes, are used:
+    fixes.csv, loop_closures.csv, person.json and walk.json. They are in the folder walk.zip.marks for the file
+    walk.zip, and inside a recording that is a folder.
 
     Times in the CSV files are seconds on the clock of the recording.
     """
     import pdr_filter as pdr
     from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
     from pdr_filter.maps.marks import Marks, read_marks, unused_fixes
+    from pdr_filter.offline.smoothing.observations import waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 
     before: dict[Path, int] = {}
@@ -181,15 +198,16 @@ def smooth(
             recording = recording.of_height(height_m)
         where = {name: value for name, value in placement.arguments().items() if value is not None}
         is_given = any((fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(placement, plan=None).given()))
-        known: dict[str, Any] = marked.arguments(recording, None if is_given else fix_std_m)
+        known: dict[str, Any] = marked.arguments(recording, not is_given)
         closed = known.pop("loop_closures")
         if loop_closures is not None:
             closed = loop_closures_of_file(loop_closures)
         closed += wifi_loop_closures(recording) if wifi_loops else []
         position_fixes: list[Any] = known.pop("fixes")
-        n_waypoints = len(position_fixes) - len(marked.fixes)
         if fixes is not None:
             position_fixes = list(fixes_of_file(fixes, fix_std_m))
+        if truth_as_fixes:
+            position_fixes += waypoint_fixes(recording, fix_std_m)
         if radio is not None:
             mapped = pdr.RadioMap.load(radio)
             position_fixes += [*mapped.fixes(recording), *(mapped.grids(recording) if placement.plan else [])]
@@ -209,8 +227,6 @@ def smooth(
                 console.write_map(track, out / f"{name}.geojson")
     if marked.names:
         console.stderr().print(f"marks used: {escape(', '.join(str(marked.folder / n) for n in marked.names))}")
-    if n_waypoints:
-        console.stderr().print(f"waypoints used: {n_waypoints} of the recording")
     console.print_tracks([track])
     typer.echo(
         f"{len(result.observations)} observations, {len(result.rejected)} not used; "

@@ -9,8 +9,9 @@ import numpy as np
 
 from pdr_filter.evaluate.distance import percent_error, walked_m
 from pdr_filter.evaluate.steps import count_error_percent
-from pdr_filter.evaluate.tracks import end_error_percent, moved_m, position_rmse_m, positions_at
+from pdr_filter.evaluate.tracks import end_error_percent, moved_m, path_m, position_rmse_m, positions_at
 from pdr_filter.values import FloatArray, Table, TrackRows, rigid_fit, table
+from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.recording import Recording
 
 
@@ -27,14 +28,15 @@ def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows]) -> T
     Returns
     -------
     Table
-        A row for each track. Measures without the required ground truth are NaN. The columns are
+        A row for each track. Measures without the required ground truth are NaN. Known places are the waypoints, or
+        without waypoints the true positions at the steps. The columns are
 
         - `name`, `n_steps`, `distance_m`.
         - `step_error_percent`, the relative error of the step count.
         - `leg_error_percent`, the relative error of the walked distance in all segments of known distance together.
-        - `rmse_m`, the position RMSE at the waypoints, after rigid alignment to all waypoints.
-        - `end_error_percent`, the position error at the last waypoint relative to the path length, after rigid
-          alignment to the waypoints of the first 20 % of the path.
+        - `rmse_m`, the position RMSE at the known places, after rigid alignment to all of them.
+        - `end_error_percent`, the position error at the last known place relative to the path length, after rigid
+          alignment to the known places of the first 20 % of the path.
         - `context_error_percent`, the share of windows whose most probable context differs from the label at their end.
 
     Examples
@@ -103,41 +105,38 @@ def straight_leg_error_percent(recording: Recording, track: TrackRows) -> float:
 
 
 def in_truth_frame(recording: Recording, track: TrackRows) -> FloatArray:
-    """Return a track after rigid alignment to all waypoints of the recording.
+    """Return a track after rigid alignment to the waypoints, or without waypoints to the true positions.
 
     Parameters
     ----------
     recording : Recording
-        Recording with waypoints.
+        Recording with waypoints or true positions.
     track : Track
         Track of the recording.
 
     Returns
     -------
     ndarray of shape (K + 1, 2)
-        Start and positions after each step in m, in the frame of the waypoints.
+        Start and positions after each step in m, in the frame of the ground truth.
 
     Raises
     ------
     ValueError
-        If the recording has no waypoints.
+        If the recording has neither.
 
     Examples
     --------
-    >>> import numpy as np
     >>> import pdr_filter as pdr
-    >>> from dataclasses import replace
     >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
-    >>> walk = replace(walk, truth=replace(walk.truth, waypoints=walk.truth.position[::500]))
     >>> track = pdr.track(walk)
     >>> pdr.evaluate.in_truth_frame(walk, track).shape == (track.n_steps + 1, 2)
     True
     """
-    estimate_m, reference_m = _at_waypoints(recording, track)
+    estimate_m, reference_m = _at_known_places(recording, track)
     if not len(reference_m):
         raise ValueError(
-            f"{recording.name or 'the recording'} has no waypoints of known time and position to align the track with: "
-            "add truth_waypoints.csv (docs/formats.md)"
+            f"{recording.name or 'the recording'} has no waypoints or true positions of known time to align the track "
+            "with: add truth_waypoints.csv (docs/formats.md)"
         )
     rotation, shift_m = rigid_fit(estimate_m, reference_m)
     return np.vstack([track.start_position_m, track.position_m]) @ rotation.T + shift_m
@@ -181,8 +180,8 @@ def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, f
         count = float(count_error_percent(track.n_steps, len(steps)))
     if segments is not None:
         legs = leg_error_percent(track, cast(Table, segments[segments.distance_m > 0]))
-    estimate_m, reference_m = _at_waypoints(recording, track)
-    if len(reference_m) > 2:
+    estimate_m, reference_m = _at_known_places(recording, track)
+    if len(reference_m) > 2 and path_m(reference_m)[-1] > 0:
         rmse = position_rmse_m(estimate_m, reference_m, "all")
         end = end_error_percent(estimate_m, reference_m, "first")
     labels = recording.truth.labels
@@ -212,12 +211,20 @@ def wrong_context_percent(track: TrackRows, labels: Table) -> float:
     return float(100.0 * (best != labels.context[label]).mean())
 
 
-def _at_waypoints(recording: Recording, track: TrackRows) -> tuple[FloatArray, FloatArray]:
-    """Return track positions and true positions at the waypoints with known time and position, (N, 2) each."""
-    points = recording.truth.waypoints
-    if points is None:
+def _at_known_places(recording: Recording, track: TrackRows) -> tuple[FloatArray, FloatArray]:
+    """Return track positions and true positions, (N, 2) each, at the waypoints with known time and position.
+
+    Without waypoints, they are those at the steps within the times of the true positions.
+    """
+    points, path = recording.truth.waypoints, recording.truth.position
+    is_path = points is None or not len(points)
+    known = path if is_path else points
+    if known is None:
         return np.zeros((0, 2)), np.zeros((0, 2))
-    reference_m = np.column_stack([points.east_m, points.north_m])
-    is_known = np.isfinite(reference_m).all(axis=1) & np.isfinite(points.time_s)
-    time_s = points.time_s[is_known]
-    return positions_at(track.time_s, track.position_m, time_s, track.start_position_m), reference_m[is_known]
+    reference_m = np.column_stack([known.east_m, known.north_m])
+    is_known = np.isfinite(reference_m).all(axis=1) & np.isfinite(known.time_s)
+    time_s, reference_m = known.time_s[is_known], reference_m[is_known]
+    if is_path and len(time_s):
+        within = (track.time_s >= time_s.min()) & (track.time_s <= time_s.max())
+        time_s, reference_m = track.time_s[within], interpolated(track.time_s[within], time_s, reference_m)
+    return positions_at(track.time_s, track.position_m, time_s, track.start_position_m), reference_m

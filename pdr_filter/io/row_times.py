@@ -6,13 +6,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from pdr_filter.sensing.clock import REORDER_S
 from pdr_filter.values import FloatArray, IntArray, how_many
 from pdr_filter.values.limits import GAP_INTERVALS, GAP_S
 
 Streams = Mapping[str, tuple[FloatArray, FloatArray]]
 
-# The clock of a phone goes back by a few of its ticks, of 10 ms in OxIOD: such times stay as recorded.
-_JITTER_S = 0.1
 # Share of the rows that repeat the time of the row before: in packs of two it is a half, in a phone's jitter a few
 # hundredths.
 _PACKED_SHARE = 1 / 3
@@ -95,7 +94,7 @@ def spread(
 def _n_late(time_s: FloatArray) -> int:
     """Return the number of rows that are earlier than a row above them, or 0 if only the clock jitters."""
     late_s = np.fmax.accumulate(time_s) - time_s
-    return int((late_s > 0).sum()) if (late_s > _JITTER_S).any() else 0
+    return int((late_s > 0).sum()) if (late_s > REORDER_S).any() else 0
 
 
 def _order(time_s: FloatArray, n_late: int) -> IntArray | None:

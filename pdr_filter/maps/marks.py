@@ -5,7 +5,8 @@
 - `loop_closures.csv`: two times at one place, `first_s,second_s,std_m`.
 - `person.json`: step lengths of the person, as `Person.save` or `pdr_filter.Calibration.save` writes them.
 - `walk.json`: an object with any of `person` (name), `height_m`, `is_loop`, `origin` (latitude and longitude in
-  degrees), `plan` (path of a floor plan, relative to the folder of the marks) and `keep_on_plan`.
+  degrees), `plan` (path of a floor plan, relative to the folder of the marks), `keep_on_plan` and `truth_as_fixes`
+  (true to use the waypoints of the recording, its ground truth, as fixes).
 
 `pdr-filter smooth` and `pdr-filter app` read the same files with `read_marks`, so their results are the same.
 """
@@ -51,6 +52,7 @@ _KINDS: dict[str, tuple[type, ...]] = {
     "origin": (list,),
     "plan": (str,),
     "keep_on_plan": (bool,),
+    "truth_as_fixes": (bool,),
 }
 
 
@@ -78,17 +80,12 @@ class Marks:
         height_m = self.walk.get("height_m")
         return recording if height_m is None else recording.of_height(height_m)
 
-    def arguments(self, recording: Recording, waypoint_std_m: float | None = 1.0) -> dict[str, Any]:
+    def arguments(self, recording: Recording, with_own: bool = True) -> dict[str, Any]:
         """Return the arguments of `pdr_filter.smooth` for a recording with these marks.
 
-        Positions that the recording itself contains are used in addition to the marks if they are in the same frame:
-
-        - Locations are used if there are marked points and their origin is the first location of the recording.
-        - Waypoints are used if there is no origin and no marked points on a floor plan. `waypoint_std_m` is the
-          standard deviation of a waypoint in m.
-
-        If `waypoint_std_m` is None, neither locations nor waypoints of the recording are used. A floor plan in degrees
-        gives the origin if `walk.json` has none.
+        The locations of the recording are used in addition to the marks if `with_own` is True, there are marked points,
+        and their origin is the first location. Its waypoints are ground truth, and are used as fixes only if
+        `walk.json` asks for it. A floor plan in degrees gives the origin if `walk.json` has none.
         """
         found: dict[str, Any] = {"fixes": list(self.fixes), "loop_closures": list(self.loop_closures)}
         if self.person is not None:
@@ -101,13 +98,12 @@ class Marks:
             origin = origin or plan.origin
             if self.walk.get("keep_on_plan"):
                 found["plan"] = plan
-        with_own = waypoint_std_m is not None
         if with_own and self.fixes and origin is not None and origin == _first_location(recording):
             found["gnss"] = "filter"
         elif origin is not None:
             found["origin"] = origin
-        elif with_own and recording.truth.waypoints is not None and not (self.fixes and self.plan):
-            found["fixes"] += waypoint_fixes(recording, waypoint_std_m)
+        if self.walk.get("truth_as_fixes"):
+            found["fixes"] += waypoint_fixes(recording)
         return found
 
 

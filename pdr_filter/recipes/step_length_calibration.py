@@ -26,6 +26,7 @@ from pdr_filter.values import (
     check_columns,
     check_cov,
     check_name_of_context,
+    check_step_length,
     how_many,
     pickled,
     read_only,
@@ -189,13 +190,13 @@ class Calibration:
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Calibrated contexts, which are the main context of at least one segment.
+        """Calibrated contexts, which are the main context of at least one segment that was not rejected.
 
         A context with only a few uncertain steps in segments of other contexts is not calibrated. A context whose step
         length is held at zero, such as standing, is left out.
         """
         of = self.mode_contexts
-        found = {of.get(c, c) for c in self.segments.context.tolist()}
+        found = {of.get(c, c) for c in self.segments.context[~self.segments.distrusted].tolist()}
         k, k_cov = self.k, self.k_cov
         return tuple(c for c in self.models if of.get(c, c) in found and (k[c].any() or k_cov[c].any()))
 
@@ -323,7 +324,8 @@ class Calibration:
     def config(self, config: Config, subject: Subject | None = None) -> Config:
         """Return a configuration with the calibrated step lengths of a person, and a note that names the person.
 
-        Contexts that were not calibrated keep the step lengths of the configuration.
+        Contexts that were not calibrated keep the step lengths of the configuration. So do all contexts if every
+        segment of the person contradicts the detected steps. Notes state this and all warnings of the calibration.
 
         Parameters
         ----------
@@ -356,22 +358,32 @@ class Calibration:
                 f"the calibration has step lengths of {', '.join(self.contexts)}, but recipe {config.name!r} has the "
                 f"modes {', '.join(names)}: give the configuration that was calibrated, or calibrate with this one"
             )
+        person = self.person_of(subject)
+        is_own = np.array([person in (None, subject_id) for subject_id in self.segments.subject.tolist()], dtype=bool)
+        n_own, n_rejected, contradicted = int(is_own.sum()), int((is_own & self.segments.distrusted).sum()), ""
+        if n_rejected:
+            contradicted = (
+                f"; {n_rejected} of {how_many(n_own, 'segment')} of the calibration contradict the detected steps "
+                "and were not used: check that the known lengths are in metres, and calibrate again"
+            )
+        if not used or (n_rejected and n_rejected == n_own):
+            # without a segment that fits, the parameters of a person are those of the prior
+            text = f"step lengths {self._whose(subject)}: no context is calibrated; all keep the step lengths of the "
+            return replace(config, notes=(*config.notes, Note("step lengths", f"{text}recipe{contradicted}")))
         sure = {name: replace(fits[name], theta_cov=np.zeros_like(fits[name].theta_cov)) for name in used}
         modes = tuple(replace(m, step_length=sure.get(names[m.name], m.step_length)) for m in config.model.modes)
         noise = replace(config.model.noise, log_scale_std=self.scale_std(subject))
         fitted = [c if self.k_cov[c].any() else f"{c} (held, not fitted)" for c in used]
-        name = self.person_of(subject)
-        which = (
-            f"calibrated for {', '.join(fitted)}; other contexts keep" if used else "no context is calibrated; all keep"
-        )
-        text = f"step lengths {self._whose(subject)}: {which} the step lengths of the recipe"
-        of_config = tuple(n for n in config.notes if n.about != "height" or name is None)
-        notes = (*of_config, Note("step lengths", text), *_replaced(config.model.modes, modes))
+        text = f"step lengths {self._whose(subject)}: calibrated for {', '.join(fitted)}; other contexts keep the step "
+        found = [f"{text}lengths of the recipe{contradicted}"]
+        found += [text.removeprefix("WARNING: ") for text in self.notes if text.startswith("WARNING: ")]
         if unused := set(self.contexts) - set(used):
-            text = (
-                f"calibrated step lengths of {', '.join(sorted(unused))} are not used, because the recipe has no such"
+            found.append(
+                f"calibrated step lengths of {', '.join(sorted(unused))} are not used, because the recipe has no such "
+                "modes: give the configuration that was calibrated"
             )
-            notes = (*notes, Note("step lengths", f"{text} modes: give the configuration that was calibrated"))
+        notes = tuple(n for n in config.notes if n.about != "height" or person is None)
+        notes += (*(Note("step lengths", text) for text in found), *_replaced(config.model.modes, modes))
         return replace(config.with_model(modes=modes, noise=noise), notes=notes)
 
     def _whose(self, subject: Subject | None) -> str:
@@ -590,6 +602,12 @@ def _check_numbers(calibration: Calibration) -> None:
     known = {**calibration.residual_std_m, "recording_std": calibration.recording_std}
     if not all(0 <= std <= _LARGEST_STD for std in known.values()):
         raise ValueError(f"residual_std_m and recording_std must be from 0 to {_LARGEST_STD}, got {known}")
+    if "walking" in calibration.contexts:
+        for theta in (calibration.theta, *calibration.people):
+            k = theta[slices_of(calibration.models)[0]["walking"]]
+            length_m, _ = typical_step_m(calibration.models["walking"], k, np.zeros((len(k), len(k))))
+            if not np.isnan(length_m):
+                check_step_length("the typical step length of walking", length_m)
     if calibration.main_context not in calibration.models:
         raise ValueError("models must contain the model of at least one context, got none")
 

@@ -2,7 +2,8 @@
 
 Samples usually come in order. These rules handle the exceptions:
 
-- A row whose time is not after the last accepted time is a repeat or a late sample, and is dropped.
+- A row whose time is not after the last accepted time is a repeat or a late sample, and is dropped. `one_clock`
+  and the merging of single sensors first sort samples that are less than `REORDER_S` behind an earlier one.
 - If `CLOCK_RESET_SAMPLES` rows in a row lie behind, and their times increase at least once, the clock was set back.
 - A row more than `max_gap_s` ahead follows a gap if the next row is ahead too. Otherwise it is a glitch.
 - A row more than a minute ahead must be confirmed by `CLOCK_RESET_SAMPLES` rows.
@@ -22,11 +23,15 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from pdr_filter.values import Fix, FloatArray, IntArray, Samples, Standstill, replace_unchecked
+from pdr_filter.values import BoolArray, Fix, FloatArray, IntArray, Samples, Standstill, replace_unchecked
+from pdr_filter.values.limits import GAP_INTERVALS
 from pdr_filter.values.recording import Recording
 
 # Longest time between two samples that is interpolated, in s. Longer times are gaps.
 MAX_GAP_S = 0.3
+# A sample that is less than this time behind an earlier one of its sensor, in s, is sorted by time. Clocks of phones go
+# back by some ticks, of 10 ms in OxIOD, and threads of apps deliver single samples out of order.
+REORDER_S = 0.1
 # Rows in a row that must contradict the clock before the clock is taken to be set back, or far ahead.
 CLOCK_RESET_SAMPLES = 50
 # Longest gap that a second sample confirms, in s. Phones sleep for seconds. Longer gaps are rare, whereas glitches of
@@ -189,6 +194,52 @@ def _behind(clock: ClockState, time_s: float, max_gap_s: float) -> _Decision:
     return _Decision(ClockState(clock.last_s, offset_s), n_dropped=1 + len(clock.held), is_set_back=True)
 
 
+def latest_before(time_s: FloatArray, before_s: float = -np.inf) -> FloatArray:
+    """Return the latest time before each sample (N,), of the earlier samples and `before_s`."""
+    return np.fmax.accumulate(np.concatenate([[before_s], time_s]))[:-1]
+
+
+def is_behind(time_s: FloatArray, latest_s: FloatArray, reorder_s: float = REORDER_S) -> BoolArray:
+    """Return which samples (N,) are late, given the latest time before each of them (N,).
+
+    They are `reorder_s` or more behind it, or have no time. Other samples are sorted by time.
+    """
+    return ~(time_s > latest_s - reorder_s)
+
+
+def sorted_note(n_sorted: int, n: int) -> str:
+    """Return the note on samples of the accelerometer whose times are slightly behind an earlier one."""
+    return (
+        f"{n_sorted} of {n} samples had a time before that of an earlier one and were sorted by time: the clock of the "
+        "phone went back by some ticks, or the app delivers samples out of order"
+    )
+
+
+def _sorted(stream: Samples) -> tuple[Samples, int]:
+    """Return a stream whose samples are sorted by time unless they are late, and how many were behind an earlier one.
+
+    A late sample keeps its place after the latest one before it.
+    """
+    latest_s = latest_before(stream.time_s)
+    is_late = is_behind(stream.time_s, latest_s)
+    order = np.argsort(np.where(is_late, latest_s, stream.time_s), kind="stable")
+    n_sorted = int((~is_late & (stream.time_s < latest_s)).sum())
+    return Samples(stream.time_s[order], stream.values[order]), n_sorted
+
+
+def _without_late(stream: Samples) -> Samples:
+    """Return a stream sorted by time, without the late samples that fill no gap of the others."""
+    stream = Samples(stream.time_s[known := np.isfinite(stream.time_s)], stream.values[known])
+    latest_s = latest_before(stream.time_s)
+    in_order_s = stream.time_s[stream.time_s > latest_s]
+    before_s = np.diff(in_order_s, prepend=in_order_s[:1])
+    gap_s = max(MAX_GAP_S, GAP_INTERVALS * float(np.median(before_s)))
+    fills_gap = before_s[np.minimum(in_order_s.searchsorted(stream.time_s), len(before_s) - 1)] > gap_s
+    (kept,) = (fills_gap | ~is_behind(stream.time_s, latest_s)).nonzero()
+    order = kept[np.argsort(stream.time_s[kept], kind="stable")]
+    return Samples(stream.time_s[order], stream.values[order])
+
+
 class _SetBack(NamedTuple):
     """A backward clock jump between two samples. Times are on the sample clock."""
 
@@ -234,16 +285,18 @@ def one_clock(recording: Recording, fixes: Iterable[AnyFix] = ()) -> tuple[Recor
     After each jump, all times continue from before it. Other streams and fixes, in recorded order, change where their
     own times fall back by the same jump. A stream without such a fall, for example because it was sorted, is assigned
     by time: each sample belongs to the stretch of the accelerometer that contains its time. The ground truth is not
-    changed. A note on the recording states each jump.
+    changed. A note on the recording states each jump. Samples that are less than `REORDER_S` behind an earlier one are
+    sorted by time, with a note on their number.
     """
     set_backs, fixes = _set_backs(recording.accelerometer.time_s), tuple(fixes)
     if not set_backs:
-        return recording, fixes
-    offsets_s = np.cumsum([0.0, *(s.ahead_s for s in set_backs)])
-    streams = {
-        name: Samples(stream.time_s + offsets_s[_n_set_backs_before(stream.time_s, set_backs)], stream.values)
-        for name, stream in recording.streams.items()
-    }
+        return _with_sorted_samples(recording), fixes
+    offsets_s, streams = np.cumsum([0.0, *(s.ahead_s for s in set_backs)]), dict[str, Samples]()
+    for name, stream in recording.streams.items():
+        time_s = stream.time_s + offsets_s[_n_set_backs_before(stream.time_s, set_backs)]
+        # The samples of a stream that was sorted by the times of the clock are not in order.
+        order = np.argsort(time_s, kind="stable") if name in _INTERPOLATED else np.arange(len(time_s))
+        streams[name] = Samples(time_s[order], stream.values[order])
     fix_offsets_s = offsets_s[_n_set_backs_before(np.array([fix.time_s for fix in fixes]), set_backs)]
     jumps = (f"the clock was set back by {s.before_s - s.after_s:.1f} s after {s.before_s:.1f} s" for s in set_backs)
     notes = (*recording.notes, *(f"{jump}: later times continue from there" for jump in jumps))
@@ -251,16 +304,37 @@ def one_clock(recording: Recording, fixes: Iterable[AnyFix] = ()) -> tuple[Recor
     if wifi is not None:
         wifi = dataclasses.replace(wifi, time_s=wifi.time_s + offsets_s[_n_set_backs_before(wifi.time_s, set_backs)])
     unified = dataclasses.replace(recording, **streams, wifi=wifi, notes=notes)
-    return unified, tuple(
+    return _with_sorted_samples(unified), tuple(
         on_track_clock(fix, float(offset_s)) for fix, offset_s in zip(fixes, fix_offsets_s, strict=True)
     )
+
+
+# Sensors whose values are used at the times of the accelerometer.
+_INTERPOLATED = ("gyroscope", "magnetometer", "barometer")
+
+
+def _with_sorted_samples(recording: Recording) -> Recording:
+    """Return the recording with the samples of each inertial sensor and the barometer sorted by time.
+
+    Late samples of the accelerometer keep their places, and those of the other sensors are dropped. A note states how
+    many samples were sorted. A recording whose times never fall is returned unchanged.
+    """
+    sensors = ("accelerometer", *_INTERPOLATED)
+    fall = {n: s for n, s in recording.streams.items() if n in sensors and not (np.diff(s.time_s) >= 0).all()}
+    if not fall:
+        return recording
+    changed, notes = {name: _without_late(stream) for name, stream in fall.items()}, recording.notes
+    if "accelerometer" in fall:
+        changed["accelerometer"], n_sorted = _sorted(recording.accelerometer)
+        notes += (sorted_note(n_sorted, len(recording.accelerometer)),) if n_sorted else ()
+    return dataclasses.replace(recording, **changed, notes=notes)
 
 
 def _set_backs(time_s: FloatArray) -> list[_SetBack]:
     """Return the backward clock jumps that `accept_rows` detects in times (N,), in order."""
     index = np.flatnonzero(np.isfinite(time_s))
     known_s = time_s[index]
-    if (known_s < np.maximum.accumulate(known_s)).sum() < CLOCK_RESET_SAMPLES:
+    if is_behind(known_s, np.maximum.accumulate(known_s)).sum() < CLOCK_RESET_SAMPLES:
         return []
     rows = accept_rows(ClockState(), np.column_stack([known_s, np.arange(float(len(known_s)))]), MAX_GAP_S).rows
     at = rows[:, 1].astype(int)
@@ -270,6 +344,8 @@ def _set_backs(time_s: FloatArray) -> list[_SetBack]:
     begin_s = float(known_s[0])
     for i in changes:
         before_s, after_s = float(known_s[at[i]]), float(known_s[at[i] + 1])
+        if before_s - after_s < REORDER_S:  # fast sensors have many samples in this time, which are sorted
+            continue
         result.append(_SetBack(begin_s, before_s, after_s, before_s - after_s + spacing_s))
         begin_s = after_s
     return result

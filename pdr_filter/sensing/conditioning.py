@@ -596,8 +596,9 @@ def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) 
 def merge_streams(recording: Recording, max_gap_s: float = MAX_GAP_S) -> ImuBlock:
     """Return all inertial sensors of a recording at the times of its accelerometer.
 
-    Angular rate and magnetic field are interpolated linearly. Samples stay in recorded order. If the clock was set back
-    during the recording, later times continue from before the jump.
+    Angular rate and magnetic field are interpolated linearly. Samples that are less than 0.1 s behind an earlier one
+    are sorted by time, others stay in recorded order. If the clock was set back during the recording, later times
+    continue from before the jump.
 
     Parameters
     ----------

@@ -4,7 +4,8 @@ A sample of the accelerometer waits until the other sensors have passed its time
 at this time, bit by bit those that `merge_streams` gives for the finished recording. Only the times of the samples
 count, never a wall clock:
 
-- Samples of one sensor may arrive in any order within `reorder_s` of the newest.
+- Samples of one sensor may arrive in any order within `reorder_s` of the newest. A sample that is further behind is
+  late, and is dropped, also if it could still be merged: the result does not depend on the division into messages.
 - If a sensor has a hole of more than `max_gap_s` and of more than 2.5 usual intervals, the later samples wait until
   they span `wait_s`, because an overtaken message may still fill the hole.
 - A sensor that is more than `wait_s` behind the accelerometer is silent, and the merger no longer waits for it. A
@@ -12,8 +13,8 @@ count, never a wall clock:
 - The slowest sensor decides the delay: a barometer at 1 Hz delays the samples by up to a second.
 - Samples are released only after a sensor has advanced by `bunch_s`, so that samples that arrive one by one are
   processed in small groups.
-- Samples of the accelerometer that arrive after later ones were released are late, and are dropped. If only late
-  samples arrive for a minute, the clock was set back. The merger then restarts, and `sensing.clock` follows the clock.
+- If only late samples of the accelerometer arrive for a minute, the clock was set back. The merger then restarts, and
+  `sensing.clock` follows the clock.
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pdr_filter.sensing.clock import MAX_GAP_S
+from pdr_filter.sensing.clock import MAX_GAP_S, REORDER_S, is_behind, latest_before
 from pdr_filter.sensing.conditioning import at_times
-from pdr_filter.values import FloatArray, ImuBlock, check_numbers, replace_unchecked
+from pdr_filter.values import BoolArray, FloatArray, ImuBlock, check_numbers, replace_unchecked
 from pdr_filter.values.limits import GAP_INTERVALS
 
 Sensor = Literal["accelerometer", "gyroscope", "magnetometer", "barometer"]
@@ -55,13 +56,16 @@ class StreamState:
     n_received : int
         Samples received.
     n_late : int
-        Samples dropped because they repeat an earlier time, or arrived after later ones were released.
+        Samples dropped because they were late.
+    n_sorted : int
+        Samples that were slightly behind an earlier one, and were sorted by time.
     """
 
     rows: FloatArray
     recent_s: FloatArray = field(default_factory=lambda: np.empty(0))
     n_received: int = 0
     n_late: int = 0
+    n_sorted: int = 0
 
     @property
     def last_s(self) -> float:
@@ -158,7 +162,7 @@ class StreamMerger:
     """
 
     wait_s: float = 5.0
-    reorder_s: float = 0.1
+    reorder_s: float = REORDER_S
     bunch_s: float = 0.05
     max_gap_s: float = MAX_GAP_S
 
@@ -225,14 +229,9 @@ class StreamMerger:
         """
         finite = np.isfinite(new)
         timed = new if finite.all() else new[finite[:, 0]]
-        if sensor == "accelerometer":
-            state, kept = self._without_late(state, timed)
-            n_late = len(timed) - len(kept)
-        else:
-            # Interpolation needs both neighbours, so rows with a missing value are dropped.
-            known = new[finite.all(axis=1)]
-            kept = known[known[:, 0] > (state.pressure_s if sensor == "barometer" else state.released_s)]
-            n_late = len(known) - len(kept)
+        # Interpolation needs both neighbours, so rows with a missing value are dropped.
+        known = timed if sensor == "accelerometer" else new[finite.all(axis=1)]
+        state, kept, n_sorted = self._without_late(state, sensor, known)
         stream = state.stream(sensor)
         rows = np.concatenate([stream.rows, kept])
         intervals_s = rows[1:, 0] - rows[:-1, 0]
@@ -246,30 +245,54 @@ class StreamMerger:
             rows=rows[n_over:],
             recent_s=np.concatenate([stream.recent_s, timed[:, 0]])[-_RATE_SAMPLES:],
             n_received=stream.n_received + len(new),
-            n_late=stream.n_late + n_late,
+            n_late=stream.n_late + len(known) - len(kept),
+            n_sorted=stream.n_sorted + n_sorted,
         )
         return _with_stream(state, sensor, stream)
 
-    def _without_late(self, state: MergerState, rows: FloatArray) -> tuple[MergerState, FloatArray]:
-        """Return the state, restarted if the clock was set back, and the accelerometer rows that are not late."""
-        is_late = rows[:, 0] <= state.released_s
-        if not is_late.any():
+    def _without_late(
+        self, state: MergerState, sensor: Sensor, rows: FloatArray
+    ) -> tuple[MergerState, FloatArray, int]:
+        """Return the state, the rows of a sensor that are not late, and how many of these are behind an earlier one.
+
+        Samples of the accelerometer alone show that the clock was set back. The state is then restarted.
+        """
+        is_late, n_sorted = self._late(state, sensor, rows)
+        if sensor == "accelerometer" and not is_late.any():
             if len(rows):
                 first_s = float(rows[:, 0].min()) if np.isnan(state.first_s) else state.first_s
                 state = replace_unchecked(state, first_s=first_s, late_s=_NO_LATE)
-            return state, rows
-        for i, (time_s, late) in enumerate(zip(rows[:, 0].tolist(), is_late.tolist(), strict=True)):
-            begin_s, end_s = state.late_s
-            late_s = (float(np.fmin(begin_s, time_s)), float(np.fmax(end_s, time_s))) if late else _NO_LATE
-            state = replace_unchecked(state, late_s=late_s)
-            if late_s[1] - late_s[0] > _SET_BACK_S:
-                return self._without_late(self._restarted(state), rows[i:])
-        return state, rows[~is_late]
+        elif sensor == "accelerometer":
+            for i, (time_s, late) in enumerate(zip(rows[:, 0].tolist(), is_late.tolist(), strict=True)):
+                begin_s, end_s = state.late_s
+                late_s = (float(np.fmin(begin_s, time_s)), float(np.fmax(end_s, time_s))) if late else _NO_LATE
+                state = replace_unchecked(state, late_s=late_s)
+                if late_s[1] - late_s[0] > _SET_BACK_S:
+                    return self._without_late(self._restarted(state), sensor, rows[i:])
+        return state, rows[~is_late], n_sorted
+
+    def _late(self, state: MergerState, sensor: Sensor, rows: FloatArray) -> tuple[BoolArray, int]:
+        """Return which rows of a sensor are late, shape (N,), and how many others are behind an earlier one."""
+        stream, released_s = state.stream(sensor), state.pressure_s if sensor == "barometer" else state.released_s
+        before_s = state.released_s if sensor == "accelerometer" else -np.inf
+        time_s, newest_s = rows[:, 0], float(stream.rows[-1, 0]) if len(stream.rows) else before_s
+        latest_s = latest_before(time_s, newest_s)
+        if (time_s > latest_s).all():
+            return time_s <= released_s, 0
+        # Rows after a hole do not make the rows late that may still fill it.
+        in_order = np.concatenate([stream.rows, rows[time_s > latest_s]])
+        before_s = before_s if np.isfinite(before_s) else float(in_order[0, 0])
+        n_whole = self._n_whole(replace_unchecked(stream, rows=in_order), len(in_order), before_s)
+        whole_s = float(in_order[n_whole - 1, 0]) if n_whole else before_s
+        latest_s = latest_before(np.where(time_s > whole_s, -np.inf, time_s), min(newest_s, whole_s))
+        is_late = is_behind(time_s, latest_s, self.reorder_s) | (time_s <= released_s)
+        return is_late, int((~is_late & (time_s < latest_s)).sum())
 
     def _restarted(self, state: MergerState) -> MergerState:
-        """Return the initial state, with the counts of received and late samples of the present state."""
+        """Return the initial state, with the counts of samples of the present state."""
         pairs = zip(self.init().streams, state.streams, strict=True)
-        kept = (replace_unchecked(new, n_received=s.n_received, n_late=s.n_late) for new, s in pairs)
+        counts = ((new, {n: getattr(s, n) for n in ("n_received", "n_late", "n_sorted")}) for new, s in pairs)
+        kept = (replace_unchecked(new, **count) for new, count in counts)
         return MergerState(tuple(kept))
 
     def _n_whole(self, stream: StreamState, n: int, before_s: float, others_s: float = -np.inf) -> int:

@@ -8,7 +8,16 @@ from typing import Literal
 
 import numpy as np
 
-from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, check_array
+from pdr_filter.values import (
+    CONTEXTS,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    check_array,
+    check_numbers,
+    check_step_length,
+)
+from pdr_filter.values.recording import check_height
 
 STAIR_RISE_M = 0.17
 STAIR_TREAD_M = 0.29
@@ -101,6 +110,11 @@ class Gait:
     habit : int, optional
         Seed of the individual shape of the strides. None stands for the typical shape.
 
+    Raises
+    ------
+    ValueError
+        If a number is not plausible. The message names the field.
+
     Examples
     --------
     >>> from pdr_filter.simulate import Gait
@@ -122,6 +136,13 @@ class Gait:
     frequency_std: float = 0.025
     length_std: float = 0.025
     habit: int | None = None
+
+    def __post_init__(self) -> None:
+        zero = ("impact_factor", "swing_factor", "tremor_factor", "frequency_std", "length_std")
+        check_numbers(self, zero=zero, signed=("tilt_rad",))
+        check_height(self.height_m)
+        length_m = self.step_length_m("walking", self.step_frequency_hz("walking"))
+        check_step_length("the length of a walking step", length_m)
 
     @classmethod
     def random(cls, seed: int) -> Gait:

@@ -9,11 +9,12 @@ import numpy as np
 from pdr_filter.filter.fixes.gnss import Rides
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.clock import sorted_note
 from pdr_filter.sensing.stream_merging import SENSORS
 from pdr_filter.tracking import step_statistics as criteria
 from pdr_filter.tracking.filtering import State
 from pdr_filter.tracking.step_statistics import UNKNOWN_HEADING_RAD, StepCounts, WindowCounts
-from pdr_filter.values import FloatArray, Note, how_many
+from pdr_filter.values import FloatArray, Note, how_many, replace_unchecked
 
 # A warning about windows appears if more than this share of all windows, and more than this number, are affected.
 _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
@@ -32,7 +33,7 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
     `vertices` (K, 3) of a whole track are time, east and north. They give the position at which the track stops during
     a ride.
     """
-    notes = [Note("samples", text) for text in state.sensing.conditioner.notes()]
+    notes = [Note("samples", text) for text in _sample_notes(state)]
     if state.finished and state.tracker.pedestrian.steps.n_final == 0:
         notes.append(Note("steps", criteria.NO_STEPS))
     has_gyroscope = state.sensing.conditioner.report.has_gyroscope
@@ -41,6 +42,20 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
     if config.on_plan is not None:
         notes += config.on_plan.notes(state.particles)
     return [*notes, *_frame_notes(config, state), *notes_of_rides(state.rides, vertices), *_fix_notes(state)]
+
+
+def _sample_notes(state: State) -> Iterator[str]:
+    """Yield warnings about the samples, as a track of the recording with the same samples has them."""
+    conditioner, stream = state.sensing.conditioner, state.merger.stream("accelerometer")
+    if stream.n_sorted:
+        yield sorted_note(stream.n_sorted, stream.n_received)
+    report = conditioner.report
+    report = replace_unchecked(
+        report,
+        n_received=stream.n_received or report.n_received,
+        n_not_increasing=report.n_not_increasing + stream.n_late,
+    )
+    yield from replace_unchecked(conditioner, report=report).notes()
 
 
 def device_notes(config: Config, state: State) -> list[str]:
@@ -62,10 +77,10 @@ def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
             f"{sensor}: no samples since {last_s:.1f} s, so that the other sensors are used without it; if it still "
         )
         yield Note("sensors", words + "sends, its times are on another clock: put all sensors on one clock")
-    for sensor, stream in zip(SENSORS, state.merger.streams, strict=True):
+    for sensor, stream in zip(SENSORS[1:], state.merger.streams[1:], strict=True):
         if stream.n_late:
-            words = f"{sensor}: {stream.n_late} of {stream.n_received} samples were dropped, because they are repeated "
-            yield Note("samples", words + "or arrived too late to be merged with the other sensors: send them earlier")
+            words = f"{sensor}: {stream.n_late} of {stream.n_received} samples were dropped, because they are "
+            yield Note("samples", words + "repeated or behind later ones: send the samples of a sensor in order")
     if state.n_lost_climbs:
         words = f"{how_many(state.n_lost_climbs, 'climb rate')} of the barometer not used, because its times are ahead "
         yield Note("sensors", words + "of the other samples: put both on one clock")

@@ -54,12 +54,14 @@ from pdr_filter.values import (
     Windows,
     all_fixes,
     check_fix,
+    how_many,
     read_only,
     replace_unchecked,
     step_table,
     wrap_angle,
 )
-from pdr_filter.values.recording import MissingSensorError, Recording
+from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values.recording import MissingSensorError, Recording, Truth
 from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, documented
 
 
@@ -158,6 +160,8 @@ class Run:
         Arguments for position, north and floor plan.
     with_location : bool
         True if the locations of the recording are used.
+    notes : tuple of str
+        Notes on the arguments, for the track.
     """
 
     recording: Recording
@@ -165,10 +169,15 @@ class Run:
     fixes: tuple[Fix, ...]
     placement: TrackPlacement
     with_location: bool
+    notes: tuple[str, ...] = ()
 
     def placed(self, result: Track) -> Track:
-        """Return a track with the given origin and heading, and with a note if the locations were therefore ignored."""
+        """Return a track with the given origin and heading, with the notes on the arguments.
+
+        A further note tells if the locations were ignored because of the origin or the heading.
+        """
         given, place = self.placement, self.placement.place
+        result = replace(result, notes=(*result.notes, *self.notes))
         if self.recording.location is not None and given.gnss is None and given.is_given:
             note = "the locations of the recording were not used, because origin or heading_rad was given"
             result = replace(result, notes=(*result.notes, note))
@@ -198,6 +207,7 @@ def prepared_run(
         check_fix(fix, config.on_plan is not None)
     plan = None if config.on_plan is None else config.on_plan.plan
     with_location = placement.uses_location(recording, fixes, plan)
+    notes = tuple(_truth_notes(recording.truth, fixes))
     recording, fixes = one_clock(recording, fixes)
     for known in (None if calibration is None else load_calibration(calibration, config), person):
         if known is not None:
@@ -210,7 +220,31 @@ def prepared_run(
         config = config.in_world_frame()
     config = with_north(config, recording, placement, with_location)
     recording = with_north_of_attitude(recording, placement.north)
-    return Run(recording, config, fixes, placement, with_location)
+    return Run(recording, config, fixes, placement, with_location, notes)
+
+
+def _truth_notes(truth: Truth, fixes: Sequence[Fix]) -> Iterator[str]:
+    """Yield a note if position fixes are waypoints or true positions of the recording, to 1 mm and 1 ms.
+
+    There is no note if all of them are at the origin, because they may only state where the frame begins.
+    """
+    given = np.array([(f.time_s, *f.position_m) for f in fixes if isinstance(f, PositionFix)]).reshape(-1, 3)
+    is_true = np.zeros(len(given), dtype=bool)
+    for known in (truth.waypoints, truth.position):
+        if known is None or not len(known):
+            continue
+        rows = np.column_stack([known["time_s"], known["east_m"], known["north_m"]])
+        rows = rows[np.argsort(rows[:, 0])]
+        near = np.clip(rows[:, 0].searchsorted(given[:, 0] + np.array([[-1e-3], [0.0]])), 0, len(rows) - 1)
+        is_true |= (np.abs(rows[near] - given) < 1e-3).all(axis=2).any(axis=0)
+        if known is truth.position:
+            is_true |= (np.abs(interpolated(given[:, 0], rows[:, 0], rows[:, 1:]) - given[:, 1:]) < 1e-3).all(axis=1)
+    if given[is_true, 1:].any():
+        yield (
+            f"{is_true.sum()} of {how_many(len(given), 'position fix', 'position fixes')} are ground truth of the "
+            "recording, so that the errors of this track against its truth are too small: for an evaluation, track "
+            "without these fixes"
+        )
 
 
 def outputs(

@@ -20,7 +20,14 @@ from pdr_filter.values.arrays import (
     read_only,
     table,
 )
-from pdr_filter.values.checks import are_numbers, check_array, check_number, check_numbers
+from pdr_filter.values.checks import (
+    are_numbers,
+    check_array,
+    check_number,
+    check_numbers,
+    check_step_length,
+    check_walked,
+)
 from pdr_filter.values.contexts import (
     CARRYING_MODES,
     CONTEXTS,
@@ -150,7 +157,9 @@ __all__ = [
     "check_name_of_context",
     "check_number",
     "check_numbers",
+    "check_step_length",
     "check_transition_prob",
+    "check_walked",
     "check_whole",
     "circular_mean",
     "error_correlation",

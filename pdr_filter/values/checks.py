@@ -11,6 +11,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pdr_filter.values import limits
+
 # Ranges by the unit at the end of a name. No stage looks back further than eleven days (1e6 s), and no sensor has a
 # lower or higher rate. The ranges bound the lengths of kernels and windows.
 _RANGES = {"s": (1e-6, 1e6), "hz": (1e-3, 1e4), "prob": (1e-12, 1.0)}
@@ -38,6 +40,20 @@ def check_number(name: str, value: Any, least: float, largest: float, remedy: st
     """Raise ValueError unless an argument is a number from `least` to `largest`. The remedy ends the message."""
     if not (are_numbers(value) and least <= value <= largest):
         raise ValueError(f"{name} must be a number from {least:g} to {largest:g}, got {value!r}: {remedy}")
+
+
+def check_step_length(name: str, length_m: Any) -> None:
+    """Raise ValueError unless a number is a plausible step length in metres."""
+    check_number(name, length_m, *limits.STEP_LENGTH_RANGE_M, "step lengths are in metres, such as 0.7")
+
+
+def check_walked(name: str, distance_m: float, duration_s: float) -> None:
+    """Raise ValueError if nobody walks or runs so far in this time."""
+    if distance_m > limits.MAX_SPEED_MPS * duration_s:
+        raise ValueError(
+            f"{name} must be the length of the walked path in metres, got {distance_m:g} m in {duration_s:.1f} s, "
+            f"faster than {limits.MAX_SPEED_MPS:g} m/s, which nobody runs: correct the unit or the times"
+        )
 
 
 def check_array(

@@ -62,6 +62,10 @@ MAX_WHOLE_TIME = 2**62
 MAX_ELAPSED_S = 1e9
 MAX_EPOCH_S = 253_402_300_799.0  # last second of the year 9999, the end of common calendar functions
 HEIGHT_RANGE_M = (0.4, 2.8)
+# Steps of toddlers and of people who shuffle are 0.1 to 0.3 m long, those of sprinters up to 2.7 m. Lengths in
+# centimetres are outside of the range.
+STEP_LENGTH_RANGE_M = (0.05, 3.0)
+MAX_SPEED_MPS = 12.5  # nobody has run faster than 12.4 m/s
 
 # Minimum number of samples of a recording. Fewer cannot contain a step at any plausible rate.
 MIN_SAMPLES = 10

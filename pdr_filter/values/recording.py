@@ -9,7 +9,17 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from pdr_filter.values import Samples, Table, Wifi, check_array, limits, pickled, table
+from pdr_filter.values import (
+    Samples,
+    Table,
+    Wifi,
+    check_array,
+    check_step_length,
+    check_walked,
+    limits,
+    pickled,
+    table,
+)
 from pdr_filter.values.sanitise import printable
 
 
@@ -232,7 +242,8 @@ class Recording:
         Raises
         ------
         ValueError
-            If a value is not positive.
+            If a value is not positive, or if nobody goes so far in the time of the recording, or with so few or so many
+            steps.
 
         Examples
         --------
@@ -245,7 +256,9 @@ class Recording:
         check_array("distance_m", distance_m, "positive", remedy="give the length of the walk in metres")
         if n_steps is not None:
             check_array("n_steps", n_steps, "positive", remedy="give the number of steps, or leave it out")
+            check_step_length("distance_m / n_steps", distance_m / n_steps)
         start_s, end_s = (float(self.accelerometer.time_s[k]) for k in (0, -1))
+        check_walked("distance_m", distance_m, end_s - start_s)
         known = {"start_s": [start_s], "end_s": [end_s], "distance_m": [float(distance_m)]}
         steps = {"n_steps": [math.nan if n_steps is None else float(n_steps)]}
         return replace(self, truth=Truth(segments=table(known | steps)))

@@ -108,19 +108,22 @@ def test_a_distance_that_cannot_be_used_is_refused_with_the_remedy(
     assert remedy in one_line(result.stderr)
 
 
-def test_a_walk_is_smoothed_against_its_waypoints(walk: Path, tmp_path: Path) -> None:
-    result = run("smooth", walk, "--out", tmp_path)
+def test_a_walk_is_smoothed_against_its_waypoints_if_asked_and_a_note_says_so(walk: Path, tmp_path: Path) -> None:
+    result = run("smooth", walk, "--truth-as-fixes", "--out", tmp_path)
     assert result.exit_code == 0
     assert "observations" in result.stdout
     assert "step scale" in result.stdout
     assert {p.suffix for p in tmp_path.iterdir()} >= {".csv", ".png"}
 
+    assert "position fixes are ground truth of the recording" in " ".join(result.stdout.split())
 
-def test_the_waypoints_of_a_recording_are_counted_when_they_are_used(walk: Path, tmp_path: Path) -> None:
-    n = len(pdr.read(walk).truth.waypoints)
-    assert f"waypoints used: {n} of the recording" in run("smooth", walk).stderr
-    (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n3,5,5\n100,5,30\n", encoding="utf-8")
-    assert "waypoints used" not in run("smooth", walk, "--fixes", tmp_path / "fixes.csv").stderr
+
+def test_smoothing_does_not_use_the_truth_unasked(walk: Path, tmp_path: Path) -> None:
+    result = run("smooth", walk, "--out", tmp_path)
+    assert "0 observations" in result.stdout
+    assert "ground truth" not in result.stdout
+    pdr.smooth(pdr.read(walk)).track.to_csv(tmp_path / "expected.csv")
+    assert (tmp_path / "demo_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
 
 
 def test_a_height_replaces_that_of_the_recording_and_of_its_marks(tmp_path: Path) -> None:
@@ -146,7 +149,7 @@ def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) 
     (tmp_path / "fixes.csv").write_text("\n".join(["time_s,east_m,north_m", *rows]) + "\n", encoding="utf-8")
     by_file = run("smooth", walk, "--fixes", tmp_path / "fixes.csv", "--fix-std", "0.5")
     assert by_file.exit_code == 0
-    assert by_file.stdout == run("smooth", walk, "--fix-std", "0.5").stdout
+    assert by_file.stdout == run("smooth", walk, "--truth-as-fixes", "--fix-std", "0.5").stdout
     (tmp_path / "own.csv").write_text("east_m,north_m,std_m,time_s\n0,0,0.5,1\n3,4,2,9\n", encoding="utf-8")
     first, second = fixes_of_file(tmp_path / "own.csv")
     np.testing.assert_array_equal([first.cov_m2[0, 0], second.cov_m2[1, 1]], [0.25, 4.0])
@@ -251,3 +254,17 @@ def test_a_figure_of_no_known_kind_is_refused_before_a_file_is_read(tmp_path: Pa
     assert result.exit_code == 2
     words = "me.xyz: pictures with the suffix '.xyz' are not supported; use .png, .pdf or .svg"
     assert words in one_line(result.stderr)
+
+
+def test_a_calibration_that_learns_nothing_is_not_written(tmp_path: Path) -> None:
+    walk, out = write_recording(short_walk(), tmp_path / "walk.zip"), tmp_path / "me.json"
+    much_m = 2.6 * pdr.track(pdr.read(walk)).distance_m
+    result = run("calibrate", walk, "--distance", much_m, "--out", out)
+    assert result.exit_code == 1
+    assert "every segment contradicts the detected steps" in one_line(result.stderr)
+    assert "WARNING: the step lengths are those of the prior" in result.stdout
+    assert not out.exists()
+    far = run("calibrate", walk, "--distance", 100 * much_m, "--out", out)
+    assert far.exit_code == 2
+    assert "faster than 12.5 m/s" in one_line(far.stderr)
+    assert not out.exists()

@@ -182,3 +182,34 @@ def test_epochs_add_up_to_the_steps_between_the_first_and_the_last_window(
 def test_modes_that_miss_a_context_are_refused(config: pdr.Config, by_weighting: dict[str, pdr.Track]) -> None:
     with pytest.raises(ValueError, match="exactly one mode for each"):
         runs.epoch_distances(by_weighting["hc"], config.model.modes[:-1])
+
+
+def test_true_positions_without_waypoints_give_the_error_at_the_steps_after_the_best_rigid_alignment(
+    walk: pdr.Recording, by_weighting: dict[str, pdr.Track]
+) -> None:
+    position, imm = walk.truth.position, by_weighting["imm"]
+    unknown = position.copy()
+    unknown.east_m[::7] = np.nan
+    for known in (position, unknown):
+        seen = replace(walk, truth=replace(walk.truth, position=known, waypoints=None))
+        row = comparison.comparison_table(seen, {"imm": imm})[0]
+        use = np.isfinite(known.east_m)
+        truth = np.column_stack(
+            [np.interp(imm.time_s, known.time_s[use], known[name][use]) for name in ("east_m", "north_m")]
+        )
+        a, b = imm.position_m - imm.position_m.mean(axis=0), truth - truth.mean(axis=0)
+        u, _, v = np.linalg.svd(a.T @ b)  # Kabsch
+        rotation = u @ np.diag([1.0, np.sign(np.linalg.det(u @ v))]) @ v
+        assert row.rmse_m == pytest.approx(np.sqrt(((a @ rotation - b) ** 2).sum(axis=1).mean()), rel=1e-9)
+        assert 0 < row.end_error_percent < 5
+    turned = comparison.in_truth_frame(seen, imm)
+    assert np.sqrt(((turned[1:] - truth) ** 2).sum(axis=1).mean()) == pytest.approx(row.rmse_m, rel=1e-9)
+    still = replace(
+        walk,
+        truth=Truth(
+            position=pdr.values.table(
+                {**{n: position[n] * 0 for n in ("east_m", "north_m")}, "time_s": position.time_s}
+            )
+        ),
+    )
+    assert np.isnan(comparison.comparison_table(still, {"imm": imm}).rmse_m[0])

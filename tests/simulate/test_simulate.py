@@ -416,3 +416,11 @@ def test_an_impossible_walk_is_refused_in_words() -> None:
         simulate(walk, rate_hz=5)
     with pytest.raises(ValueError, match="use a factor closer to 1"):
         simulate([Leg("running", duration_s=5, frequency_factor=0.1)])
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("height_m", 175.0), ("length_factor", 100.0), ("length_factor", 0.0), ("frequency_std", -1.0)]
+)
+def test_a_person_that_cannot_be_is_refused(field: str, value: float) -> None:
+    with pytest.raises(ValueError, match=r"metres|positive|0 or more"):
+        Gait(**{field: value})

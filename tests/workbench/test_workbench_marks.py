@@ -145,10 +145,33 @@ def test_a_mark_on_the_path_of_a_walk_with_own_positions_hardly_moves_it(tmp_pat
         files[WALK] = json.dumps({"origin": [before.origin.latitude_deg, before.origin.longitude_deg]}).encode()
     write_mark_files(marks_folder(path), files)
     found = read_marks(path).arguments(pdr.read(path))
-    assert len(found["fixes"]) == (1 if has_locations else 1 + len(recording.truth.waypoints))
+    assert len(found["fixes"]) == 1
     after = pdr.smooth(pdr.read(path), **found).track
     assert np.linalg.norm(after.position_m - before.position_m, axis=1).max() < (1.5 if has_locations else 0.5)
     assert np.linalg.det(after.position_cov_m2[row]) < np.linalg.det(before.position_cov_m2[row])
+
+
+def test_the_truth_of_a_recording_is_used_as_fixes_only_if_the_marks_say_so_and_then_every_output_says_it(
+    tmp_path: Path,
+) -> None:
+    recording = pdr.simulate.demo_walk()
+    path, n = recording.save(tmp_path / "walk"), len(recording.truth.waypoints)
+    assert read_marks(path).arguments(recording)["fixes"] == []
+    without = Worker(tmp_path / "cache").walk(str(path))
+    assert without["distance_m"] == pytest.approx(pdr.smooth(recording).track.distance_m, abs=0.05)
+    assert not any("ground truth" in note for note in without["notes"])
+    write_mark_files(path, {WALK: b'{"truth_as_fixes": true}'})
+    track = pdr.smooth(recording, **read_marks(path).arguments(recording)).track
+    worker = Worker(tmp_path / "cache")
+    summary = worker.walk(str(path))
+    assert summary["distance_m"] == round(track.distance_m, 1)
+    said = f"{n} of {n} position fixes are ground truth of the recording"
+    page = (tmp_path / "cache" / f"{summary['key']}.html").read_text()
+    exported = worker.export(str(path), "geojson")[1].decode()
+    placed = track.placed((48.0, 11.0))
+    files = [write(tmp_path / "out").read_text() for write in (placed.to_gpx, placed.to_kml, placed.to_geojson)]
+    texts = [*summary["notes"][-1:], page, exported, *files, str(placed.summary()["notes"])]
+    assert [k for k, text in enumerate(texts) if said not in text] == []
 
 
 def test_results_are_kept_by_the_content_of_recording_and_marks(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from pdr_filter.filter.step_length.models import (
     USUAL_HEIGHT_M,
     FrequencyVarianceStepLength,
     StepLengthFit,
+    constant_fit,
     known_length,
     scale_std,
 )
@@ -42,7 +43,7 @@ _RUNNING = StepLengthFit(
     residual_std_m=0.20,
 )
 _RUNNING_HEADING_STD_RAD = 0.35
-_STATIONARY = known_length(0.0, STANDING_STD_M)
+_STATIONARY = constant_fit(0.0, STANDING_STD_M)
 
 
 def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> tuple[Mode, ...]:

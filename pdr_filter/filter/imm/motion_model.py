@@ -15,7 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from pdr_filter.filter.imm.imm import predict_cov
-from pdr_filter.filter.step_length.models import StepLengthFit, bounce_fit, known_length
+from pdr_filter.filter.step_length.models import (
+    TYPICAL_STEP,
+    StepLengthFit,
+    bounce_fit,
+    constant_fit,
+    length_and_jacobian,
+)
 from pdr_filter.values import (
     CARRYING_MODES,
     Context,
@@ -24,6 +30,7 @@ from pdr_filter.values import (
     HeadingDrift,
     Step,
     check_numbers,
+    check_step_length,
     read_only,
     wrap_angle,
 )
@@ -75,7 +82,8 @@ class Mode:
     Raises
     ------
     ValueError
-        If a number, `climbs`, `gait` or `carrying_mode` is not allowed. The message names the field.
+        If a number, `climbs`, `gait` or `carrying_mode` is not allowed, or if a typical step of level walking is not
+        0.05 to 3 m long. The message names the field.
 
     Examples
     --------
@@ -104,12 +112,16 @@ class Mode:
         object.__setattr__(self, "moves", self.moves and self.context != IRREGULAR)
         object.__setattr__(self, "gait", self.meaning.gait)  # also checks climbs and gait
         if not self.moves and self.step_length is _POPULATION_FIT:
-            object.__setattr__(self, "step_length", known_length(0.0, STANDING_STD_M))
+            object.__setattr__(self, "step_length", constant_fit(0.0, STANDING_STD_M))
         if self.carrying_mode not in (None, *CARRYING_MODES):
             raise ValueError(
                 f"carrying_mode of mode {self.name!r} must be None or one of {CARRYING_MODES}, "
                 f"got {self.carrying_mode!r}: correct the spelling, or leave it out for any carrying mode"
             )
+        if self.moves and self.gait == "walking" and not self.climbs:
+            length_m = float(length_and_jacobian(self.step_length.model, TYPICAL_STEP, self.step_length.theta)[0])
+            if not math.isnan(length_m):
+                check_step_length(f"the typical step length of mode {self.name!r}", length_m)
         may_be_zero = ("heading_std_rad", "heading_drift_rad_per_sqrt_s", "extra_noise_m")
         check_numbers(self, zero=may_be_zero, signed=("heading_offset_rad", "climbs"))
 

@@ -20,7 +20,10 @@ from pdr_filter.values import (
     Step,
     check_array,
     check_cov,
+    check_number,
     check_numbers,
+    check_step_length,
+    limits,
     pickled,
     read_only,
 )
@@ -1063,16 +1066,21 @@ def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> St
     Parameters
     ----------
     length_m : float
-        Length of every step in m.
+        Length of every step in m, 0.05 to 3.
     std_m : float
-        Standard deviation in m of a single step about this length, independent between steps.
+        Standard deviation in m of a single step about this length, independent between steps, at most 3.
     shared_std_m : float, default 0.0
-        Standard deviation in m of the error that all steps of a walk have in common.
+        Standard deviation in m of the error that all steps of a walk have in common, at most 3.
 
     Returns
     -------
     StepLengthFit
         Fit of `FrequencyVarianceStepLength` with k1 = k2 = 0.
+
+    Raises
+    ------
+    ValueError
+        If a length is not plausible in metres, for example in centimetres.
 
     Examples
     --------
@@ -1081,6 +1089,14 @@ def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> St
     >>> fit.theta, fit.residual_std_m
     (array([0.29, 0.  , 0.  ]), 0.05)
     """
+    check_step_length("length_m", length_m)
+    for name, value in (("std_m", std_m), ("shared_std_m", shared_std_m)):
+        check_number(name, value, 0.0, limits.STEP_LENGTH_RANGE_M[1], "it is in metres, such as 0.05")
+    return constant_fit(length_m, std_m, shared_std_m)
+
+
+def constant_fit(length_m: float, std_m: float, shared_std_m: float = 0.0) -> StepLengthFit:
+    """Return the fit of `known_length` for any length, such as 0 where steps do not move."""
     theta, theta_cov = np.array([length_m, 0.0, 0.0]), np.diag([shared_std_m**2, 0.0, 0.0])
     return StepLengthFit(FrequencyVarianceStepLength(), theta, theta_cov, std_m)
 

@@ -21,7 +21,16 @@ from pdr_filter.filter.step_length.models import (
     length_and_jacobian,
     scale_std,
 )
-from pdr_filter.values import Fix, PositionFix, RangeFix, SpeedFix, check_numbers, check_whole, limits
+from pdr_filter.values import (
+    Fix,
+    PositionFix,
+    RangeFix,
+    SpeedFix,
+    check_numbers,
+    check_step_length,
+    check_whole,
+    limits,
+)
 
 # Largest relative standard deviation of the step length that is learnt from a walk. Less certain walks are not
 # stored. The value is that of step lengths among people of unknown height, because a less certain walk says less
@@ -48,7 +57,7 @@ class Session:
     Raises
     ------
     ValueError
-        If a field is not a positive number (`n_fixes` may be 0).
+        If a field is not a positive number (`n_fixes` may be 0), or if the length is not plausible in metres.
 
     Examples
     --------
@@ -63,6 +72,7 @@ class Session:
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("n_fixes",))
+        check_step_length("step_length_m", self.step_length_m)
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from pdr_filter.io.files.own_format_writer import (
 from pdr_filter.io.row_times import in_order
 from pdr_filter.io.tables.text_table import TextTable
 from pdr_filter.io.wifi_rows import wifi_of, with_whole_addresses
-from pdr_filter.values import CONTEXTS, FloatArray, Table, Wifi, limits, table
+from pdr_filter.values import CONTEXTS, FloatArray, Table, Wifi, check_walked, limits, table
 from pdr_filter.values.recording import Recording, Truth
 
 REQUIRED = "accelerometer.csv"
@@ -221,6 +221,9 @@ def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: li
     texts = {
         column: np.array([*compress(text, known)], np.str_) for column, text in zip(textual, found.texts, strict=True)
     }
+    for length in {"distance_m", "length_m"} & arrays.keys():
+        for start_s, end_s, walked_m in zip(*(arrays[c] for c in ("start_s", "end_s", length)), strict=True):
+            check_walked(f"{file}: {length}", walked_m, end_s - start_s)
     own = sorted(set(texts["context"].tolist()) - {*CONTEXTS, ""}) if "context" in texts else []
     if own:
         notes.append(

@@ -203,7 +203,7 @@ def write_gpx(
     )
     line = ElementTree.SubElement(root, "trk")
     _add(line, "name", track.name)
-    _add(line, "desc", _description(placed))
+    _add(line, "desc", _description_with_notes(placed))
     segment = ElementTree.SubElement(line, "trkseg")
     start_m = None if placed.origin is None else placed.origin.height_m
     heights_m = np.concatenate([[0.0], track.height_m])
@@ -227,7 +227,7 @@ def write_kml(track: TrackRows, path: str | Path, origin: Origin | tuple[float, 
     root = ElementTree.Element("kml", xmlns="http://www.opengis.net/kml/2.2")
     document = ElementTree.SubElement(root, "Document")
     _add(document, "name", track.name)
-    _add(document, "description", " ".join([_description(placed), *(f"Note: {note}." for note in track.notes)]))
+    _add(document, "description", _description_with_notes(placed))
     style = ElementTree.SubElement(ElementTree.SubElement(document, "Style", id="way"), "LineStyle")
     _add(style, "color", "ffb27200")  # aabbggrr: the blue of the figures
     _add(style, "width", "4")
@@ -260,6 +260,10 @@ def _add_geometry(placemark: ElementTree.Element, kind: str, vertices: list[list
 def _add(parent: ElementTree.Element, tag: str, text: str) -> None:
     """Add an element with a text. Control characters are removed, because XML cannot hold them even if escaped."""
     ElementTree.SubElement(parent, tag).text = "".join(c for c in text if c.isprintable())
+
+
+def _description_with_notes(track: TrackRows) -> str:
+    return " ".join([_description(track), *(f"Note: {note}." for note in track.notes)])
 
 
 def _description(track: TrackRows) -> str:

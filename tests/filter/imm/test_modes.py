@@ -139,7 +139,7 @@ def test_without_a_carrying_mode_of_their_own_modes_do_not_depend_on_it() -> Non
 
 def with_irregular() -> ImmTracker:
     # a long step length, which must have no effect
-    modes = (Mode("walk", "walking", LENGTH), Mode("handling", IRREGULAR, known_length(5.0, 0.02)))
+    modes = (Mode("walk", "walking", LENGTH), Mode("handling", IRREGULAR, known_length(2.5, 0.02)))
     return ImmTracker(PedestrianModel(modes, even_transitions(2, 0.9)))
 
 

@@ -38,6 +38,7 @@ from pdr_filter.filter.step_length.models import (
     scale_std,
     static_fit,
 )
+from pdr_filter.filter.step_length.person import Session
 from pdr_filter.recipes import default
 from pdr_filter.recipes.guo2018.recipe import chen_fit
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
@@ -480,3 +481,23 @@ def test_a_step_faster_than_any_sprinter_is_no_longer_than_the_fastest_possible_
     running = next(mode for mode in default().model.modes if mode.name == "running").step_length
     length_m, _ = running.predict(step_of(frequency_hz=6.0))
     assert length_m == running.predict(step_of(frequency_hz=4.5))[0] < 1.6
+
+
+@pytest.mark.parametrize("length_m", [70.0, 5.0, 0.0, -0.7, np.nan])
+def test_a_step_length_that_nobody_walks_is_refused_with_the_unit(length_m: float) -> None:
+    walking = next(mode for mode in default().model.modes if mode.context == "walking")
+    for make in (
+        lambda: known_length(length_m, 0.05),
+        lambda: known_length(0.7, 5.0),
+        lambda: Session(length_m, 0.02, 3),
+    ):
+        with pytest.raises(ValueError, match=r"in metres|must be positive"):
+            make()
+    if length_m > 0:
+        fit = StepLengthFit(FrequencyVarianceStepLength(), np.array([length_m, 0.0, 0.0]), np.zeros((3, 3)), 0.05)
+        with pytest.raises(
+            ValueError, match=r"typical step length of mode 'walking' must be .* step lengths are in metres"
+        ):
+            replace(walking, step_length=fit)
+    for length in (0.05, 0.7, 3.0):
+        assert replace(walking, step_length=known_length(length, 0.05)).step_length.theta[0] == length

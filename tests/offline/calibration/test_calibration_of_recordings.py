@@ -413,3 +413,33 @@ def test_half_of_the_legs_of_a_person_predict_the_other_half(data_dir: Path) -> 
         assert abs(uncalibrated.sum() / true.sum() - 1) > 0.06
         assert abs(calibrated.sum() / true.sum() - 1) < 0.05
         assert np.sqrt(np.square(calibrated / true - 1).mean()) < 0.08
+
+
+def test_a_distance_that_nobody_walks_in_that_time_or_with_so_few_steps_is_refused(
+    walk: tuple[Recording, Track], tmp_path: Path
+) -> None:
+    recording, own = walk
+    with pytest.raises(ValueError, match=r"faster than 12\.5 m/s"):
+        recording.of_distance(100 * own.distance_m)
+    with pytest.raises(ValueError, match="step lengths are in metres"):
+        recording.of_distance(own.distance_m, 5)
+    path = recording.of_distance(own.distance_m).save(tmp_path / "walk")
+    (path / "truth_segments.csv").write_text("start_s,end_s,distance_m,n_steps\n1.0,9.0,900,\n")
+    with pytest.raises(ValueError, match=r"truth_segments.csv: distance_m .* got 900 m in 8.0 s"):
+        pdr.read(path)
+
+
+def test_a_track_says_that_a_calibration_whose_segments_all_contradict_the_steps_is_not_used(
+    walk: tuple[Recording, Track], tmp_path: Path
+) -> None:
+    recording, own = walk
+    wrong = pdr.calibrate(recording.of_distance(2.6 * own.distance_m))
+    assert wrong.distrusted.shape == wrong.segments.shape == (1,)
+    for known in (wrong, wrong.save(tmp_path / "wrong.json")):
+        track = pdr.track(recording, calibration=known)
+        np.testing.assert_array_equal(track.position_m, pdr.track(recording).position_m)
+        (note,) = (note for note in track.notes if "step lengths of" in note)
+        assert "no context is calibrated" in note
+        assert "1 of 1 segment of the calibration contradict the detected steps" in note
+    right = pdr.calibrate(recording.of_distance(own.distance_m))
+    assert not any("contradict" in note for note in pdr.track(recording, calibration=right).notes)
