@@ -38,6 +38,11 @@ UNFAMILIAR = (
     "the motion is unlike all training data of the context model: contexts and step lengths there are unreliable; "
     "train a model with such motion (pdr_filter.fit_contexts)"
 )
+IN_STANDING = (
+    "steps were detected in a context without steps (such as stationary): the context model does not fit this person or "
+    "placement, or the steps are false; train a model with such motion (pdr_filter.fit_contexts), or use the default "
+    "model"
+)
 NO_DIRECTION = (
     "the walking direction is uncertain, because the phone was moved to another place where strides do not agree on a "
     "direction (as in a bag): give position or heading fixes"
@@ -141,6 +146,8 @@ class StepCounts:
         All steps.
     untrusted : int
         Steps whose strides disagree on the walking direction, after the phone was moved.
+    in_standing : int
+        Steps in windows whose contexts without steps are the most probable.
     on_the_spot : int
         Steps that are too quick for walking and too soft for running, and push in no common direction.
     first_carried_s : float
@@ -157,6 +164,7 @@ class StepCounts:
 
     n: int = 0
     untrusted: int = 0
+    in_standing: int = 0
     on_the_spot: int = 0
     first_carried_s: float = math.inf
     heading_unknown: int = 0
@@ -187,3 +195,7 @@ class StepCounts:
         if moved_m > max(self.largest_move_m, MOVE_M):
             counts = replace_unchecked(counts, largest_move_m=moved_m, largest_move_s=step.time_s)
         return counts
+
+    def plus_context(self, standing_prob: float) -> StepCounts:
+        """Return the counts with the contexts of one step, whose contexts without steps have a joint probability."""
+        return self if is_moving(standing_prob) else replace_unchecked(self, in_standing=self.in_standing + 1)

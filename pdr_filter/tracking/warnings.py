@@ -88,6 +88,8 @@ def _window_notes(seen: WindowCounts) -> Iterator[Note]:
 
 def _step_notes(walked: StepCounts, has_gyroscope: bool = True) -> Iterator[Note]:
     notable = max(_UNTRUSTED_SHARE * walked.n, _UNTRUSTED_NUMBER)
+    if walked.in_standing > notable:
+        yield Note("contexts", f"{walked.in_standing} of {walked.n} {criteria.IN_STANDING}")
     if walked.on_the_spot > notable:
         yield Note("steps", f"{walked.on_the_spot} of {walked.n} {criteria.QUICK_AND_SOFT}")
     if has_gyroscope:

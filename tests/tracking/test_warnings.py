@@ -40,3 +40,17 @@ def test_quick_and_soft_steps_count_as_on_the_spot_if_strides_push_nowhere(direc
     for k in range(30):
         counts = counts.plus(replace(quick, time_s=1.0 + k), 0.1, 0.0)
     assert counts.on_the_spot == n_told
+
+
+@pytest.mark.parametrize(
+    ("in_standing", "n", "is_said"), [(21, 60, True), (20, 60, False), (41, 200, True), (40, 200, False)]
+)
+def test_steps_in_contexts_without_steps_cause_a_note_above_a_fifth_of_the_steps_and_above_twenty(
+    in_standing: int, n: int, is_said: bool
+) -> None:
+    counts = StepCounts(n=n)
+    for standing_prob in [0.5] * in_standing + [0.49] * (n - in_standing):
+        counts = counts.plus_context(standing_prob)
+    notes = list(_step_notes(counts))
+    assert [note.about for note in notes] == (["contexts"] if is_said else [])
+    assert all(note.text.startswith(f"{in_standing} of {n} steps") for note in notes)
