@@ -39,9 +39,9 @@ UNFAMILIAR = (
     "train a model with such motion (pdr_filter.fit_contexts)"
 )
 IN_STANDING = (
-    "steps were detected in a context without steps (such as stationary): the context model does not fit this person or "
-    "placement, or the steps are false; train a model with such motion (pdr_filter.fit_contexts), or use the default "
-    "model"
+    "steps were detected in a context without steps (such as stationary): the context model does not fit this person "
+    "or placement, or the steps are false; train a model with such motion (pdr_filter.fit_contexts), or use the "
+    "default model"
 )
 NO_DIRECTION = (
     "the walking direction is uncertain, because the phone was moved to another place where strides do not agree on a "

@@ -61,8 +61,8 @@ class WeightedTracker:
     HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
     step lengths, weighted with the context probabilities. The weights are the mean over two windows: the one around the
     step and the one after it. In both, the step is evidence against contexts without steps, as in the IMM
-    (`PedestrianModel.step_evidence`). A step is final when the context window after the first one that contains it is known.
-    Until then `provisional` estimates it from the windows so far.
+    (`PedestrianModel.step_evidence`). A step is final when the context window after the first one that contains it is
+    known. Until then `provisional` estimates it from the windows so far.
 
     Attributes
     ----------
@@ -294,10 +294,12 @@ class WeightedTracker:
 
         Probabilities and weights are the mean of a provisional and a final value. This agrees with the distance (d +
         pd) / 2 in Algorithms 1 and 2 of Martinelli et al. (2018), the mean of final distance d and provisional distance
-        pd. The algorithms do not use the step as evidence. Without it, a classifier that takes walking for standing
-        would leave the track at its start. The provisional value comes from the first window that ends at or after the step. The final value comes from
+        pd. The provisional value comes from the first window that ends at or after the step. The final value comes from
         the first window whose new samples all lie after the step. If `is_final` is False, the provisional value
         replaces the final one.
+
+        The algorithms do not use the step as evidence. Without it, a classifier that takes walking for standing would
+        leave the track at its start.
         """
         provisional = self._prob_of(state, window_around(state.windows, step.time_s))
         final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional
