@@ -78,6 +78,7 @@ class Assessment(NamedTuple):
     prob: FloatArray  # (L,) probabilities of the labels
     unknown_share: float  # dissimilarity to all training windows, 0 to 1
     stairs_unknown_share: float  # dissimilarity to the training windows on stairs, 0 to 1
+    is_unlike: bool  # farther from all training windows than most windows of held-out people
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -298,7 +299,11 @@ class ContextModel:
         )
         prob = blend_stairs_with_prior(self._predict_standardised(standardised), unlike_stairs, self._level_and_stairs)
         prob = prob / prob.sum(axis=1, keepdims=True)
-        return [Assessment(*each) for each in zip(prob, unknown.tolist(), unlike_stairs.tolist(), strict=True)]
+        unlike = (
+            [False] * len(values) if self.familiarity is None else self.familiarity.is_unlike(standardised).tolist()
+        )
+        columns = prob, unknown.tolist(), unlike_stairs.tolist(), unlike
+        return [Assessment(*each) for each in zip(*columns, strict=True)]
 
     def standardised(self, features: FloatArray) -> FloatArray:
         """Standardise features by the mean and the spread of the training windows.
@@ -611,9 +616,9 @@ def _check(model: ContextModel) -> None:
     if not 0 <= model.slip <= 1:
         raise ValueError(f"slip must be a probability, got {model.slip}")
     for name, known in (("familiarity", model.familiarity), ("stairs", model.stairs)):
-        if known is not None and known.axes.shape[1] != n_features:
+        if known is not None and known.n_features != n_features:
             raise ValueError(
-                f"{name} has {known.axes.shape[1]} features, but there are {n_features} feature_names: fit it to the "
+                f"{name} has {known.n_features} features, but there are {n_features} feature_names: fit it to the "
                 "features of the model"
             )
     if model.stairs is not None and model.head != "context":

@@ -213,7 +213,7 @@ def _doubts_about_windows(track: TrackRows) -> list[str]:
 def _doubts_about_steps(track: TrackRows) -> list[str]:
     """Return sentences about steps with an uncertain length or direction, and about pauses and jumps."""
     on_the_spot = criteria.is_on_the_spot(track.is_quick_and_soft, track.direction_trust)
-    in_standing = ~criteria.is_moving(track.context_prob[:, track.windows.standing_index].sum(axis=1))
+    in_standing = criteria.is_in_standing(track.context_prob, track.windows.standing_index)
     without_rate = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
     return [
         *_undecided_modes(track),

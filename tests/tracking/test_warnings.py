@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from helpers import a_step
 
-from pdr_filter.tracking.step_statistics import StepCounts
-from pdr_filter.tracking.warnings import _step_notes  # pyright: ignore[reportPrivateUsage]
+from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing
+from pdr_filter.tracking.warnings import _step_notes, _window_notes  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.mark.parametrize(
@@ -49,8 +50,18 @@ def test_steps_in_contexts_without_steps_cause_a_note_above_a_fifth_of_the_steps
     in_standing: int, n: int, is_said: bool
 ) -> None:
     counts = StepCounts(n=n)
-    for standing_prob in [0.5] * in_standing + [0.49] * (n - in_standing):
-        counts = counts.plus_context(standing_prob)
+    for k in range(n):
+        prob = np.array([0.4, 0.3, 0.3]) if k < in_standing else np.array([0.3, 0.4, 0.3])
+        counts = counts.plus_context(bool(is_in_standing(prob, [0])))
     notes = list(_step_notes(counts))
     assert [note.about for note in notes] == (["contexts"] if is_said else [])
     assert all(note.text.startswith(f"{in_standing} of {n} steps") for note in notes)
+
+
+@pytest.mark.parametrize(("unlike", "unknown", "said"), [(51, 0, "farther"), (50, 0, ""), (60, 6, "unlike all")])
+def test_more_than_half_of_the_windows_far_from_the_training_data_cause_a_note(
+    unlike: int, unknown: int, said: str
+) -> None:
+    notes = list(_window_notes(WindowCounts(n=100, unlike=unlike, unknown=unknown)))
+    assert [note.about for note in notes] == (["contexts"] if said else [])
+    assert all(said in note.text for note in notes)

@@ -446,6 +446,10 @@ class FittingPlan(TrainingPlan):
         """Return the windows that have a label of the kind that the model learns (context or carrying mode)."""
         return windows.part(windows.label(self.head) != "")
 
+    def familiar_groups(self, windows: LabelledWindows) -> TextArray:
+        """Return the class of each window (W,), because few own features leave wide gaps between the classes."""
+        return windows.label(self.head)
+
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
         """Return masks (W,) of the windows that are held out together, by the names of the people or recordings.
 
@@ -465,7 +469,7 @@ class FittingPlan(TrainingPlan):
             scored |= group.rows & (label != "") & np.isin(label, others)
         prob, y, unit = left.prob[scored], label[scored], self.unit[scored]
         temperature, slip = calibration(prob, y, model)
-        limit = max(float(np.quantile(left.distance[scored], 0.99)), 1e-6)
+        usual, limit = np.maximum(np.quantile(left.distance[scored], [0.9, 0.99]), 1e-6).tolist()
         found = self._evidence(calibrated(left.prob, model, temperature, slip), left.distance, limit, model, windows)
         held_out = cross_calibrated(prob, y, unit, model)
         is_person, n_units = self.held_out_unit == "person", len(np.unique(unit))
@@ -497,7 +501,7 @@ class FittingPlan(TrainingPlan):
             if found.of_exponents == "estimated":
                 estimated["evidence_exponent"] = found.evidence_exponent
                 estimated["prior_exponent"] = found.prior_exponent
-        known = with_familiarity(model, used, limit)
+        known = with_familiarity(model, used, limit, group=self.familiar_groups(used), usual=usual)
         return replace(
             known, temperature=temperature, slip=slip, card=card, needs_gyroscope=self.has_gyroscope, **estimated
         )
