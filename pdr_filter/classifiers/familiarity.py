@@ -58,14 +58,11 @@ class Familiarity(Stored):
     def distance(self, standardised: FloatArray) -> FloatArray:
         """Return the distance d of each window to the training windows, (...), from standardised features (..., F)."""
         z = np.minimum(np.maximum(standardised, -_FEATURE_LIMIT), _FEATURE_LIMIT)
-        n_features, n_axes = self.n_features, self.axes.shape[-2]
-        groups = zip(
-            self.axes.reshape(-1, n_axes, n_features),
-            self.variance.reshape(-1, n_axes),
-            np.reshape(self.centre, (-1, n_features)),
-            strict=True,
-        )
-        return np.minimum.reduce([_distance(z - centre, axes, variance) for axes, variance, centre in groups])
+        centres, n_axes = np.reshape(self.centre, (-1, self.n_features)), self.axes.shape[-2]
+        axes = self.axes.reshape(len(centres), n_axes, self.n_features)
+        variance = self.variance.reshape(len(centres), n_axes)
+        groups = zip(centres, axes, variance, strict=True)
+        return np.minimum.reduce([_distance(z - centre, of_group, along) for centre, of_group, along in groups])
 
     def is_unlike(self, standardised: FloatArray) -> BoolArray:
         """True for windows (...) farther than `usual` or `limit`, from standardised features (..., F).

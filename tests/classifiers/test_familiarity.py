@@ -84,6 +84,8 @@ def test_a_class_whose_features_are_all_narrow_counts_with_the_smallest_variance
     z = np.vstack([np.zeros((50, 2)), np.random.default_rng(4).normal(size=(50, 2)) + 5.0])
     fitted = fit_familiarity(z, 1.0, label=np.repeat(["still", "walking"], 50))
     assert fitted.distance(np.array([0.1, 0.0])) == pytest.approx(np.sqrt(0.1**2 / 0.05 / 2))
+    narrow = fit_familiarity(0.01 * z, 1.0, label=np.repeat(["still", "walking"], 50))
+    assert narrow.distance(np.array([0.1, 0.0])) < np.sqrt(0.1**2 / 0.05 / 2)
 
 
 def test_windows_are_unlike_from_the_usual_distance_or_else_from_the_limit() -> None:
