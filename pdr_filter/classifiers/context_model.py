@@ -33,6 +33,7 @@ from pdr_filter.values import (
     check_name_of_context,
     check_transition_prob,
     feature_set_of,
+    how_many,
     pickled,
     read_only,
 )
@@ -77,6 +78,7 @@ class Assessment(NamedTuple):
     prob: FloatArray  # (L,) probabilities of the labels
     unknown_share: float  # dissimilarity to all training windows, 0 to 1
     stairs_unknown_share: float  # dissimilarity to the training windows on stairs, 0 to 1
+    is_unlike: bool  # farther from all training windows than most windows of held-out people
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,7 +299,11 @@ class ContextModel:
         )
         prob = blend_stairs_with_prior(self._predict_standardised(standardised), unlike_stairs, self._level_and_stairs)
         prob = prob / prob.sum(axis=1, keepdims=True)
-        return [Assessment(*each) for each in zip(prob, unknown.tolist(), unlike_stairs.tolist(), strict=True)]
+        unlike = (
+            [False] * len(values) if self.familiarity is None else self.familiarity.is_unlike(standardised).tolist()
+        )
+        columns = prob, unknown.tolist(), unlike_stairs.tolist(), unlike
+        return [Assessment(*each) for each in zip(*columns, strict=True)]
 
     def standardised(self, features: FloatArray) -> FloatArray:
         """Standardise features by the mean and the spread of the training windows.
@@ -439,12 +445,17 @@ def _card_lines(card: Mapping[str, Any]) -> list[str]:
     confusion: dict[str, dict[str, int]] = scores.get("confusion", {})
     lines = [str(card[name]) for name in ("description", "limits") if card.get(name)]
     counts = ", ".join(f"{label} {n}" for label, n in n_windows.items())
-    lines.append(f"{sum(n_windows.values())} windows of {card.get('n_people', 'unknown')} people: {counts}")
+    n_people = card.get("n_people")
+    of_people = "unknown people" if n_people is None else how_many(n_people, "person", "people")
+    lines.append(f"{sum(n_windows.values())} windows of {of_people}: {counts}")
     if "log_loss" in scores:
+        held_out = "recordings" if n_people == 1 else "people"
         lines.append(
-            f"people not in training: log loss {scores['log_loss']:.3f}, accuracy {scores['accuracy']:.3f}, macro "
+            f"{held_out} not in training: log loss {scores['log_loss']:.3f}, accuracy {scores['accuracy']:.3f}, macro "
             f"recall {scores['macro_recall']:.3f}, calibration error {scores['expected_calibration_error']:.3f}"
         )
+    if "placements" in card:
+        lines += _limits_of_data(card)
     if confusion:
         lines.append("confusion, windows of each true label by the most probable one:")
         names = list(next(iter(confusion.values())))
@@ -456,6 +467,26 @@ def _card_lines(card: Mapping[str, Any]) -> list[str]:
         if name in card:
             lines.append(f"{name}: {card[name]}")
     return lines
+
+
+def _limits_of_data(card: Mapping[str, Any]) -> list[str]:
+    """Return what the numbers of people and placements in the training data mean for other people and placements.
+
+    The accuracies of N held-out people and of a further person are exchangeable, so that each of the N + 1 people is
+    the worst with equal probability.
+    """
+    n_people, worst = card["n_people"], card["leave_one_subject_out"].get("worst_person_accuracy")
+    if worst is None:
+        of_people = "all recordings are of one person: nothing is known about other people; add recordings of others"
+    else:
+        of_people = (
+            f"the worst of {n_people} people has an accuracy of {worst:.3f}: a further person is worse with a "
+            f"probability of about 1 in {n_people + 1}"
+        )
+    if not card["placements"]:
+        return [of_people, "placements of the phone are not labelled: nothing is known about other placements"]
+    placements = ", ".join(card["placements"])
+    return [of_people, f"placements of the phone in training: {placements}; nothing is known about other placements"]
 
 
 def blend_stairs_with_prior(prob: FloatArray, share: FloatArray, level_and_stairs: list[int]) -> FloatArray:
@@ -585,9 +616,9 @@ def _check(model: ContextModel) -> None:
     if not 0 <= model.slip <= 1:
         raise ValueError(f"slip must be a probability, got {model.slip}")
     for name, known in (("familiarity", model.familiarity), ("stairs", model.stairs)):
-        if known is not None and known.axes.shape[1] != n_features:
+        if known is not None and known.n_features != n_features:
             raise ValueError(
-                f"{name} has {known.axes.shape[1]} features, but there are {n_features} feature_names: fit it to the "
+                f"{name} has {known.n_features} features, but there are {n_features} feature_names: fit it to the "
                 "features of the model"
             )
     if model.stairs is not None and model.head != "context":

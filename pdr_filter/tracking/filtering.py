@@ -27,7 +27,7 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometer import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
-from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts
+from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing
 from pdr_filter.values import (
     Fix,
     FixResult,
@@ -511,9 +511,11 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
     Final steps update the height filter and the particles. Each appended step has the height and the storey. With a
     floor plan, final steps have the position of the particles.
     """
-    height_state = state.height
+    height_state, standing = state.height, config.model.context_set.standing
     for update in updates:
         if update.is_final:
+            walked = state.walked.plus_context(bool(is_in_standing(update.context_prob, standing)))
+            state = replace_unchecked(state, walked=walked)
             up_prob, down_prob = config.model.on_stairs.dot(update.mode_prob).tolist()
             step_s, model = update.step.time_s, config.model
             height_state, height_at_step, passages = height.on_step(

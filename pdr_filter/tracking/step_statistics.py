@@ -7,12 +7,13 @@ times. Both use the criteria and texts of this module.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, Step, replace_unchecked
+from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, IntArray, Step, replace_unchecked
 
 # Standard deviation of the heading above which it counts as unknown. At an error of 0.5 rad a step advances by 12 %
 # less along the estimated direction than a linear filter assumes.
@@ -37,6 +38,16 @@ HANDLED = (
 UNFAMILIAR = (
     "the motion is unlike all training data of the context model: contexts and step lengths there are unreliable; "
     "train a model with such motion (pdr_filter.fit_contexts)"
+)
+UNLIKE = (
+    "the motion is farther from the training data of the context model than nearly all motion of people who were held "
+    "out: the person or the placement of the phone may be new, and contexts and step lengths wrong; train a model with "
+    "such motion (pdr_filter.fit_contexts)"
+)
+IN_STANDING = (
+    "steps were detected in a context without steps (such as stationary): the context model does not fit this person "
+    "or placement, or the steps are false; train a model with such motion (pdr_filter.fit_contexts), or use the "
+    "default model"
 )
 NO_DIRECTION = (
     "the walking direction is uncertain, because the phone was moved to another place where strides do not agree on a "
@@ -79,6 +90,15 @@ def is_unfamiliar(unknown_share: FloatArray | float) -> BoolArray:
     return np.asarray(unknown_share) > 0.5
 
 
+def is_in_standing(context_prob: FloatArray, standing: Sequence[int] | IntArray) -> BoolArray:
+    """True for steps (...,) whose most probable context has no steps.
+
+    `context_prob` (..., C) are the context probabilities of the steps, and `standing` the indices of the contexts
+    without steps.
+    """
+    return np.isin(context_prob.argmax(axis=-1), standing)
+
+
 def is_without_direction(
     carried_since_s: FloatArray | float, first_carried_s: float, direction_trust: FloatArray | float
 ) -> BoolArray:
@@ -113,12 +133,15 @@ class WindowCounts:
         Windows that are unlike the training data of the context model.
     irregular : int
         Windows in which the phone was handled.
+    unlike : int
+        Windows farther from the training data than nine of ten windows of held-out people.
     """
 
     n: int = 0
     without_gyroscope: int = 0
     unknown: int = 0
     irregular: int = 0
+    unlike: int = 0
 
     def plus(self, window: WindowContext, contexts: ContextSet) -> WindowCounts:
         """Return the counts with one more window."""
@@ -128,6 +151,7 @@ class WindowCounts:
             self.without_gyroscope + (not window.has_gyroscope),
             self.unknown + int(is_unfamiliar(window.unknown_share)),
             self.irregular + int(is_handled(window.irregular_prob, standing_prob)),
+            self.unlike + int(window.is_unlike),
         )
 
 
@@ -141,6 +165,8 @@ class StepCounts:
         All steps.
     untrusted : int
         Steps whose strides disagree on the walking direction, after the phone was moved.
+    in_standing : int
+        Steps whose most probable context has no steps.
     on_the_spot : int
         Steps that are too quick for walking and too soft for running, and push in no common direction.
     first_carried_s : float
@@ -157,6 +183,7 @@ class StepCounts:
 
     n: int = 0
     untrusted: int = 0
+    in_standing: int = 0
     on_the_spot: int = 0
     first_carried_s: float = math.inf
     heading_unknown: int = 0
@@ -187,3 +214,7 @@ class StepCounts:
         if moved_m > max(self.largest_move_m, MOVE_M):
             counts = replace_unchecked(counts, largest_move_m=moved_m, largest_move_s=step.time_s)
         return counts
+
+    def plus_context(self, is_in_standing: bool) -> StepCounts:
+        """Return the counts with one more step whose context is known, and without steps if `is_in_standing`."""
+        return replace_unchecked(self, in_standing=self.in_standing + 1) if is_in_standing else self

@@ -13,6 +13,7 @@ _SHARED_WITH_NOTES = (
     criteria.STEPLESS,
     criteria.HANDLED,
     criteria.UNFAMILIAR,
+    criteria.IN_STANDING,
     criteria.NO_DIRECTION,
     criteria.QUICK_AND_SOFT,
     criteria.LATE,
@@ -212,9 +213,11 @@ def _doubts_about_windows(track: TrackRows) -> list[str]:
 def _doubts_about_steps(track: TrackRows) -> list[str]:
     """Return sentences about steps with an uncertain length or direction, and about pauses and jumps."""
     on_the_spot = criteria.is_on_the_spot(track.is_quick_and_soft, track.direction_trust)
+    in_standing = criteria.is_in_standing(track.context_prob, track.windows.standing_index)
     without_rate = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
     return [
         *_undecided_modes(track),
+        *_with_times(long_stretches(track.time_s, in_standing), criteria.IN_STANDING),
         *_with_times(long_stretches(track.time_s, is_without_direction(track)), criteria.NO_DIRECTION),
         *_with_times(long_stretches(track.time_s, on_the_spot), criteria.QUICK_AND_SOFT),
         *_with_times(long_stretches(track.time_s, turns_at_the_ear(track)), _AT_THE_EAR),

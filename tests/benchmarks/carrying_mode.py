@@ -65,7 +65,7 @@ def placements(data: Path, model: ContextModel, has_gyroscope: bool) -> list[lis
         recording = recording if has_gyroscope else replace(recording, gyroscope=None)
         placement = recording.name.split("_", 3)[3]
         for features in features_while_walking(recording):
-            of_window, share, _ = model.assess(features[columns])
+            of_window, share, *_ = model.assess(features[columns])
             prob[placement].append(of_window)
             unknown[placement].append(share)
     rows = []

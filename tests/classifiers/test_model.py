@@ -89,7 +89,7 @@ def test_a_window_unlike_all_stairs_distributes_walking_and_stairs_by_the_daily_
     gait = [CONTEXTS.index(c) for c in ("walking", "upstairs", "downstairs")]
     X, _ = rows_and_labels()
     for row in X[:20]:
-        without, (prob, _, share) = free.predict(row), guarded.assess(row)
+        without, (prob, _, share, _) = free.predict(row), guarded.assess(row)
         expected = without.copy()
         expected[gait] = (1 - share) * without[gait] + share * without[gait].sum() * np.array([0.94, 0.03, 0.03])
         np.testing.assert_allclose(prob, expected, atol=1e-12)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from helpers import a_step
 
-from pdr_filter.tracking.step_statistics import StepCounts
-from pdr_filter.tracking.warnings import _step_notes  # pyright: ignore[reportPrivateUsage]
+from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing
+from pdr_filter.tracking.warnings import _step_notes, _window_notes  # pyright: ignore[reportPrivateUsage]
 
 
 @pytest.mark.parametrize(
@@ -40,3 +41,27 @@ def test_quick_and_soft_steps_count_as_on_the_spot_if_strides_push_nowhere(direc
     for k in range(30):
         counts = counts.plus(replace(quick, time_s=1.0 + k), 0.1, 0.0)
     assert counts.on_the_spot == n_told
+
+
+@pytest.mark.parametrize(
+    ("in_standing", "n", "is_said"), [(21, 60, True), (20, 60, False), (41, 200, True), (40, 200, False)]
+)
+def test_steps_in_contexts_without_steps_cause_a_note_above_a_fifth_of_the_steps_and_above_twenty(
+    in_standing: int, n: int, is_said: bool
+) -> None:
+    counts = StepCounts(n=n)
+    for k in range(n):
+        prob = np.array([0.4, 0.3, 0.3]) if k < in_standing else np.array([0.3, 0.4, 0.3])
+        counts = counts.plus_context(bool(is_in_standing(prob, [0])))
+    notes = list(_step_notes(counts))
+    assert [note.about for note in notes] == (["contexts"] if is_said else [])
+    assert all(note.text.startswith(f"{in_standing} of {n} steps") for note in notes)
+
+
+@pytest.mark.parametrize(("unlike", "unknown", "said"), [(51, 0, "farther"), (50, 0, ""), (60, 6, "unlike all")])
+def test_more_than_half_of_the_windows_far_from_the_training_data_cause_a_note(
+    unlike: int, unknown: int, said: str
+) -> None:
+    notes = list(_window_notes(WindowCounts(n=100, unlike=unlike, unknown=unknown)))
+    assert [note.about for note in notes] == (["contexts"] if said else [])
+    assert all(said in note.text for note in notes)

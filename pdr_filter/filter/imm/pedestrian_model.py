@@ -72,7 +72,7 @@ class PedestrianModel:
     evidence_floor : float, default 0.01
         Lower bound of a context probability, so that a single window never excludes a context.
     step_log_odds_stationary : float, default -1.9
-        Log evidence of a detected step for a mode without steps, relative to modes with steps.
+        Log evidence of a detected step for a mode without steps, relative to modes with steps, in all weightings.
     noise : MotionNoise
         Process noise and initial uncertainties.
     fix_gate_nis : float, default 13.8

@@ -8,6 +8,7 @@ and 2 of Martinelli et al. (2018).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,6 +39,7 @@ from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.filter.imm.weighting import HC, Weighting, context_weights
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace_unchecked
+from pdr_filter.values.mixtures import posterior_prob
 
 _SUM_TOLERANCE = 1e-6
 
@@ -58,8 +60,9 @@ class WeightedTracker:
 
     HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
     step lengths, weighted with the context probabilities. The weights are the mean over two windows: the one around the
-    step and the one after it. A step is final when the context window after the first one that contains it is known.
-    Until then `provisional` estimates it from the windows so far.
+    step and the one after it. In both, the step is evidence against contexts without steps, as in the IMM
+    (`PedestrianModel.step_evidence`). A step is final when the context window after the first one that contains it is
+    known. Until then `provisional` estimates it from the windows so far.
 
     Attributes
     ----------
@@ -70,8 +73,8 @@ class WeightedTracker:
         Martinelli et al. 2018). Below it the highest context is used. Infinity (`weighting.HC`) always uses the
         highest.
     function : callable, optional
-        Function from context probabilities (C,) to weights (C,), which replaces the threshold. Weights must be 0 or
-        more and sum to one.
+        Function from context probabilities (C,), given the window and the step, to weights (C,), which replaces the
+        threshold. Weights must be 0 or more and sum to one.
 
     Raises
     ------
@@ -294,10 +297,14 @@ class WeightedTracker:
         pd. The provisional value comes from the first window that ends at or after the step. The final value comes from
         the first window whose new samples all lie after the step. If `is_final` is False, the provisional value
         replaces the final one.
+
+        The algorithms do not use the step as evidence. Without it, a classifier that takes walking for standing would
+        leave the track at its start.
         """
         provisional = self._prob_of(state, window_around(state.windows, step.time_s))
         final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional
-        weights = 0.5 * (self._weights_of(provisional) + self._weights_of(final))
+        of_step = posterior_prob(np.stack([provisional, final]), self._step_evidence)
+        weights = 0.5 * (self._weights_of(of_step[0]) + self._weights_of(of_step[1]))
         return 0.5 * (provisional + final), weights[self.model.context_index]
 
     def _weights_of(self, context_prob: FloatArray) -> FloatArray:
@@ -343,6 +350,13 @@ class WeightedTracker:
             direction=motion.along,
         )
         return advanced, walked
+
+    @cached_property
+    def _step_evidence(self) -> FloatArray:
+        """Log evidence (C,) of a detected step for each context."""
+        evidence = np.zeros(len(self.model.contexts))
+        evidence[self.model.context_index] = self.model.step_evidence
+        return evidence
 
     def _prob_of(self, state: WeightedState, window: WindowContext | None) -> FloatArray:
         """Return the context probabilities (C,) of a window.

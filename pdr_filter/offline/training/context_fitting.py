@@ -81,7 +81,8 @@ def fit_contexts(
 
     A window of 2 s is used if it lies inside one label. Each person is held out in turn, or a tenth of the people if
     there are more than ten. The predictions for held-out people calibrate the probabilities, and give the scores of
-    `ContextModel.report` and of the card.
+    `ContextModel.report` and of the card. If all recordings are of one person, recordings are held out instead, and the
+    report says that nothing is known about other people.
 
     If any window has an angular rate, windows without one are not used. If the labels have at least 10 changes of
     context between two steps, the transition matrix is estimated too. With at least 4 people, the exponents of the
@@ -118,8 +119,8 @@ def fit_contexts(
     Raises
     ------
     ValueError
-        If there are no labels, labels of a single class, recordings of a single person, or invalid arguments. The
-        message names the problem and the remedy.
+        If there are no labels, labels of a single class, a single recording, or invalid arguments. The message names
+        the problem and the remedy.
 
     See Also
     --------
@@ -160,13 +161,14 @@ def fit_contexts(
     others = np.unique(windows.carrying_mode[elsewhere])
     windows = replace(windows, carrying_mode=np.where(elsewhere, "", windows.carrying_mode))
     labels = _labels_of(windows, head)
-    _check_people(windows, head)
+    unit, what = _held_out_units(windows, labelled.sequence, head)
+    _check_units(windows.label(head), unit, what)
     plans = (context_training if head == "context" else carrying_training).PLANS
     names = plans[0 if labelled.has_gyroscope else 1].feature_names if features is None else feature_set.names
     columns = [feature_set.names.index(each) for each in names]
     sequences = None if head != "context" else _step_labels(given, labelled, labels, done)
-    one_person = [c for c in labels if len(np.unique(windows.person[windows.label(head) == c])) == 1]
-    limits = [f"Labelled for one person only, and not in the scores: {', '.join(one_person)}."] if one_person else []
+    once = [c for c in labels if len(np.unique(unit[windows.label(head) == c])) == 1]
+    limits = [f"Labelled for one {what} only, and not in the scores: {', '.join(once)}."] if once else []
     limits += [f"Not learnt, because the filter has no such carrying mode: {', '.join(others)}."] if len(others) else []
     plan = FittingPlan(
         name=name or ("contexts" if head == "context" else "carrying"),
@@ -185,6 +187,8 @@ def fit_contexts(
         step_labels=sequences,
         at_middle=labelled.at_middle,
         sequence=labelled.sequence,
+        unit=unit,
+        held_out_unit=what,
     )
     start = _WINDOWS_SHARE + _STEPS_SHARE
     model = train_one(
@@ -309,22 +313,35 @@ def _labels_of(windows: LabelledWindows, head: Head) -> tuple[str, ...]:
     return CARRYING_MODES
 
 
-def _check_people(windows: LabelledWindows, head: Head) -> None:
-    """Raise ValueError unless there are two people, and windows of two classes remain without each person in turn."""
-    label, of_label = windows.label(head), windows.label(head) != ""
-    people = np.unique(windows.person[of_label])
-    if len(people) < 2:
+def _held_out_units(windows: LabelledWindows, sequence: TextArray, head: Head) -> tuple[TextArray, str]:
+    """Return the name of what is held out with each window (W,), and its kind: "person", or "recording" of one person.
+
+    `sequence` (W,) has the number of the recording of each window before a slash.
+    """
+    if len(np.unique(windows.person[windows.label(head) != ""])) > 1:
+        return windows.person, "person"
+    numbers = [int(s.partition("/")[0]) + 1 for s in sequence]
+    names = [f"{name} (recording {number})" for name, number in zip(windows.recording, numbers, strict=True)]
+    return np.array(names), "recording"
+
+
+def _check_units(label: TextArray, unit: TextArray, what: str) -> None:
+    """Raise ValueError unless there are two people or recordings, and two classes remain without each in turn.
+
+    `label` (W,) is the class of each window, empty if unknown. `unit` (W,) and `what` are from `_held_out_units`.
+    """
+    units, others = np.unique(unit[label != ""]), {"person": "people"}.get(what, "recordings")
+    if len(units) < 2:
         raise ValueError(
-            f"recordings must be of at least two people, because each is held out in turn, got {str(people[0])!r} "
-            "alone: name the people by people=[...], by subject.id in meta.json, or by a folder for each person on "
-            "the command line"
+            "recordings must be of at least two people, or at least two of one person, because each is held out in "
+            f"turn, got one with labels, {str(units[0])!r}: add a recording, best of another person and with each class"
         )
-    for person in people:
-        left = np.unique(label[of_label & (windows.person != person)])
+    for name in units:
+        left = np.unique(label[(label != "") & (unit != name)])
         if len(left) < 2:
             raise ValueError(
-                f"{str(person)!r} cannot be held out, because the other people have only windows of {str(left[0])!r}: "
-                "label each class for at least two people"
+                f"{str(name)!r} cannot be held out, because the other {others} have only windows of {str(left[0])!r}: "
+                f"label each class for at least two {others}"
             )
 
 
@@ -405,6 +422,10 @@ class FittingPlan(TrainingPlan):
         Context at the middle of each window.
     sequence : array (W,) of str
         Recording and stretch of each window.
+    unit : array (W,) of str
+        Person of each window, or its recording if all are of one person.
+    held_out_unit : str
+        "person" or "recording": the kind of `unit`.
     """
 
     own_labels: tuple[str, ...]
@@ -413,6 +434,8 @@ class FittingPlan(TrainingPlan):
     step_labels: _StepLabels | None
     at_middle: TextArray
     sequence: TextArray
+    unit: TextArray
+    held_out_unit: str
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -423,34 +446,42 @@ class FittingPlan(TrainingPlan):
         """Return the windows that have a label of the kind that the model learns (context or carrying mode)."""
         return windows.part(windows.label(self.head) != "")
 
-    def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
-        """Return masks (W,) of the windows that are held out together, by the names of the people.
+    def familiar_groups(self, windows: LabelledWindows) -> TextArray:
+        """Return the class of each window (W,), because few own features leave wide gaps between the classes."""
+        return windows.label(self.head)
 
-        Each person is a group. More than ten people are divided into ten groups of about the same size.
+    def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
+        """Return masks (W,) of the windows that are held out together, by the names of the people or recordings.
+
+        Each person is a group, or each recording of one person. More than ten are divided into ten groups of about the
+        same size.
         """
-        people = np.unique(windows.person)
-        n = min(len(people), MAX_PARTS)
-        return {", ".join(map(str, people[k::n])): np.isin(windows.person, people[k::n]) for k in range(n)}
+        units = np.unique(self.unit)
+        n = min(len(units), MAX_PARTS)
+        return {", ".join(map(str, units[k::n])): np.isin(self.unit, units[k::n]) for k in range(n)}
 
     def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
-        """Return the model, calibrated on held-out people, with its card, transitions and exponents."""
+        """Return the model, calibrated on held-out windows, with its card, transitions and exponents."""
         left, label = in_window_order(left_out.values()), windows.label(self.head)
         scored = np.zeros(len(label), dtype=bool)
         for group in left_out.values():
             others = np.unique(label[~group.rows])
             scored |= group.rows & (label != "") & np.isin(label, others)
-        prob, y, person = left.prob[scored], label[scored], windows.person[scored]
+        prob, y, unit = left.prob[scored], label[scored], self.unit[scored]
         temperature, slip = calibration(prob, y, model)
-        limit = max(float(np.quantile(left.distance[scored], 0.99)), 1e-6)
+        usual, limit = np.maximum(np.quantile(left.distance[scored], [0.9, 0.99]), 1e-6).tolist()
         found = self._evidence(calibrated(left.prob, model, temperature, slip), left.distance, limit, model, windows)
-        held_out = cross_calibrated(prob, y, person, model)
+        held_out = cross_calibrated(prob, y, unit, model)
+        is_person, n_units = self.held_out_unit == "person", len(np.unique(unit))
         scores = {
-            "people": how_many(len(np.unique(person)), "person", "people"),
+            "people": how_many(n_units, "person", "people") if is_person else f"{n_units} recordings of one person",
             **score(y, held_out, self.labels),
-            "worst_person_accuracy": worst_person_accuracy(y, held_out, person, self.labels),
+            f"worst_{self.held_out_unit}_accuracy": worst_person_accuracy(y, held_out, unit, self.labels),
         }
+        used = self.training_windows(windows)
         card: dict[str, Any] = {
-            **self.card(self.training_windows(windows), scores, {}),
+            **self.card(used, scores, {}),
+            "placements": sorted({str(mode) for mode in used.carrying_mode} - {""}),
             "leave_one_subject_out": scores,
             "n_recordings": self.n_recordings,
             "gyroscope": self.has_gyroscope,
@@ -470,7 +501,7 @@ class FittingPlan(TrainingPlan):
             if found.of_exponents == "estimated":
                 estimated["evidence_exponent"] = found.evidence_exponent
                 estimated["prior_exponent"] = found.prior_exponent
-        known = with_familiarity(model, self.training_windows(windows), limit)
+        known = with_familiarity(model, used, limit, group=self.familiar_groups(used), usual=usual)
         return replace(
             known, temperature=temperature, slip=slip, card=card, needs_gyroscope=self.has_gyroscope, **estimated
         )

@@ -88,6 +88,7 @@ def martinelli2018(subject: Subject | None = None) -> Config:
     - k0, k1 and k2 of eq. 12 are not printed. They are fitted to public recordings of known displacement for walking.
       Steps on stairs have the length of the tread.
     - The variance of eq. 12 is at most 8 m2/s4, because in a trouser pocket it is ten times that in the hand.
+    - A detected step is evidence against contexts without steps (`PedestrianModel.step_log_odds_stationary`).
     - The paper does not treat the heading. Here it is the integrated turning rate, with side steps to the right.
 
     Examples

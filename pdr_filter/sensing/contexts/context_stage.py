@@ -74,6 +74,8 @@ class WindowContext:
         Time of the first sample of the window, s.
     hop_s : float
         Time between the ends of consecutive windows, s.
+    is_unlike : bool
+        True if the window is farther from all training windows than nine of ten windows of held-out people.
 
     Examples
     --------
@@ -96,6 +98,7 @@ class WindowContext:
     has_gyroscope: bool = True
     start_s: float = np.nan
     hop_s: float = 1.0
+    is_unlike: bool = False
 
     @property
     def new_since_s(self) -> float:
@@ -608,7 +611,8 @@ class ContextModels:
         model = (
             self.with_gyroscope if window.has_gyroscope or self.without_gyroscope is None else self.without_gyroscope
         )
-        prob, unknown, unlike_stairs = context_assessment or Assessment(model.training_prior, 1.0, 1.0)
+        assessment = context_assessment or Assessment(model.training_prior, 1.0, 1.0, True)
+        prob, unknown, unlike_stairs, is_unlike = assessment
         prob = (1 - unknown) * prob + unknown * model.training_prior
         moving = 1.0 - float(sum(prob[standing].tolist()))
         carrying_prob = self._update_carrying(carrying_prob, window, carrying_assessment, moving)
@@ -624,6 +628,7 @@ class ContextModels:
             irregular,
             model.name,
             has_gyroscope=window.has_gyroscope,
+            is_unlike=is_unlike,
         )
 
     def _update_carrying(
@@ -637,7 +642,7 @@ class ContextModels:
         model = self.carrying_with_gyroscope if window.has_gyroscope else self.carrying_without_gyroscope
         if model is None or assessment is None:
             return carrying_prob
-        prob, unknown, _ = assessment
+        prob, unknown, *_ = assessment
         exponent = self.carrying_exponent * moving * (1 - unknown)
         return follow_mode(carrying_prob, prob, model.training_prior, self.carrying_stay_prob, exponent)
 

@@ -23,7 +23,7 @@ from pdr_filter.filter.imm.motion_model import (
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate, in_other_frame, present_position
 from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
-from pdr_filter.filter.imm.weighting import HC, weighted_distances
+from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step
@@ -40,6 +40,11 @@ State = ImmState | WeightedState
 
 def model() -> PedestrianModel:
     return PedestrianModel(mode_of_each_context(), even_transitions(6, 0.9), evidence_exponent=0.5, prior_exponent=1.0)
+
+
+def as_printed() -> PedestrianModel:
+    """Return the model for the printed algorithms of HC and WC, in which a step is no evidence for a context."""
+    return replace(model(), step_log_odds_stationary=0.0)
 
 
 def tracker(weighting: str) -> Tracker:
@@ -137,7 +142,7 @@ def test_final_step_lengths_add_up_to_the_total_final_distance_of_every_epoch(
     n_epochs = len(windows) - 1
     distance_m, epochs = distances_of_epochs(steps, n_epochs)
     expected = weighted_distances(distance_m, np.stack([w.prob for w in windows]), threshold)
-    _, updates = run(tracker(weighting), in_order(steps, windows))
+    _, updates = run(tracker_of(weighting, as_printed()), in_order(steps, windows))
     lengths = np.array([u.step_length_m for u in final(updates)])
     assert len(lengths) == len(steps)
     total = [lengths[epochs <= k].sum() for k in range(1, n_epochs + 1)]
@@ -151,7 +156,8 @@ def test_the_provisional_position_at_the_end_of_an_epoch_is_its_total_provisiona
     steps, windows = random_walk(1)
     steps = [replace(s, device_heading_rad=0.0) for s in steps]
     straight = tracker_of(
-        weighting, replace(model(), modes=tuple(replace(m, heading_offset_rad=0.0) for m in mode_of_each_context()))
+        weighting,
+        replace(as_printed(), modes=tuple(replace(m, heading_offset_rad=0.0) for m in mode_of_each_context())),
     )
     distance_m, epochs = distances_of_epochs(steps, len(windows) - 1)
     expected = weighted_distances(distance_m, np.stack([w.prob for w in windows]), threshold)
@@ -334,6 +340,26 @@ def test_a_detected_step_is_evidence_against_standing() -> None:
     filter_ = tracker("imm")
     _, [update] = updates_of(filter_.on_step(filter_.init(), a_step()))
     assert update.mode_prob[0] / update.mode_prob[1] == pytest.approx(np.exp(filter_.model.step_log_odds_stationary))
+
+
+@pytest.mark.parametrize("threshold", [HC, 0.8, 0.0])
+def test_hc_and_wc_weight_a_step_by_the_context_probabilities_given_the_step(threshold: float) -> None:
+    m = model()
+    prob = np.array([0.6, 0.25, 0.15, 0.0, 0.0, 0.0])
+    likelihood = np.where(np.arange(6) == STATIONARY, np.exp(m.step_log_odds_stationary), 1.0)
+    expected = context_weights(prob * likelihood / (prob @ likelihood), threshold)
+    windows = [WindowContext(2.0 + k, prob, EVEN_PRIOR) for k in range(3)]
+    _, updates = run(WeightedTracker(m, threshold), in_order([a_step(2.5)], windows))
+    [update] = final(updates)
+    np.testing.assert_allclose(update.mode_prob, expected, atol=1e-12)
+    np.testing.assert_allclose(update.context_prob, prob, atol=1e-12)
+
+
+def test_a_certain_standstill_of_the_contexts_remains_certain_in_spite_of_a_step() -> None:
+    windows = [WindowContext(2.0 + k, sure(STATIONARY), EVEN_PRIOR) for k in range(3)]
+    for weighting in ("hc", "wc"):
+        _, updates = run(tracker(weighting), in_order([a_step(2.5)], windows))
+        np.testing.assert_allclose(final(updates)[0].mode_prob, sure(STATIONARY), atol=1e-12)
 
 
 def test_several_fits_together_give_the_results_of_each() -> None:

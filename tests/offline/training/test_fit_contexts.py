@@ -339,8 +339,6 @@ class Unsure(Silent):
         ({"classifier": Unsure()}, "predict_proba of Unsure must return a probability for each of 3 classes_"),
         ({"head": "mood"}, r"head must be .* got 'mood'"),
         ({"people": ["anna"]}, "people must have 3 names, one for each recording, got 1"),
-        ({"people": ["anna"] * 3}, r"at least two people.* got 'anna' alone.*people="),
-        ({"people": None}, r"got 'simulated/simulated' alone"),
         ({"features": 3}, "features must be a feature set or a function"),
         ({"features": lambda signals: None}, "features must return a dict of a number for each name"),
         ({"features": lambda signals: {"a": np.nan}}, r"features must be finite, but a is NaN or infinite in 'walk0'"),
@@ -378,6 +376,46 @@ def test_a_context_of_one_person_is_learnt_but_not_scored_and_the_card_states_it
     model = pdr.fit_contexts([*walks, more], "forest", features=few, people=[*PEOPLE, "dora"])
     assert "sprint" in model.classes and "sprint" in model.card["limits"]
     assert "sprint" not in model.card["leave_one_subject_out"]["confusion"]
+
+
+@pytest.mark.parametrize("people", [None, ["anna"] * 3])
+def test_recordings_of_one_person_are_held_out_and_the_report_says_so(
+    walks: list[pdr.Recording], people: list[str] | None
+) -> None:
+    model = pdr.fit_contexts(walks, "forest", features=few, people=people)
+    of_recordings = pdr.fit_contexts(walks, "forest", features=few, people=["a", "b", "c"])
+    scores = model.card["leave_one_subject_out"]
+    assert model.card["n_people"] == 1 and scores["people"] == "3 recordings of one person"
+    expected = of_recordings.card["leave_one_subject_out"]
+    assert (scores["log_loss"], scores["confusion"]) == (expected["log_loss"], expected["confusion"])
+    assert "recordings not in training" in model.report() and "nothing is known about other people" in model.report()
+    assert "1 people" in model.card["exponents"]
+
+
+def test_a_single_recording_is_refused_with_the_remedy(walks: list[pdr.Recording]) -> None:
+    with pytest.raises(ValueError, match=r"two of one person.* got one with labels, .walk0 .recording 1..: add"):
+        pdr.fit_contexts(walks[:1], "forest", features=few)
+    unlabelled = without_labels(walks[1])
+    with pytest.raises(ValueError, match=r"got one with labels, 'walk0"):
+        pdr.fit_contexts([walks[0], unlabelled], "forest", features=few, people=["anna", "ben"])
+
+
+def test_a_recording_of_one_person_without_which_one_class_is_left_is_named() -> None:
+    both, level = walk(0), with_labels(walk(1), {"walking": "level"})
+    with pytest.raises(ValueError, match=r"recording 1\)' cannot be held out, .* other recordings have only .*'level'"):
+        pdr.fit_contexts([both, level], "forest", features=few)
+
+
+def test_the_report_says_what_the_numbers_of_people_and_placements_mean(forest: pdr.ContextModel) -> None:
+    worst = forest.card["leave_one_subject_out"]["worst_person_accuracy"]
+    assert (
+        f"has an accuracy of {worst:.3f}: a further person is worse with a probability of about 1 in 4"
+        in forest.report()
+    )
+    assert forest.card["placements"] == ["pocket"]
+    assert "placements of the phone in training: pocket; nothing is known about other" in forest.report()
+    unlabelled = replace(forest, card={**forest.card, "placements": []})
+    assert "placements of the phone are not labelled" in unlabelled.report()
 
 
 def test_a_file_with_nan_is_not_written(tmp_path: Path) -> None:

@@ -54,7 +54,7 @@ def test_a_small_training_writes_both_models_with_held_out_scores(paths: list[Pa
         assert 0 <= card["leave_one_subject_out"]["recall"]["pocket"] <= 1
         model = load_model(tmp_path / f"{card['name']}.npz")
         assert model.head == "carrying_mode" and set(model.feature_names) <= set(FEATURE_NAMES)
-        prob, unknown, _ = model.assess(model.feature_mean)
+        prob, unknown, *_ = model.assess(model.feature_mean)
         assert prob.sum() == pytest.approx(1.0) and unknown == 0.0
         assert prob[CARRYING_MODES.index("bag")] == 0.0 == model.training_prior[CARRYING_MODES.index("bag")]
     assert cards[0]["n_windows"]["calling"] == 0  # the recording of another data set is not used
