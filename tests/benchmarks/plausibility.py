@@ -61,7 +61,7 @@ def found_in(path: Path) -> dict[str, str] | None:
         return dict(oddities(online, pdr.smooth(recording).track)) if online.n_steps >= MIN_STEPS else None
     except (ValueError, OSError):
         return None
-    except Exception as error:  # noqa: BLE001 (any other exception is a fault of the package, and a result here)
+    except Exception as error:
         return {"exceptions": f"{type(error).__name__}: {error}"}
 
 

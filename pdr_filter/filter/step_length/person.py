@@ -214,20 +214,14 @@ class Person:
         Raises
         ------
         ValueError
-            If a step-length model is not linear in its parameters, or gives no positive length for a typical step.
+            If a step-length model is not linear in its parameters.
         """
         log_length, precision = self._pooled()
         prior = model.noise.log_scale_std**-2 if model.noise.log_scale_std > 0 else math.inf
         if precision == 0 or math.isinf(prior):
             return model
-        usual_m = _typical_length_m(model)
-        if not usual_m > 0:
-            kind = type(_main_mode(model.modes).step_length.model).__name__
-            raise ValueError(
-                f"person scales the length of a typical step, but {kind} gives {usual_m:g} m for a typical step "
-                "(models.TYPICAL_STEP): correct its parameters, or track without person"
-            )
-        factor = math.exp((log_length - math.log(usual_m)) * precision / (precision + prior))
+        usual = math.log(_typical_length_m(model))
+        factor = math.exp((log_length - usual) * precision / (precision + prior))
         std = math.sqrt(1.0 / (precision + prior) + RECORDING_STD**2)
         modes = tuple(replace(mode, step_length=_scaled(mode.step_length, factor)) for mode in model.modes)
         return replace(model, modes=modes, noise=replace(model.noise, log_scale_std=std))
