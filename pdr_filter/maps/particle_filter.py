@@ -867,8 +867,8 @@ def off_plan_notes(n_steps: int, first_s: float, last_s: float) -> list[Note]:
     if n_steps == 0:
         return []
     words = (
-        f"{how_many(n_steps, 'step')} between {first_s:.0f} and {last_s:.0f} s placed {_OFF_PLAN}: the start or the fixes "
-        "do not fit the plan, or the plan is incomplete; correct them"
+        f"{how_many(n_steps, 'step')} between {first_s:.0f} and {last_s:.0f} s placed {_OFF_PLAN}: the start or the "
+        "fixes do not fit the plan, or the plan is incomplete; correct them"
     )
     return [Note("plan", words)]
 

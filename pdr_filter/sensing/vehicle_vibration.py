@@ -156,7 +156,9 @@ class VehicleVibration:
         VehicleVibrationState
             State with `moving_s`, `seen_s` and `before_run_s`.
         """
-        _, before_run_s = self._runs(state.run_s, state.before_run_s, moves=False)
+        known_s = max((time_s for _, time_s in state.steps), default=-np.inf)
+        run_s, before_run_s, _ = self._after_waiting(state, known_s)
+        _, before_run_s = self._runs(run_s, before_run_s, moves=False)
         return VehicleVibrationState(before_run_s=before_run_s, moving_s=state.moving_s, seen_s=state.seen_s)
 
     def stepless_s(self, state: VehicleVibrationState, since_s: float, until_s: float) -> float:
@@ -182,6 +184,18 @@ class VehicleVibration:
         float
             Unexplained time of motion between the two times, s.
         """
+        run_s, before_run_s, moves = self._after_waiting(state, since_s)
+        rest = state.rest[None, : len(state.rest) // self._n_mean * self._n_mean]
+        if rest.shape[1] >= _MIN_MEANS * self._n_mean:
+            moves = self._moves(*self._spread(rest)[0])
+        rest_s = until_s - max(state.start_s + state.n_samples // round(self.rate_hz), since_s)
+        return before_run_s + run_s + (rest_s if moves and rest_s > 0 else 0.0)
+
+    def _after_waiting(self, state: VehicleVibrationState, since_s: float) -> tuple[float, float, bool]:
+        """Return run and unexplained time before it after all complete seconds, and whether the last one moves.
+
+        Only motion after the contact at `since_s` counts.
+        """
         judged_s = state.start_s + state.n_samples // round(self.rate_hz) - len(state.waiting_mps2)
         run_s, before_run_s, moves = state.run_s, state.before_run_s, state.run_s > 0
         if since_s > judged_s - run_s:
@@ -189,11 +203,7 @@ class VehicleVibration:
         for second, spread_mps2 in enumerate(state.waiting_mps2, start=1):
             moves = self._moves(*spread_mps2)
             run_s, before_run_s = self._runs(run_s, before_run_s, moves, min(judged_s + second - since_s, 1.0))
-        rest = state.rest[None, : len(state.rest) // self._n_mean * self._n_mean]
-        if rest.shape[1] >= _MIN_MEANS * self._n_mean:
-            moves = self._moves(*self._spread(rest)[0])
-        rest_s = until_s - max(judged_s + len(state.waiting_mps2), since_s)
-        return before_run_s + run_s + (rest_s if moves and rest_s > 0 else 0.0)
+        return run_s, before_run_s, moves
 
     def _moves(self, jitter_mps2: float, std_mps2: float) -> bool:
         """Return True if the pedestrian may walk or ride in a second whose steps are not known yet."""
