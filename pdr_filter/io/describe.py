@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from pdr_filter.sensing.stream_merging import absences_in
 from pdr_filter.values import FloatArray, Samples, how_many, limits
 from pdr_filter.values.recording import Recording
 
@@ -249,7 +250,11 @@ def describe(recording: Recording) -> Description:
         placement=recording.placement or None,
         units=_unit_sentences(recording),
         truth_rows={name: len(getattr(recording.truth, name)) for name in recording.truth.present()},
-        notes=(*(report.about() if READING_KEY in recording.meta else ()), *recording.notes),
+        notes=(
+            *(report.about() if READING_KEY in recording.meta else ()),
+            *recording.notes,
+            *absences_in(recording.streams),
+        ),
     )
 
 

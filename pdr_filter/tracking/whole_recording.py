@@ -21,6 +21,7 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import Climb
 from pdr_filter.sensing.front_end import Event, Sensing, SensingState
+from pdr_filter.sensing.stream_merging import absences_in
 from pdr_filter.tracking.filtering import (
     Output,
     State,
@@ -291,7 +292,12 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
         floor_passages=tuple(whole.floor_passages),
         device=config.sensing.device(state.sensing),
         person=person_of(config, state),
-        notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state, vertices))),
+        notes=(
+            *recording.notes,
+            *misplaced,
+            *absences_in(recording.streams),
+            *(note.text for note in notes_of(config, state, vertices)),
+        ),
     )
 
 
