@@ -8,7 +8,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.sensing.stream_merging import absences_in
 from pdr_filter.values import FloatArray, Samples, how_many, limits
 from pdr_filter.values.recording import Recording
 
@@ -240,6 +239,8 @@ def describe(recording: Recording) -> Description:
     >>> [stream.name for stream in describe(walk).streams]
     ['accelerometer', 'gyroscope', 'magnetometer']
     """
+    from pdr_filter.sensing.stream_merging import absences_in  # imported late: the live server does not load the filter
+
     report = reading_report(recording)
     return Description(
         name=recording.name,
