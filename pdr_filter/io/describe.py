@@ -254,7 +254,7 @@ def describe(recording: Recording) -> Description:
         notes=(
             *(report.about() if READING_KEY in recording.meta else ()),
             *recording.notes,
-            *absences_in(recording.streams),
+            *(note.text for note in absences_in(recording.streams)),
         ),
     )
 

@@ -27,7 +27,7 @@ import numpy as np
 
 from pdr_filter.sensing.clock import MAX_GAP_S
 from pdr_filter.sensing.conditioning import at_times
-from pdr_filter.values import FloatArray, ImuBlock, Samples, check_numbers, replace_unchecked
+from pdr_filter.values import FloatArray, ImuBlock, Note, Samples, check_numbers, replace_unchecked
 from pdr_filter.values.limits import GAP_INTERVALS
 
 Sensor = Literal["accelerometer", "gyroscope", "magnetometer", "barometer"]
@@ -42,8 +42,8 @@ _SET_BACK_S = 60.0
 _RATE_SAMPLES = 64
 
 
-def absences(spans_s: Mapping[Sensor, tuple[float, float]], wait_s: float) -> list[str]:
-    """Return sentences about sensors that began later or stopped earlier than others.
+def absences(spans_s: Mapping[Sensor, tuple[float, float]], wait_s: float) -> list[Note]:
+    """Return notes about sensors that began later or stopped earlier than others.
 
     Parameters
     ----------
@@ -54,10 +54,10 @@ def absences(spans_s: Mapping[Sensor, tuple[float, float]], wait_s: float) -> li
 
     Returns
     -------
-    list of str
-        One sentence for each missing beginning or end.
+    list of Note
+        One note for each missing beginning or end.
     """
-    sentences: list[str] = []
+    notes: list[Note] = []
     earliest_s = min((first_s for first_s, _ in spans_s.values()), default=math.inf)
     latest_s = max((last_s for _, last_s in spans_s.values()), default=-math.inf)
     for sensor, (first_s, last_s) in spans_s.items():
@@ -67,15 +67,15 @@ def absences(spans_s: Mapping[Sensor, tuple[float, float]], wait_s: float) -> li
         )
         if first_s - earliest_s > wait_s:
             others = f"other sensors from {earliest_s:z.1f} s"
-            sentences.append(f"{sensor}: no samples before {first_s:z.1f} s ({others}), {remedy}")
+            notes.append(Note("sensors", f"{sensor}: no samples before {first_s:z.1f} s ({others}), {remedy}"))
         if latest_s - last_s > wait_s:
             others = f"other sensors until {latest_s:z.1f} s"
-            sentences.append(f"{sensor}: no samples since {last_s:z.1f} s ({others}), {remedy}")
-    return sentences
+            notes.append(Note("sensors", f"{sensor}: no samples since {last_s:z.1f} s ({others}), {remedy}"))
+    return notes
 
 
-def absences_in(streams: Mapping[str, Samples]) -> list[str]:
-    """Return the sentences of `absences` for the streams of a recording, by their names."""
+def absences_in(streams: Mapping[str, Samples]) -> list[Note]:
+    """Return the notes of `absences` for the streams of a recording, by their names."""
     spans_s: dict[Sensor, tuple[float, float]] = {}
     for sensor in SENSORS:
         time_s = streams[sensor].time_s if sensor in streams else np.empty(0)
@@ -251,8 +251,8 @@ class StreamMerger:
         """Return the new state and all samples that are still buffered."""
         return self._released(state, len(state.stream("accelerometer").rows), np.inf)
 
-    def absences(self, state: MergerState) -> list[str]:
-        """Return sentences about sensors that began later or stopped earlier than others by more than `wait_s`."""
+    def absences(self, state: MergerState) -> list[Note]:
+        """Return notes about sensors that began later or stopped earlier than others by more than `wait_s`."""
         streams = zip(SENSORS, state.streams, strict=True)
         return absences({name: (s.first_s, s.last_s) for name, s in streams if math.isfinite(s.first_s)}, self.wait_s)
 

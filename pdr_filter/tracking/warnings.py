@@ -57,7 +57,7 @@ def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
     if moving_s:
         yield Note("steps", f"for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time, {criteria.STEPLESS}")
     yield from (Note("sensors", text) for text in device_notes(config, state))
-    yield from (Note("sensors", text) for text in config.merger.absences(state.merger))
+    yield from config.merger.absences(state.merger)
     for sensor, stream in zip(SENSORS, state.merger.streams, strict=True):
         if stream.n_late:
             words = f"{sensor}: {stream.n_late} of {stream.n_received} samples were dropped, because they are repeated "
