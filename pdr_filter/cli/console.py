@@ -308,7 +308,7 @@ def print_tracks(tracks: Sequence[Track]) -> None:
         table.add_row(
             escape(result.name),
             str(result.n_steps),
-            in_m(result.distance_m),
+            result.how_far,
             in_m(summary["end_east_m"]),
             in_m(summary["end_north_m"]),
             in_m(summary["end_std_m"]) if result.n_steps else "",

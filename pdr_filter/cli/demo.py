@@ -141,7 +141,7 @@ def _facts(demo: Demo) -> Table:
     table = Table.grid("", "", "", padding=(0, 3))
     truth = _true_facts(demo.recording, result) if demo.is_simulated else ("", "", "")
     table.add_row("  steps", f"{result.n_steps}", truth[0])
-    table.add_row("  distance", f"{result.distance_m:.1f} m", truth[1])
+    table.add_row("  distance", result.how_far, truth[1])
     table.add_row("  end", f"{end_m[0]:z.1f} m east, {end_m[1]:z.1f} m north", truth[2])
     if result.n_steps:
         table.add_row("", f"± {result.position_std_m[-1]:.1f} m", "standard deviation in the worst direction")

@@ -68,7 +68,7 @@ def _row(name: str, track: Track) -> str:
     std = f"{summary['end_std_m']:.1f} m" if track.n_steps else ""
     return (
         f'<tr><td><a href="{file}.html">{_text(track.name)}</a></td><td>{track.n_steps}</td>'
-        f"<td>{track.distance_m:.1f} m</td><td>{std}</td><td>{track.duration_s:.0f} s</td>"
+        f"<td>{track.how_far}</td><td>{std}</td><td>{track.duration_s:.0f} s</td>"
         f'<td><a href="{file}.png"><img src="{file}.png" alt="the track"></a><a href="{file}.csv">table</a></td></tr>'
     )
 

@@ -239,6 +239,8 @@ def describe(recording: Recording) -> Description:
     >>> [stream.name for stream in describe(walk).streams]
     ['accelerometer', 'gyroscope', 'magnetometer']
     """
+    from pdr_filter.sensing.stream_merging import absences_in  # imported late: the live server does not load the filter
+
     report = reading_report(recording)
     return Description(
         name=recording.name,
@@ -249,7 +251,11 @@ def describe(recording: Recording) -> Description:
         placement=recording.placement or None,
         units=_unit_sentences(recording),
         truth_rows={name: len(getattr(recording.truth, name)) for name in recording.truth.present()},
-        notes=(*(report.about() if READING_KEY in recording.meta else ()), *recording.notes),
+        notes=(
+            *(report.about() if READING_KEY in recording.meta else ()),
+            *recording.notes,
+            *(note.text for note in absences_in(recording.streams)),
+        ),
     )
 
 

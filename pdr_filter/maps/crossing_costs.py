@@ -170,6 +170,15 @@ class Ground:
         index, inside = self.storey.index(position_m)
         return np.where(inside, self.height[index], self.terrain.outside)
 
+    def is_closed(self, position_m: FloatArray) -> BoolArray:
+        """Return True for each position (..., 2) in m in a wall, in a hole of the plan, or outside the outline."""
+        kind = self.storey.kind_at(position_m)
+        return (kind == WALL) | (kind == OUTSIDE)
+
+    def is_off_plan(self, position_m: FloatArray, weight: FloatArray) -> bool:
+        """Return True if most of the weight (N,) of positions (N, 2) in m is where `is_closed`."""
+        return float(weight @ self.is_closed(position_m)) > 0.5
+
     @cached_property
     def _to_lift_m(self) -> _Field:
         """Distance in m of each cell from the nearest lift, as a flattened array (n_rows n_columns,)."""

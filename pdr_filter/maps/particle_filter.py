@@ -19,6 +19,9 @@ Initialisation: particles are drawn at the given start, or from the tracker's es
 while the rotation of the track is still unknown, and when no particle fits the steps any more. The tracker itself does
 not use the plan. A wrong plan therefore cannot lead the track away permanently.
 
+Walks off the plan: if most particles are drawn in a wall, in a hole or outside the outline, the plan is not used until
+most of them are inside. Otherwise the particles that leave the hole first would win, whatever their direction.
+
 Lost walks: from an unknown start, the particles may be too few to cover all positions, and the true position can be
 lost. The remaining particles then pay more for the plan than a random walk would. That excess is accumulated in
 `ParticleState.lost_log_odds`, the log odds that no particle is at the true position.
@@ -77,6 +80,7 @@ from pdr_filter.values import (
     SpeedFix,
     Standstill,
     check_numbers,
+    how_many,
     interpolated,
     measured,
     range_log_densities,
@@ -112,6 +116,7 @@ _LOST_IN_AREA_LOG_ODDS, _LEAST_LOST_LOG_ODDS, _MOST_LOST_LOG_ODDS = 0.0, -4.6, 4
 # takes some steps until the particles that did not cross have lost their weight.
 _THROUGH_MEMORY = 0.95
 _MAX_EVENTS = 16
+_OFF_PLAN = "in a wall, in a hole of the plan or outside of its outline"
 # Additional independent variance of each step length: people stop, turn and walk around others. Without it, the scale
 # would have to explain these variations. On storeys F1 and B1 of ms_indoor, legs of about 8 m and 11 steps have errors
 # of 0.9 m whatever their length. Two waypoints tapped on a plan, each with an error of 0.5 m, explain 0.7 m of that. Of
@@ -174,6 +179,12 @@ class ParticleState:
         The latest contradictions between plan and steps.
     n_lost : int
         Number of times that the particles were drawn again because none fitted the steps.
+    uses_plan : bool
+        False until most of the weight has been inside since the particles were drawn.
+    off_plan_s : tuple of float
+        Times of the first and the last step off the plan: most of the weight was in walls, holes or outside.
+    n_off_plan : int
+        Number of such steps.
     """
 
     particles: FloatArray = field(default_factory=lambda: np.empty((0, N_COLUMNS)))
@@ -189,6 +200,9 @@ class ParticleState:
     n_draws: int = 0
     events: tuple[PlanEvent, ...] = ()
     n_lost: int = 0
+    uses_plan: bool = True
+    off_plan_s: tuple[float, float] = (math.nan, math.nan)
+    n_off_plan: int = 0
 
     @property
     def elsewhere(self) -> float:
@@ -358,9 +372,26 @@ class ParticleFilter:
         ParticleState
             State after the step. It has no particles until a start or a fix has placed the track.
         """
+        ground = self.ground(update.floor)
+        state = self._with_step(state, update, pedestrian, model, ground)
+        if ground is None or len(state.weight) == 0:
+            return state
+        if not ground.is_off_plan(state.particles[:, :2], state.weight):
+            return replace(state, uses_plan=True)
+        first_s = state.off_plan_s[0] if state.n_off_plan else update.step.time_s
+        return replace(state, off_plan_s=(first_s, update.step.time_s), n_off_plan=state.n_off_plan + 1)
+
+    def _with_step(
+        self,
+        state: ParticleState,
+        update: StepUpdate,
+        pedestrian: PedestrianState,
+        model: PedestrianModel,
+        ground: Ground | None,
+    ) -> ParticleState:
+        """Return the state after a step on a storey, without the count of steps off the plan."""
         step = update.step
         rng, state = self._random(state)
-        ground = self.ground(update.floor)
         length_m, _, own_var_m2, parameter_std_m = model.lengths(step)
         mean_m = float(update.mode_prob @ length_m)
         # the error of the step-length parameters is one draw per person, as that of the scale, not one per step
@@ -394,7 +425,7 @@ class ParticleFilter:
         x[:, SCALE] = noise.log_scale_memory * x[:, SCALE] + math.sqrt(noise.log_scale_drift_var) * z[3]
         state, log_compass = _with_compass(state, pedestrian)
         state, _ = _reweighted(replace(state, particles=x, parent=np.arange(n)), log_weight + log_compass)
-        if ground is not None:
+        if ground is not None and state.uses_plan:
             up, down = model.on_stairs
             cost, through = ground.costs(from_m, x[:, :2], (up + down)[mode] > 0)
             x[:, CROSSED] = _THROUGH_MEMORY * x[:, CROSSED] + through
@@ -584,7 +615,7 @@ class ParticleFilter:
         Returns
         -------
         list of Note
-            One note per event, with its time and likely cause.
+            One note per event, with its time and likely cause, and one about steps off the plan.
         """
         notes: list[Note] = []
         for event in state.events:
@@ -595,7 +626,21 @@ class ParticleFilter:
                 "lost": "nothing on the plan fits the steps: the track starts again from dead reckoning",
             }[event.what]
             notes.append(Note("plan", f"about {event.time_s:.0f} s {words}"))
-        return notes
+        return [*self._start_notes, *notes, *off_plan_notes(state.n_off_plan, *state.off_plan_s)]
+
+    @cached_property
+    def _start_notes(self) -> list[Note]:
+        """Return a note if the given start position is off the plan."""
+        ground = None if self.start is None or len(self.start.cells) else self.ground(self.start.floor)
+        if self.start is None or ground is None or not ground.is_closed(self.start.position_m):
+            return []
+        east_m, north_m = self.start.position_m
+        words = (
+            f"the start at {east_m:z.1f} m east, {north_m:z.1f} m north is {_OFF_PLAN}: the walk starts at the nearest "
+            "walkable places within the standard deviation of the start, or the plan is used once the walk is inside; "
+            "correct the start or the plan"
+        )
+        return [Note("plan", words)]
 
     # --- parts --------------------------------------------------------------------------------------------------------
 
@@ -665,6 +710,12 @@ class ParticleFilter:
         state = self._with_particles(
             state, particles, pedestrian, None, _LOST_IN_AREA_LOG_ODDS if len(start.cells) else _LEAST_LOST_LOG_ODDS
         )
+        ground = self.ground(start.floor)
+        if ground is not None and len(start.cells) == 0:
+            # A person may start in a room without a door, but not in a wall.
+            is_closed = ground.is_closed(particles[:, :2])
+            state, _ = _reweighted(state, np.where(is_closed, -ground.heights(particles[:, :2]), 0.0))
+            state = replace(state, uses_plan=not ground.is_off_plan(particles[:, :2], state.weight))
         if pedestrian.frame.north is None and pedestrian.frame.compass is not None:
             state, log_weight = _with_compass(replace(state, compass=None), pedestrian)
             state, _ = _reweighted(state, log_weight)
@@ -688,8 +739,12 @@ class ParticleFilter:
             turned_rad=_turned_rad(pedestrian),
             compass=pedestrian.frame.compass,
             lost_log_odds=lost_log_odds,
+            uses_plan=True,
         )
-        return state if ground is None else _reweighted(state, -ground.heights(particles[:, :2]))[0]
+        if ground is None:
+            return state
+        state, _ = _reweighted(state, -ground.heights(particles[:, :2]))
+        return replace(state, uses_plan=not ground.is_off_plan(particles[:, :2], state.weight))
 
     def _drawn_again(
         self,
@@ -805,6 +860,17 @@ def _log_density(fix: Measurement, position_m: FloatArray, heading_rad: FloatArr
         nis = np.array([float(r @ np.linalg.solve(cov, r)) for r, _, cov in each])
         density = -0.5 * (nis + np.array([np.linalg.slogdet(cov)[1] for _, _, cov in each]))
     return np.maximum(density, density.max() - _OUTLIER_LOG_ODDS)
+
+
+def off_plan_notes(n_steps: int, first_s: float, last_s: float) -> list[Note]:
+    """Return a note about the number of steps off the plan, and the times of the first and the last of them."""
+    if n_steps == 0:
+        return []
+    words = (
+        f"{how_many(n_steps, 'step')} between {first_s:.0f} and {last_s:.0f} s placed {_OFF_PLAN}: the start or the "
+        "fixes do not fit the plan, or the plan is incomplete; correct them"
+    )
+    return [Note("plan", words)]
 
 
 def _n_effective(state: ParticleState) -> float:

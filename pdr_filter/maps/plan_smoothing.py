@@ -26,15 +26,16 @@ import numpy as np
 
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.maps.crossing_costs import Ground
 from pdr_filter.maps.particle_clusters import inflated_cov, moments
-from pdr_filter.maps.particle_filter import ParticleFilter, ParticleState
+from pdr_filter.maps.particle_filter import ParticleFilter, ParticleState, off_plan_notes
 from pdr_filter.maps.particle_motion import EAST, NORTH, OFFSET, SCALE, earlier_positions
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.step_statistics import UNKNOWN_HEADING_RAD
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import collected, outputs, position_before
-from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, Origin, read_only, wrap_angle
+from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, Note, Origin, read_only, wrap_angle
 from pdr_filter.values.recording import Recording
 
 # Factor on the smallest number of particles of the online filter: paths share fewer of their early steps.
@@ -75,8 +76,12 @@ class _Recorder:
     def __init__(self, particle_filter: ParticleFilter) -> None:
         self.events: list[_Event] = []
         self.plan, self.start = particle_filter.plan, particle_filter.start
-        self.init, self.place, self.notes = particle_filter.init, particle_filter.place, particle_filter.notes
+        self.init, self.place = particle_filter.init, particle_filter.place
         self._filter = particle_filter
+
+    def notes(self, state: ParticleState) -> list[Note]:
+        # The smoothed positions have their own number of steps off the plan.
+        return self._filter.notes(replace(state, n_off_plan=0))
 
     def on_step(
         self, state: ParticleState, update: StepUpdate, pedestrian: PedestrianState, model: PedestrianModel
@@ -154,10 +159,10 @@ def smooth_on_plan(
             "the position of the walk on the plan is unknown: give fixes, or start, such as the name of an area"
         )
     events = recorder.events
+    of_steps = (ancestors for ancestors in _ancestors(events) if ancestors.event.reckoned is not None)
     rows = [
-        _row(ancestors, events[-1].state.elsewhere, includes_reckoned=online.start is None)
-        for ancestors in _ancestors(events)
-        if ancestors.event.reckoned is not None
+        _row(ancestors, events[-1].state.elsewhere, online.start is None, online.ground(floor))
+        for ancestors, floor in zip(of_steps, track.floor[::-1].tolist(), strict=True)
     ]
     return _with_rows(track, rows[::-1], online.plan.origin)
 
@@ -207,7 +212,10 @@ def _before_drawing(event: _Event, drawn: _Ancestors) -> _Ancestors:
 
 
 class _Row(NamedTuple):
-    """Smoothed estimate of one step: position, length, and means and standard deviations of offset and log scale."""
+    """Smoothed estimate of one step: position, length, and means and standard deviations of offset and log scale.
+
+    `is_off_plan` is True if most of the weight is in walls, in holes or outside the outline.
+    """
 
     cluster: Cluster
     length_m: float
@@ -215,13 +223,14 @@ class _Row(NamedTuple):
     offset_std: float  # rad
     log_scale: float
     log_scale_std: float
+    is_off_plan: bool
 
 
-def _row(ancestors: _Ancestors, elsewhere: float, includes_reckoned: bool) -> _Row:
+def _row(ancestors: _Ancestors, elsewhere: float, includes_reckoned: bool, ground: Ground | None) -> _Row:
     """Return the smoothed estimate of one step.
 
     `elsewhere` is the final probability that no particle is at the true position. `includes_reckoned` inflates the
-    covariance up to dead reckoning with this probability.
+    covariance up to dead reckoning with this probability. `ground` has the cells of the storey.
     """
     event, particles, weight = ancestors
     offset_rad, log_scales = particles[:, OFFSET], particles[:, SCALE]
@@ -234,7 +243,8 @@ def _row(ancestors: _Ancestors, elsewhere: float, includes_reckoned: bool) -> _R
     log_scale = float(weight @ log_scales)
     log_scale_std = float(np.sqrt(weight @ (log_scales - log_scale) ** 2))
     cluster = Cluster(1.0 - elsewhere, position_m, read_only(cov_m2 + _PLAN_STD_M**2 * np.eye(2)))
-    return _Row(cluster, length_m, offset, offset_std, log_scale, log_scale_std)
+    is_off_plan = ground is not None and ground.is_off_plan(particles[:, [EAST, NORTH]], weight)
+    return _Row(cluster, length_m, offset, offset_std, log_scale, log_scale_std, is_off_plan)
 
 
 def _notes(offset_std_rad: FloatArray) -> tuple[str, ...]:
@@ -255,6 +265,8 @@ def _with_rows(track: Track, rows: Sequence[_Row], origin: Origin | None) -> Smo
     length = np.array([row.length_m for row in rows])
     offset, offset_std = np.array([(row.offset, row.offset_std) for row in rows]).T
     heading = np.asarray(track.steps.device_heading_rad) + offset
+    off_plan_s = track.time_s[[row.is_off_plan for row in rows]]
+    off_plan = [note.text for note in off_plan_notes(len(off_plan_s), *off_plan_s[[0, -1]])] if len(off_plan_s) else []
     smoothed = replace(
         track,
         position_m=read_only(position),
@@ -268,7 +280,7 @@ def _with_rows(track: Track, rows: Sequence[_Row], origin: Origin | None) -> Smo
         frame="plan",
         origin=origin,
         is_smoothed=True,
-        notes=(*track.notes, *_notes(offset_std)),
+        notes=(*track.notes, *off_plan, *_notes(offset_std)),
     )
     return SmoothedOnPlan(
         smoothed,

@@ -240,7 +240,7 @@ def _texts(track: TrackRows) -> dict[str, Any]:
 def _facts(track: TrackRows) -> str:
     minutes, seconds = divmod(round(track.duration_s), 60)
     lasted = f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
-    facts = [how_many(track.n_steps, "step"), f"{track.distance_m:,.1f} m", lasted, f"weighting {track.weighting}"]
+    facts = [how_many(track.n_steps, "step"), track.how_far, lasted, f"weighting {track.weighting}"]
     if track.n_steps:
         facts.append(f"end {trust.end(track)}")
     if track.fixes:

@@ -359,6 +359,23 @@ class Sensing:
             events += found
         return state, events
 
+    def stepless_s(self, state: SensingState, since_s: float, until_s: float) -> float:
+        """Return the time for which the phone has moved although no step explains it.
+
+        Parameters
+        ----------
+        state : SensingState
+            State after any number of samples.
+        since_s, until_s : float
+            Times of the last known contact (or -inf) and of the newest sample, s.
+
+        Returns
+        -------
+        float
+            Unexplained time of motion between the two times, s (`VehicleVibration.stepless_s`).
+        """
+        return self._vibration.stepless_s(state.vibration, since_s, until_s)
+
     def device(self, state: SensingState) -> Device:
         """Return the gyroscope bias of the phone as estimated so far, for its next recording.
 

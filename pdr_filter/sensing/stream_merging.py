@@ -28,7 +28,7 @@ import numpy as np
 
 from pdr_filter.sensing.clock import MAX_GAP_S, REORDER_S, is_behind, latest_before
 from pdr_filter.sensing.conditioning import at_times
-from pdr_filter.values import BoolArray, FloatArray, ImuBlock, check_numbers, replace_unchecked
+from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Note, Samples, check_numbers, replace_unchecked
 from pdr_filter.values.limits import GAP_INTERVALS
 
 Sensor = Literal["accelerometer", "gyroscope", "magnetometer", "barometer"]
@@ -43,6 +43,49 @@ _SET_BACK_S = 60.0
 _RATE_SAMPLES = 64
 
 
+def absences(spans_s: Mapping[Sensor, tuple[float, float]], wait_s: float) -> list[Note]:
+    """Return notes about sensors that began later or stopped earlier than others.
+
+    Parameters
+    ----------
+    spans_s : mapping of str to (float, float)
+        Times of the first and the last sample of each sensor, s.
+    wait_s : float
+        Difference that is not reported, s.
+
+    Returns
+    -------
+    list of Note
+        One note for each missing beginning or end.
+    """
+    notes: list[Note] = []
+    earliest_s = min((first_s for first_s, _ in spans_s.values()), default=math.inf)
+    latest_s = max((last_s for _, last_s in spans_s.values()), default=-math.inf)
+    for sensor, (first_s, last_s) in spans_s.items():
+        lost = "no steps are known there" if sensor == "accelerometer" else "the other sensors are used without it"
+        remedy = (
+            f"so that {lost}: record it as long as the others; if it has samples there, put all sensors on one clock"
+        )
+        if first_s - earliest_s > wait_s:
+            others = f"other sensors from {earliest_s:z.1f} s"
+            notes.append(Note("sensors", f"{sensor}: no samples before {first_s:z.1f} s ({others}), {remedy}"))
+        if latest_s - last_s > wait_s:
+            others = f"other sensors until {latest_s:z.1f} s"
+            notes.append(Note("sensors", f"{sensor}: no samples since {last_s:z.1f} s ({others}), {remedy}"))
+    return notes
+
+
+def absences_in(streams: Mapping[str, Samples]) -> list[Note]:
+    """Return the notes of `absences` for the streams of a recording, by their names."""
+    spans_s: dict[Sensor, tuple[float, float]] = {}
+    for sensor in SENSORS:
+        time_s = streams[sensor].time_s if sensor in streams else np.empty(0)
+        time_s = time_s[np.isfinite(time_s)]
+        if len(time_s):
+            spans_s[sensor] = float(time_s.min()), float(time_s.max())
+    return absences(spans_s, StreamMerger().wait_s)
+
+
 @dataclass(frozen=True, eq=False)
 class StreamState:
     """Buffer of one sensor.
@@ -53,6 +96,8 @@ class StreamState:
         Times and values of the samples that wait or are still needed, in order of time, shape (N, 1 + d).
     recent_s : FloatArray
         Times of the last samples in the order of their arrival, s.
+    first_s : float
+        Smallest time of a sample, s; inf before the first.
     n_received : int
         Samples received.
     n_late : int
@@ -63,6 +108,7 @@ class StreamState:
 
     rows: FloatArray
     recent_s: FloatArray = field(default_factory=lambda: np.empty(0))
+    first_s: float = math.inf
     n_received: int = 0
     n_late: int = 0
     n_sorted: int = 0
@@ -209,17 +255,10 @@ class StreamMerger:
         """Return the new state and all samples that are still buffered."""
         return self._released(state, len(state.stream("accelerometer").rows), np.inf)
 
-    def silent(self, state: MergerState) -> tuple[tuple[Sensor, float], ...]:
-        """Return the silent sensors, each with the time of its last sample.
-
-        A silent sensor has sent samples, but the last is more than `wait_s` before the newest sample of any sensor.
-        """
-        newest_s = max(s.last_s for s in state.streams)
-        return tuple(
-            (name, stream.last_s)
-            for name, stream in zip(SENSORS, state.streams, strict=True)
-            if stream.n_received and newest_s - stream.last_s > self.wait_s
-        )
+    def absences(self, state: MergerState) -> list[Note]:
+        """Return notes about sensors that began later or stopped earlier than others by more than `wait_s`."""
+        streams = zip(SENSORS, state.streams, strict=True)
+        return absences({name: (s.first_s, s.last_s) for name, s in streams if math.isfinite(s.first_s)}, self.wait_s)
 
     def _buffered(self, state: MergerState, sensor: Sensor, new: FloatArray) -> MergerState:
         """Return the state with new rows (N, 1 + d) of a sensor buffered in order of time and late rows dropped.
@@ -244,6 +283,7 @@ class StreamMerger:
             stream,
             rows=rows[n_over:],
             recent_s=np.concatenate([stream.recent_s, timed[:, 0]])[-_RATE_SAMPLES:],
+            first_s=float(timed[:, 0].min(initial=stream.first_s)),
             n_received=stream.n_received + len(new),
             n_late=stream.n_late + len(known) - len(kept),
             n_sorted=stream.n_sorted + n_sorted,

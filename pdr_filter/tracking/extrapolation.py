@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Place
+from pdr_filter.filter.fixes.alignment import EYE, Place
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate, present_position, track_place
 from pdr_filter.recipes.config import Config
@@ -55,7 +55,8 @@ class Now:
     position_m : ndarray, shape (2,)
         East and north, m.
     position_cov_m2 : ndarray, shape (2, 2)
-        Covariance of `position_m`, m^2.
+        Covariance of `position_m`, m^2. It grows by (1 m/s t)^2 along each axis while the phone moves for the time t
+        without known steps.
     is_provisional : bool
         True if the position is ahead of the last accepted step, so that it may be withdrawn.
     provisional_steps : tuple of ProvisionalStep
@@ -189,6 +190,10 @@ def present_place(config: Config, state: State) -> Present:
     is an extrapolation from the last contact at the smoothed speed. Its direction is the direction of the step, rotated
     by half of the rotation of the phone since then. The extrapolation ends when the next contact is overdue or the
     phone is quiet. After `finish` the position has the first part only.
+
+    Without extrapolation the phone may still move. The pedestrian may then walk with steps that are not known yet, or
+    push the phone on a trolley. The covariance then grows as in a gap of the samples, by the time of motion that no
+    step explains (`VehicleVibration.stepless_s`). It is that of the steps again when they are accepted.
     """
     last, steps = _with_candidates(config, state)
     place = _place_after(state, last, bool(steps))
@@ -197,6 +202,9 @@ def present_place(config: Config, state: State) -> Present:
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
         extrapolated_m = speed_mps * max(_newest_accelerometer_s(state) - last.step.time_s, 0.0)
         place = _extrapolated(place, extrapolated_m, _turned_since(state, last))
+    else:
+        stepless_s = _stepless_s(config, state, last)
+        place = replace(place, cov_m2=place.cov_m2 + config.model.noise.gap_var_m2(stepless_s) * EYE)
     return Present(_newest_s(state), place, steps, extrapolated_m, speed_mps, speed_std_mps)
 
 
@@ -345,6 +353,16 @@ def _is_walking(config: Config, state: State, last: StepUpdate, is_candidate: bo
         return False
     rows = getattr(gate, "rows", np.empty((0, 3)))[-_QUIET_ROWS:]
     return len(rows) < _QUIET_ROWS or float(np.sqrt((rows * rows).sum(axis=1)).std()) >= _QUIET_MPS2
+
+
+def _stepless_s(config: Config, state: State, last: StepUpdate | None) -> float:
+    """Return the time since the last step in which the phone moved without a step; 0 until the next step is due."""
+    newest_s = _newest_accelerometer_s(state)
+    if last is None:
+        return config.sensing.stepless_s(state.sensing, -math.inf, newest_s)
+    if newest_s - last.step.time_s <= last.step.duration_s:
+        return 0.0
+    return config.sensing.stepless_s(state.sensing, last.step.time_s, newest_s)
 
 
 def _newest_s(state: State) -> float:

@@ -112,9 +112,7 @@ def problems(track: TrackRows) -> list[str]:
 
 def report(track: TrackRows) -> str:
     """Return a short text about a track: steps, distance, accuracy, contexts, and where not to trust it."""
-    lines = [
-        f"{track.name}: {track.n_steps} steps, {track.distance_m:.1f} m in {track.duration_s:.0f} s ({track.weighting})"
-    ]
+    lines = [f"{track.name}: {track.n_steps} steps, {track.how_far} in {track.duration_s:.0f} s ({track.weighting})"]
     if track.n_steps:
         lines.append(f"end: {end(track)}")
         lines.append(track.about_frame)

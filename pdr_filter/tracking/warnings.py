@@ -75,11 +75,7 @@ def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
     if moving_s:
         yield Note("steps", f"for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time, {criteria.STEPLESS}")
     yield from (Note("sensors", text) for text in device_notes(config, state))
-    for sensor, last_s in config.merger.silent(state.merger):
-        words = (
-            f"{sensor}: no samples since {last_s:.1f} s, so that the other sensors are used without it; if it still "
-        )
-        yield Note("sensors", words + "sends, its times are on another clock: put all sensors on one clock")
+    yield from config.merger.absences(state.merger)
     for sensor, stream in zip(SENSORS[1:], state.merger.streams[1:], strict=True):
         if stream.n_late:
             words = f"{sensor}: {stream.n_late} of {stream.n_received} samples were dropped, because they are "

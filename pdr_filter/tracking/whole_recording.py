@@ -21,6 +21,7 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Sensing, SensingState
+from pdr_filter.sensing.stream_merging import absences_in
 from pdr_filter.tracking.filtering import (
     Output,
     State,
@@ -316,6 +317,7 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
     if updates and updates[0].on_plan is not None:  # particles give no position before the first step
         start_m = position_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
     vertices = np.vstack([[start_s, *start_m], np.column_stack([track.time_s, track.position_m])])
+    notes = [*absences_in(recording.streams), *notes_of(config, state, vertices)]
     return replace(
         track,
         start_time_s=start_s,
@@ -327,7 +329,7 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
         floor_passages=tuple(whole.floor_passages),
         device=config.sensing.device(state.sensing),
         person=person_of(config, state),
-        notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state, vertices))),
+        notes=(*recording.notes, *misplaced, *(note.text for note in notes)),
     )
 
 

@@ -72,7 +72,7 @@ class TrackRows:
     __reduce__ = pickled
 
     def __repr__(self) -> str:
-        return f"Track({self.name!r}, {self.n_steps} steps, {self.distance_m:.1f} m, {self.weighting})"
+        return f"Track({self.name!r}, {self.n_steps} steps, {self.how_far}, {self.weighting})"
 
     @property
     def n_steps(self) -> int:
@@ -100,6 +100,13 @@ class TrackRows:
     def end_position_m(self) -> FloatArray:
         """Last position, shape (2,), m. For a track without steps it is the start."""
         return self.position_m[-1] if self.n_steps else self.start_position_m
+
+    @property
+    def how_far(self) -> str:
+        """Walked distance as text, for all reports. It is unknown if the phone moved and no step was detected."""
+        if not self.n_steps and self.seconds_without_steps > 0:
+            return "distance unknown"
+        return f"{self.distance_m:.1f} m"
 
     @property
     def how_sure(self) -> str:

@@ -425,7 +425,7 @@ def test_a_smoothed_step_has_the_circular_mean_heading_and_the_mean_length_of_it
     particles[:, OFFSET], particles[:, SCALE] = [3.0, 0.3, -0.3], np.log([0.9, 1.0, 1.2])
     event = _Event(ParticleState(particles, weight), None, length_m=0.7, is_restart=False)
     for order in ([0, 1, 2], [2, 0, 1]):
-        row = _row(_Ancestors(event, particles[order], weight[order]), 0.01, includes_reckoned=False)
+        row = _row(_Ancestors(event, particles[order], weight[order]), 0.01, includes_reckoned=False, ground=None)
         assert_allclose(row.offset, np.angle(weight @ np.exp(1j * particles[:, OFFSET])))
         assert_allclose(row.offset_std**2, weight @ (particles[:, OFFSET] - row.offset) ** 2)
         assert_allclose(row.length_m, 0.2 * 0.63 + 0.4 * 0.7 + 0.4 * 0.84)

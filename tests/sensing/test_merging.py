@@ -13,8 +13,17 @@ from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 
 import pdr_filter as pdr
+from pdr_filter.io.describe import describe
 from pdr_filter.sensing.clock import MAX_GAP_S, ClockState, accept_rows, one_clock
-from pdr_filter.sensing.stream_merging import _MAX_ROWS, SENSORS, Merged, Sensor, StreamMerger
+from pdr_filter.sensing.stream_merging import (
+    _MAX_ROWS,
+    SENSORS,
+    Merged,
+    Sensor,
+    StreamMerger,
+    absences,
+    absences_in,
+)
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, ImuBlock, Samples
 from pdr_filter.values.recording import Recording
@@ -311,12 +320,54 @@ def test_a_silent_sensor_gives_a_note_and_delays_the_others_by_at_most_wait_s() 
             assert not any("silent" in note for note in online.notes)
             assert online.now().latency_s > merger.wait_s - 1.0
     assert any(
-        note.startswith("gyroscope: no samples since 8.0 s, so that the other sensors are used without it")
+        note.startswith("gyroscope: no samples since 8.0 s") and "so that the other sensors are used without it" in note
         for note in online.notes
     )
     assert online.now().latency_s < 0.5
     online.push_gyroscope(time_s + 20.0, np.zeros((2000, 3)))
     assert not any("gyroscope: silent" in note for note in online.notes)
+
+
+DEMO = pdr.simulate.demo_walk()
+
+
+@pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope", "magnetometer"])
+@pytest.mark.parametrize("is_end", [True, False])
+def test_a_sensor_that_ends_or_begins_half_way_is_named_online_offline_and_in_info(sensor: str, is_end: bool) -> None:
+    stream = DEMO.streams[sensor]
+    kept = (stream.time_s < 60.0) == is_end
+    part = replace(stream, time_s=stream.time_s[kept], values=stream.values[kept])
+    recording = replace(DEMO, **{sensor: part})
+    at = f"since {part.time_s[-1]:.1f}" if is_end else f"before {part.time_s[0]:.1f}"
+    lost = "no steps are known there" if sensor == "accelerometer" else "the other sensors are used without it"
+    (note,) = (note.text for note in absences_in(recording.streams))
+    assert note.startswith(f"{sensor}: no samples {at} s") and lost in note
+    assert note in describe(recording).notes
+    online = pdr.OnlineFilter()
+    for second in range(int(DEMO.duration_s) + 1):
+        streams: dict[Sensor, Samples] = {}
+        for name in SENSORS[:3]:
+            times_s, values = recording.streams[name].time_s, recording.streams[name].values
+            rows = slice(*np.searchsorted(times_s, [second, second + 1]))
+            if rows.stop > rows.start:
+                streams[name] = Samples(times_s[rows], values[rows])
+        online.push_streams(streams)
+    assert note in online.notes
+    assert note in pdr.OnlineFilter.load(online.save()).notes
+
+
+def test_an_accelerometer_that_ends_half_way_is_named_in_the_track_and_a_complete_one_is_not() -> None:
+    kept = DEMO.accelerometer.time_s < 60.0
+    part = replace(DEMO.accelerometer, time_s=DEMO.accelerometer.time_s[kept], values=DEMO.accelerometer.values[kept])
+    track = pdr.track(replace(DEMO, accelerometer=part))
+    assert any(note.startswith("accelerometer: no samples since 60.0 s") for note in track.notes)
+    assert not any("no samples" in note for note in pdr.track(DEMO).notes)
+
+
+def test_small_differences_between_the_ends_of_sensors_are_not_named() -> None:
+    spans: dict[Sensor, tuple[float, float]] = {"accelerometer": (0.0, 100.0), "barometer": (4.9, 95.1)}
+    assert absences(spans, 5.0) == []
+    assert len(absences(spans, 4.8)) == 2
 
 
 def test_without_a_gyroscope_the_first_samples_alone_wait() -> None:

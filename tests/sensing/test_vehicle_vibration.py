@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -57,6 +58,53 @@ def test_a_gap_ends_the_run_and_keeps_the_totals() -> None:
     assert VIBRATION.update(state, shaking(30), []).moving_s == 85
 
 
+def joined(*parts: UniformBlock) -> UniformBlock:
+    """Samples of blocks one after the other."""
+    return uniform_block(np.concatenate([part.specific_force_mps2[:, 2] for part in parts]))
+
+
+def swaying(duration_s: int, std_mps2: float) -> UniformBlock:
+    """Samples of |f| that bounce twice a second, without jitter, as in a smoothly carried hand."""
+    return uniform_block(9.8 + std_mps2 * math.sqrt(2) * np.sin(4 * np.pi * np.arange(100 * duration_s) / 100))
+
+
+QUIET = shaking(4, jitter_mps2=0.03)
+
+
+@pytest.mark.parametrize("duration_s", [3, 7, 30])
+def test_unexplained_motion_lasts_from_its_begin_to_the_newest_sample(duration_s: int) -> None:
+    state = after(joined(QUIET, shaking(duration_s)))
+    assert VIBRATION.stepless_s(state, -np.inf, 4.0 + duration_s) == pytest.approx(duration_s, abs=0.01)
+    assert VIBRATION.stepless_s(state, -np.inf, 4.3 + duration_s) == pytest.approx(duration_s + 0.3, abs=0.01)
+    # a contact explains the motion before it
+    for since_s in (duration_s + 3.4, duration_s + 0.8, 5.2):
+        left_s = VIBRATION.stepless_s(state, since_s, 4.0 + duration_s)
+        assert left_s == pytest.approx(min(4.0 + duration_s - since_s, duration_s), abs=0.01)
+
+
+def test_rest_is_no_unexplained_motion_and_a_smooth_bounce_is_until_its_steps_are_decided() -> None:
+    assert VIBRATION.stepless_s(after(shaking(60, jitter_mps2=0.05)), -np.inf, 60.0) == 0.0
+    assert VIBRATION.stepless_s(after(swaying(60, 0.2)), -np.inf, 60.0) == 0.0
+    assert VIBRATION.stepless_s(after(swaying(4, 0.5)), -np.inf, 4.0) == pytest.approx(4.0, abs=0.01)
+    # seconds of more than five seconds ago have steps, or their bounce is handling
+    assert VIBRATION.stepless_s(after(swaying(60, 0.5)), -np.inf, 60.0) == pytest.approx(5.0, abs=0.01)
+
+
+def test_handling_leaves_two_seconds_however_often_it_happens_and_a_ride_its_whole_duration() -> None:
+    handled = joined(*[shaking(9), QUIET] * 12)
+    assert VIBRATION.stepless_s(after(handled), -np.inf, 13.0 * 12) == 2.0
+    ridden = joined(QUIET, shaking(40), QUIET, shaking(30), QUIET)
+    assert VIBRATION.stepless_s(after(ridden), -np.inf, 82.0) == pytest.approx(70.0)
+    # a step ends the doubt
+    steps = known_steps(np.arange(60.0, 76.0, 0.6).tolist())
+    assert VIBRATION.stepless_s(after(ridden, steps), 75.6, 82.0) == pytest.approx(0.0, abs=2.5)
+
+
+def test_a_gap_keeps_the_unexplained_motion_before_it() -> None:
+    state = VIBRATION.after_gap(after(joined(QUIET, shaking(40), QUIET)))
+    assert VIBRATION.stepless_s(VIBRATION.update(state, QUIET, []), -np.inf, 4.0) == pytest.approx(40.0)
+
+
 @settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 99), edges=st.lists(st.integers(1, 6999), max_size=30))
 def test_the_state_is_the_same_however_the_samples_are_cut(seed: int, edges: list[int]) -> None:
@@ -68,6 +116,8 @@ def test_the_state_is_the_same_however_the_samples_are_cut(seed: int, edges: lis
         cut = VIBRATION.update(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
         n += len(part.time_s)
     assert (cut.moving_s, cut.seen_s, cut.run_s) == (whole.moving_s, whole.seen_s, whole.run_s)
+    for since_s in (-np.inf, 41.3, 68.2):
+        assert VIBRATION.stepless_s(cut, since_s, 70.0) == VIBRATION.stepless_s(whole, since_s, 70.0)
     assert len(cut.steps) <= 30
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -180,3 +182,107 @@ def test_the_covariance_on_a_plan_stays_valid_if_the_extrapolated_position_is_mo
     placed = _on_plan(ahead, behind, there)
     np.testing.assert_allclose(placed.position_m, [6.0, 5.0], atol=1e-12)  # what was north is east on the plan
     np.testing.assert_allclose(placed.cov_m2, np.diag([5.25, 0.25]), atol=1e-12)
+
+
+# --- motion without known steps ---------------------------------------------------------------------------------------
+
+
+def test_before_the_first_known_steps_the_deviation_is_a_metre_for_each_second_of_walking() -> None:
+    before = [now for now in walked(pdr.OnlineFilter(), until_s=8.0) if now.n_steps == 0 and not now.provisional_steps]
+    rest, begun = ([now for now in before if is_rest == (now.time_s < 3.9)] for is_rest in (True, False))
+    assert max(now.position_std_m for now in rest) == 0.0
+    assert len(begun) > 8
+    for now in begun[3:]:
+        # the walk begins at 4 s, and motion is judged for whole fifths of a second
+        assert now.position_std_m == pytest.approx(now.time_s - 4.0, abs=0.5)
+        np.testing.assert_array_equal(now.position_m, 0.0)
+
+
+def test_the_deviation_is_that_of_the_steps_again_when_they_are_known() -> None:
+    online = pdr.OnlineFilter()
+    seen = list(walked(online, until_s=14.0))
+    waiting = max(now.position_std_m for now in seen if now.n_steps == 0)
+    assert waiting > 1.0
+    assert all(now.position_std_m < 0.5 * waiting for now in seen if 8.0 < now.time_s < 10.0)
+
+
+@pytest.mark.parametrize("weighting", ["wc", "hc"])
+@pytest.mark.parametrize("cut", [7, 100])
+def test_the_deviation_is_the_same_for_any_blocks_and_after_save_and_resume(weighting: str, cut: int) -> None:
+    def shown(cut: int, resumes: bool) -> list[float]:
+        online, found = pdr.OnlineFilter(recipes.default().with_weighting(weighting)), []
+        for start in range(0, 1400, 700):
+            for i in range(start, start + 700, cut):
+                part = slice(i, i + cut)
+                online.push(SAMPLES.time_s[part], SAMPLES.specific_force_mps2[part], SAMPLES.angular_rate_radps[part])
+            online = pdr.OnlineFilter.load(online.save()) if resumes else online
+            found.append(online.now().position_std_m)
+        return found
+
+    assert shown(cut, resumes=True) == shown(350, resumes=False)
+
+
+def grown(recording: pdr.Recording, until_s: float) -> list[tuple[pdr.Now, float, float, float]]:
+    """Return each half second: now, true and shown distance from the last final step, and growth of the deviation."""
+    assert recording.truth is not None
+    truth, samples = recording.truth.position, pdr.merge_streams(recording)
+    online, time_s = pdr.OnlineFilter(recipes.for_recording("default", recording)), samples.time_s
+    begin_s = max(time_s[0], truth.time_s[0])
+    ends = np.unique(np.searchsorted(time_s, np.arange(begin_s, min(truth.time_s[-1], begin_s + until_s), 0.5)))
+    last_s, rows = begin_s, []
+    for a, b in pairwise([0, *ends[1:]]):
+        updates = online.push(time_s[a:b], samples.specific_force_mps2[a:b], samples.angular_rate_radps[a:b])
+        last_s = max([last_s, *(u.step.time_s for u in updates if u.is_final)])
+        now = online.now()
+        gone = [np.interp([time_s[b - 1], last_s], truth.time_s, truth[k]) for k in ("east_m", "north_m")]
+        growth_m2 = np.linalg.eigvalsh(now.position_cov_m2 - online.position_cov_m2)[1]
+        shown_m = float(np.linalg.norm(now.position_m - online.position_m))
+        rows.append((now, float(np.hypot(*np.diff(gone)[:, 0])), shown_m, math.sqrt(max(growth_m2, 0.0))))
+    return rows
+
+
+@pytest.mark.recordings
+@pytest.mark.parametrize(
+    "name",
+    [
+        "oxiod/oxiod_anon_floor1_handheld1",
+        "oxiod/oxiod_anon_floor1_pocket5",
+        "oxiod/oxiod_anon_floor1_handbag8",
+        "oxiod/oxiod_user1_room_running1_7",
+        "oxiod/oxiod_user1_room_trolley2_2",
+    ],
+)
+def test_the_deviation_covers_the_way_since_the_last_step(data_dir: Path, name: str) -> None:
+    """At least a third of the distance, and 95 % of the errors within 2.45 deviations.
+
+    The positions of oxiod belong to the phone. Taking it out and putting it away moves it by up to half a metre.
+    """
+    rows = grown(pdr.read(data_dir / f"{name}.zip"), until_s=60.0)
+    error_m = np.array([max(abs(true_m - shown_m) - 0.5, 0.0) for _, true_m, shown_m, _ in rows])
+    std_m = np.array([growth_m for *_, growth_m in rows])
+    assert np.mean(error_m > 2.45 * std_m) < 0.05
+    assert np.mean(std_m < error_m / 3) < 0.05
+    assert error_m.max() > 0.3  # there was something to cover
+
+
+@pytest.mark.recordings
+def test_a_trolley_is_never_certain_and_a_sitting_person_stays_within_two_metres(data_dir: Path) -> None:
+    trolley = grown(pdr.read(data_dir / "oxiod" / "oxiod_user1_room_trolley2_2.zip"), until_s=60.0)
+    assert trolley[-1][0].n_steps == 0
+    assert trolley[-1][0].position_std_m > 40.0
+    track = pdr.track(pdr.read(data_dir / "oxiod" / "oxiod_user1_room_trolley2_2.zip"))
+    assert track.how_far == "distance unknown"
+    assert "0 steps, distance unknown in" in track.report()
+    sitting = pdr.merge_streams(pdr.read(data_dir / "motionsense" / "motionsense_s01_sit_5.zip"))
+    online = pdr.OnlineFilter()
+    for i in range(0, len(sitting.time_s), 500):
+        part = slice(i, i + 500)
+        online.push(sitting.time_s[part], sitting.specific_force_mps2[part], sitting.angular_rate_radps[part])
+        assert online.now().position_std_m <= 2.0
+
+
+def test_the_present_row_of_the_path_has_the_grown_deviation() -> None:
+    online = pdr.OnlineFilter()
+    *_, now = walked(online, until_s=5.4)
+    assert now.n_steps == 0 and now.position_std_m > 0.8
+    np.testing.assert_array_equal(online.path().position_cov_m2[-1], now.position_cov_m2)

@@ -11,6 +11,7 @@ import numpy as np
 
 from pdr_filter.filter.fixes.frame import START_FRAME, Frame
 from pdr_filter.filter.imm.motion_model import IRREGULAR, Directions, Mode, MotionNoise
+from pdr_filter.filter.imm.transition_probabilities import stationary_prob
 from pdr_filter.filter.imm.weighting import ModeEvidence
 from pdr_filter.filter.step_length.models import StepLengths, uneven_var_m2
 from pdr_filter.values import (
@@ -249,11 +250,8 @@ class PedestrianModel:
 
     @cached_property
     def long_run_mode_prob(self) -> FloatArray:
-        """Stationary mode probabilities (M,) of the transitions.
-
-        If the chain has several, it is the one that follows from a uniform start.
-        """
-        return np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0)
+        """Stationary mode probabilities (M,) of the transitions: the mean share of time in each mode, uniform start."""
+        return read_only(stationary_prob(self.transition_prob))
 
     def lengths(self, step: Step) -> ModeLengths:
         """Return the length of a step in each mode.

@@ -268,7 +268,7 @@ def _description_with_notes(track: TrackRows) -> str:
 
 def _description(track: TrackRows) -> str:
     """Return a description of a track in two sentences."""
-    return f"{track.n_steps} steps, {track.distance_m:.1f} m; end: {track.how_sure}. {track.about_frame}"
+    return f"{track.n_steps} steps, {track.how_far}; end: {track.how_sure}. {track.about_frame}"
 
 
 def _write_xml(path: str | Path, root: ElementTree.Element) -> Path:

@@ -386,7 +386,7 @@ def _write_title(axes: Axes, track: TrackRows) -> None:
     minutes, seconds = divmod(round(track.duration_s), 60)
     duration = f"{minutes} min {seconds} s" if minutes else f"{track.duration_s:.1f} s"
     steps = how_many(track.n_steps, "step")
-    facts = f"{steps}  ·  {track.distance_m:,.1f} m  ·  {duration}  ·  weighting {track.weighting}"
+    facts = f"{steps}  ·  {track.how_far}  ·  {duration}  ·  weighting {track.weighting}"
     axes.set_title(facts, loc="left", fontsize=11.5, color=INK, pad=10)
     name = textwrap.shorten(track.name, 60, placeholder="...")
     above: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points"}
