@@ -460,7 +460,7 @@ def _process(
             state = _with_rival(state, lambda rival, at=event: config.tracker.on_step(rival, at))
             walked_m = sum(u.step_length_m for u in updates)
             moved_m = moved_by_heading_m(state.tracker.pedestrian, tracker.pedestrian, walked_m)
-            heading_std_rad = math.sqrt(tracker.pedestrian.estimates.heading_var_rad2)
+            heading_std_rad = math.sqrt(pedestrian.heading_var_rad2(tracker.pedestrian))
             walked = state.walked.plus(event, heading_std_rad, moved_m)
             state = replace_unchecked(state, tracker=tracker, walked=walked)
             if provisional and (newest := config.tracker.provisional(tracker)) is not None:

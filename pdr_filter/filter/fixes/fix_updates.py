@@ -49,6 +49,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     present_position,
     track_place,
     with_detached_path,
+    with_joined_frame,
     with_reopened_rotation,
 )
 from pdr_filter.values import (
@@ -87,6 +88,8 @@ def use_fix(
     if isinstance(fix, SpeedFix):
         return _on_speed(model, arithmetic, state, fix)
     state = with_reopened_rotation(state)
+    if state.frame.is_of_start and not isinstance(fix, PositionFix | HeadingFix | RangeFix):
+        state = with_joined_frame(state)  # no density of the rotation follows from a measurement of another class
     place = _place_at(state, fix.time_s)
     if place is None:
         return state, "rejected", np.inf
@@ -183,7 +186,7 @@ def _on_known_frame(
     if outcome == "used":
         return updated, outcome, nis
     pair, heading_var = _paired(state, fix, track_m)
-    relocation, can_turn = state.fixes.relocation.with_rejected(pair), state.frame.alignment is not None
+    relocation, can_turn = state.fixes.relocation.with_rejected(pair), state.frame.is_rotation_estimated
     state = replace(state, fixes=replace(state.fixes, relocation=relocation))
     alignment = relocation.alignment(pair, heading_var, state.steps.n_final, can_turn)
     if alignment is None:
