@@ -584,7 +584,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = _after_fix_of_rival(config, replace_unchecked(state, tracker=tracker), fix, nis)
-        if isinstance(fix, PositionFix):
+        if isinstance(fix, PositionFix) and outcome != "repeated":
             state = replace_unchecked(state, rides=state.rides.plus(fix, tracker.pedestrian.steps.trail[:, TRAIL_TIME]))
         if config.on_plan is not None:
             floor = state.height.known.floors.floor
@@ -592,7 +592,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
             if outcome in ("nothing to compare", "waiting") and particles is not state.particles:
                 outcome = "used"
             state = replace_unchecked(state, particles=particles)
-    if isinstance(fix, PositionFix | GridFix) and outcome not in ("rejected", "frozen"):
+    if isinstance(fix, PositionFix | GridFix) and outcome not in ("rejected", "frozen", "repeated"):
         state = replace_unchecked(state, height=height.with_fix(state.height, fix))
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace_unchecked(
