@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.fixes.gnss import LocationState, Rides, good_places, place_at, position_fixes
+from pdr_filter.filter.fixes.gnss import LocationState, good_places, place_at, position_fixes
 from pdr_filter.filter.fixes.range_placement import MIN_LOG_ODDS
+from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.imm import pedestrian_state as pedestrian
@@ -27,7 +28,7 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometer import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
-from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts
+from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_moving
 from pdr_filter.values import (
     Fix,
     FixResult,
@@ -443,6 +444,9 @@ def _process(
             height_state = height.on_window(state.height, event, next(of_height))
             context = next(contexts)
             output.windows.append(context)
+            moves = bool(is_moving(context.prob[context_set.standing].sum()))
+            rides = state.rides.with_windows(context.hop_s, moves * context.hop_s)
+            state = replace_unchecked(state, rides=rides)
             tracker, updates = config.tracker.on_window(state.tracker, context)
             state = _with_rival(state, lambda rival, at=context: config.tracker.on_window(rival, at))
             state = replace_unchecked(
@@ -584,7 +588,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = _after_fix_of_rival(config, replace_unchecked(state, tracker=tracker), fix, nis)
-        if isinstance(fix, PositionFix) and outcome != "repeated":
+        if isinstance(fix, PositionFix):
             state = replace_unchecked(state, rides=state.rides.plus(fix, tracker.pedestrian.steps.trail[:, TRAIL_TIME]))
         if config.on_plan is not None:
             floor = state.height.known.floors.floor

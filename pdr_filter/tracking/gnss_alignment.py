@@ -11,12 +11,23 @@ import numpy as np
 from pdr_filter.filter.fixes.alignment import walked_var_m2
 from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME, Frame
 from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, centre_weights, consistent_pairs
-from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, Rides, position_fixes
+from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, position_fixes
 from pdr_filter.filter.fixes.repeated_fixes import Repetition, repetitions
+from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height.height_filter import HeightState
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.tracking.filtering import Output, State
-from pdr_filter.values import FixOutcome, FixResult, FloatArray, PositionFix, Samples, interpolated, read_only
+from pdr_filter.tracking.step_statistics import is_moving
+from pdr_filter.values import (
+    ContextSet,
+    FixOutcome,
+    FixResult,
+    FloatArray,
+    PositionFix,
+    Samples,
+    interpolated,
+    read_only,
+)
 from pdr_filter.values.recording import Recording
 
 # Maximum number of locations used for the alignment. Of more locations, this number is taken at even intervals, because
@@ -131,7 +142,9 @@ def align_dead_reckoning(
     return AlignedTrack(locations, fixes, repeated, pairs, frame)
 
 
-def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> Iterator[tuple[State, Output]]:
+def aligned(
+    recording: Recording, results: Iterable[tuple[State, Output]], contexts: ContextSet
+) -> Iterator[tuple[State, Output]]:
     """Yield the last state and the whole output of dead reckoning, aligned to the locations of the recording.
 
     `results` are from `whole_recording.outputs` in an unknown frame. The yielded state contains the alignment, from
@@ -169,7 +182,10 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
         if pedestrian.frame.alignment is not None:
             whole.updates[:] = _with_own_errors(finals, reckoning.own_var_m2(alignment.frame.agreeing))
     tracker = replace(last.tracker, pedestrian=pedestrian)
-    rides = Rides.of(alignment.fixes, np.array([update.step.time_s for update in finals]))
+    step_time_s = np.array([update.step.time_s for update in finals])
+    window_time_s = np.array([window.time_s for window in whole.windows])
+    moves = is_moving(np.array([window.prob[contexts.standing].sum() for window in whole.windows]))
+    rides = Rides.of(alignment.fixes, step_time_s, window_time_s, moves)
     n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
     height = _with_altitudes(last.height, alignment.fixes, finals)
     last = replace(last, tracker=tracker, height=height, locations=alignment.locations, rides=rides)

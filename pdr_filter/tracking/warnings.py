@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pdr_filter.filter.fixes.gnss import Rides
+from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.stream_merging import SENSORS
