@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from helpers import a_step
 
+import pdr_filter as pdr
 from pdr_filter.tracking.step_statistics import StepCounts
 from pdr_filter.tracking.warnings import _step_notes  # pyright: ignore[reportPrivateUsage]
 
@@ -40,3 +42,13 @@ def test_quick_and_soft_steps_count_as_on_the_spot_if_strides_push_nowhere(direc
     for k in range(30):
         counts = counts.plus(replace(quick, time_s=1.0 + k), 0.1, 0.0)
     assert counts.on_the_spot == n_told
+
+
+def test_fixes_that_arrive_after_the_last_sample_are_late_and_not_on_another_clock() -> None:
+    walk = pdr.simulate.demo_walk()
+    late = [pdr.PositionFix(t, np.zeros(2), 1e4 * np.eye(2), received_time_s=t + 20.0) for t in (50.0, 100.0)]
+    ahead = pdr.PositionFix(130.0, np.zeros(2), np.eye(2))
+    notes = pdr.track(walk, fixes=[*late, ahead]).notes
+    (arrived,) = (note for note in notes if "arrived after the last sample" in note)
+    assert arrived.startswith("1 fix not used") and "clock" not in arrived
+    assert any(note.startswith("fixes from after the last sample were not used: 1; check") for note in notes)
