@@ -75,14 +75,14 @@ class RecentFix:
         Time of the fix.
     place : (3,) array
         East, north and heading of the track at which a measurement of a user-defined class was evaluated.
-    values : bytes
+    values : str
         Hash of all values except the times.
     """
 
     kind: str
     time_s: float
     place: FloatArray
-    values: bytes
+    values: str
 
 
 def recent_after(recent: tuple[RecentFix, ...], fix: Fix, place: FloatArray) -> tuple[RecentFix, ...]:
@@ -98,14 +98,14 @@ def recent_after(recent: tuple[RecentFix, ...], fix: Fix, place: FloatArray) -> 
     return recent
 
 
-def _values(fix: Fix, place: FloatArray) -> bytes:
+def _values(fix: Fix, place: FloatArray) -> str:
     """Return a hash of the values of a fix, of its measurement at a place if its class is user-defined."""
     if isinstance(fix, OWN_FIXES):
         parts = [getattr(fix, f.name) for f in fields(fix) if f.name not in ("time_s", "received_time_s")]
     else:
         parts = measured(fix, place[:2], float(place[2]))
     content = b"".join(np.asarray(part, dtype=float).tobytes() for part in parts)
-    return hashlib.blake2b(content, digest_size=16).digest()
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
 def seen_after(previous: SeenPlace | None, fix: PositionFix, track_m: FloatArray, walked_m: float) -> SeenPlace:
