@@ -479,8 +479,8 @@ class ParticleFilter:
 
         Position and heading fixes change the weights only if the tracker used them. Grid fixes, ranges and other
         measurements do so whether or not the tracker used them, because particles do not need a linear update. Such
-        measurements are ignored if they are from before the first remembered step. Speeds and standstills are always
-        ignored.
+        measurements are ignored if they are from before the first remembered step. Speeds, standstills and repeated
+        fixes are always ignored.
 
         Parameters
         ----------
@@ -502,7 +502,7 @@ class ParticleFilter:
         ParticleState
             State after the fix.
         """
-        if len(state.reckoned) == 0 or isinstance(fix, SpeedFix | Standstill):
+        if len(state.reckoned) == 0 or isinstance(fix, SpeedFix | Standstill) or outcome == "repeated":
             return state
         is_own = isinstance(fix, PositionFix | HeadingFix)
         if not is_own and outcome not in ("placed", "moved"):

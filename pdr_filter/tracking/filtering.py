@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.fixes.gnss import LocationState, Rides, good_places, place_at, position_fixes
+from pdr_filter.filter.fixes.gnss import LocationState, good_places, place_at, position_fixes
 from pdr_filter.filter.fixes.range_placement import MIN_LOG_ODDS
+from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.imm import pedestrian_state as pedestrian
@@ -27,7 +28,7 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometer import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
-from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing
+from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing, is_moving
 from pdr_filter.values import (
     Fix,
     FixResult,
@@ -443,6 +444,9 @@ def _process(
             height_state = height.on_window(state.height, event, next(of_height))
             context = next(contexts)
             output.windows.append(context)
+            moves = bool(is_moving(context.prob[context_set.standing].sum()))
+            rides = state.rides.with_windows(context.hop_s, moves * context.hop_s)
+            state = replace_unchecked(state, rides=rides)
             tracker, updates = config.tracker.on_window(state.tracker, context)
             state = _with_rival(state, lambda rival, at=context: config.tracker.on_window(rival, at))
             state = replace_unchecked(
@@ -460,7 +464,7 @@ def _process(
             state = _with_rival(state, lambda rival, at=event: config.tracker.on_step(rival, at))
             walked_m = sum(u.step_length_m for u in updates)
             moved_m = moved_by_heading_m(state.tracker.pedestrian, tracker.pedestrian, walked_m)
-            heading_std_rad = math.sqrt(tracker.pedestrian.estimates.heading_var_rad2)
+            heading_std_rad = math.sqrt(pedestrian.heading_var_rad2(tracker.pedestrian))
             walked = state.walked.plus(event, heading_std_rad, moved_m)
             state = replace_unchecked(state, tracker=tracker, walked=walked)
             if provisional and (newest := config.tracker.provisional(tracker)) is not None:
@@ -594,7 +598,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
             if outcome in ("nothing to compare", "waiting") and particles is not state.particles:
                 outcome = "used"
             state = replace_unchecked(state, particles=particles)
-    if isinstance(fix, PositionFix | GridFix) and outcome not in ("rejected", "frozen"):
+    if isinstance(fix, PositionFix | GridFix) and outcome not in ("rejected", "frozen", "repeated"):
         state = replace_unchecked(state, height=height.with_fix(state.height, fix))
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace_unchecked(

@@ -11,12 +11,23 @@ import numpy as np
 from pdr_filter.filter.fixes.alignment import walked_var_m2
 from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME, Frame
 from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, centre_weights, consistent_pairs
-from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, Rides, position_fixes
-from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
+from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, position_fixes
+from pdr_filter.filter.fixes.repeated_fixes import Repetition, repetitions
+from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height.height_filter import HeightState
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.tracking.filtering import Output, State
-from pdr_filter.values import FixOutcome, FixResult, FloatArray, PositionFix, Samples, interpolated, read_only
+from pdr_filter.tracking.step_statistics import is_moving
+from pdr_filter.values import (
+    ContextSet,
+    FixOutcome,
+    FixResult,
+    FloatArray,
+    PositionFix,
+    Samples,
+    interpolated,
+    read_only,
+)
 from pdr_filter.values.recording import Recording
 
 # Maximum number of locations used for the alignment. Of more locations, this number is taken at even intervals, because
@@ -102,18 +113,19 @@ class AlignedTrack:
 
     locations: LocationState
     fixes: tuple[PositionFix, ...]
-    frozen: tuple[bool, ...]
+    repetitions: tuple[Repetition, ...]
     pairs: tuple[PairedPoint, ...]
     frame: Frame
 
     def results(self, at_s: float) -> list[FixResult]:
-        """Return the outcome of each fix, "turned", "rejected" or "frozen", at the time `at_s`.
+        """Return the outcome of each fix, "turned", "rejected", "frozen" or "repeated", at the time `at_s`.
 
-        A fix is "turned" if it determined the alignment, and "frozen" if it repeats the last position during walking.
+        A fix is "turned" if it determined the alignment. It is "frozen" if it repeats the last position during walking,
+        and "repeated" if it does so at the same place.
         """
         outcomes: list[FixOutcome] = [
-            "frozen" if is_frozen else "turned" if pair in self.frame.agreeing else "rejected"
-            for is_frozen, pair in zip(self.frozen, self.pairs, strict=True)
+            repetition or ("turned" if pair in self.frame.agreeing else "rejected")
+            for repetition, pair in zip(self.repetitions, self.pairs, strict=True)
         ]
         return [FixResult.of(fix, at_s, outcome) for fix, outcome in zip(self.fixes, outcomes, strict=True)]
 
@@ -123,14 +135,16 @@ def align_dead_reckoning(
 ) -> AlignedTrack:
     """Return the alignment of a track to the locations between the times of its first and last sample."""
     locations, fixes = _even_fixes(location, first_s, last_s)
-    frozen = tuple(frozen_fixes(fixes, reckoning.time_s, reckoning.position_m, reckoning.walked_m))
+    repeated = tuple(repetitions(fixes, reckoning.time_s, reckoning.position_m, reckoning.walked_m))
     pairs = tuple(_paired(reckoning, fix) for fix in fixes)
-    asked = tuple(pair for pair, is_frozen in zip(pairs, frozen, strict=True) if not is_frozen)
+    asked = tuple(pair for pair, repetition in zip(pairs, repeated, strict=True) if not repetition)
     frame = _frame(asked, n_steps) if fixes else UNKNOWN_FRAME
-    return AlignedTrack(locations, fixes, frozen, pairs, frame)
+    return AlignedTrack(locations, fixes, repeated, pairs, frame)
 
 
-def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> Iterator[tuple[State, Output]]:
+def aligned(
+    recording: Recording, results: Iterable[tuple[State, Output]], contexts: ContextSet
+) -> Iterator[tuple[State, Output]]:
     """Yield the last state and the whole output of dead reckoning, aligned to the locations of the recording.
 
     `results` are from `whole_recording.outputs` in an unknown frame. The yielded state contains the alignment, from
@@ -158,13 +172,20 @@ def aligned(recording: Recording, results: Iterable[tuple[State, Output]]) -> It
         pedestrian = replace(
             pedestrian,
             frame=alignment.frame,
-            fixes=replace(pedestrian.fixes, n_frozen=sum(alignment.frozen)),
+            fixes=replace(
+                pedestrian.fixes,
+                n_frozen=alignment.repetitions.count("frozen"),
+                n_repeated=alignment.repetitions.count("repeated"),
+            ),
         )
         whole.fixes.extend(alignment.results(last.sensing.processed_s))
         if pedestrian.frame.alignment is not None:
             whole.updates[:] = _with_own_errors(finals, reckoning.own_var_m2(alignment.frame.agreeing))
     tracker = replace(last.tracker, pedestrian=pedestrian)
-    rides = Rides.of(alignment.fixes, np.array([update.step.time_s for update in finals]))
+    step_time_s = np.array([update.step.time_s for update in finals])
+    window_time_s = np.array([window.time_s for window in whole.windows])
+    moves = is_moving(np.array([window.prob[contexts.standing].sum() for window in whole.windows]))
+    rides = Rides.of(alignment.fixes, step_time_s, window_time_s, moves)
     n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
     height = _with_altitudes(last.height, alignment.fixes, finals)
     last = replace(last, tracker=tracker, height=height, locations=alignment.locations, rides=rides)

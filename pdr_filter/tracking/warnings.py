@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pdr_filter.filter.fixes.gnss import Rides
+from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.clock import sorted_note
@@ -172,10 +172,25 @@ def _fix_notes(state: State) -> Iterator[Note]:
     if state.n_rejected_fixes:
         words = f"fixes that do {criteria.REJECTED} were not used: {state.n_rejected_fixes}; check their accuracy, and "
         yield Note("fixes", words + "that fixes and samples have one clock")
-    n_frozen = state.tracker.pedestrian.fixes.n_frozen
-    if n_frozen:
-        words = f"{how_many(n_frozen, 'fix', 'fixes')} not used, because they repeat the last position during walking: "
+    fixes = state.tracker.pedestrian.fixes
+    if fixes.n_repeated:
+        words = (
+            f"{how_many(fixes.n_repeated, 'fix', 'fixes')} not used, because they repeat an earlier fix: a receiver "
+        )
+        yield Note("fixes", words + "or a bridge has probably sent it again; give each fix once, at its own time")
+    if fixes.n_frozen:
+        words = f"{how_many(fixes.n_frozen, 'fix', 'fixes')} not used, because they repeat the last position during "
+        words += "walking: "
         yield Note("fixes", words + "the phone has probably lost GNSS reception")
-    if state.finished and state.waiting_fixes:
-        words = f"fixes from after the last sample were not used: {len(state.waiting_fixes)}; check that fixes and "
+    if not state.finished:
+        return
+    last_s = state.sensing.conditioner.report.last_time_s
+    n_late = sum(fix.time_s <= last_s for fix in state.waiting_fixes)
+    if n_late:
+        words = (
+            f"{how_many(n_late, 'fix', 'fixes')} not used, because they arrived after the last sample at {last_s:.1f} "
+        )
+        yield Note("fixes", words + "s: smooth the recording (pdr_filter.smooth), which uses late fixes")
+    if n_ahead := len(state.waiting_fixes) - n_late:
+        words = f"fixes from after the last sample were not used: {n_ahead}; check that fixes and "
         yield Note("fixes", words + "samples have one clock")

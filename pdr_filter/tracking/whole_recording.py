@@ -142,7 +142,11 @@ def track(
     recording, config = run.recording, run.config
     with_fixes = run.with_location and gnss != "align"
     results = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
-    return run.placed(collected(recording, config, aligned(recording, results) if gnss == "align" else results))
+    return run.placed(
+        collected(
+            recording, config, aligned(recording, results, config.model.context_set) if gnss == "align" else results
+        )
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -738,7 +738,9 @@ def received_s(fix: Fix) -> float:
     return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
-FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "frozen", "waiting", "nothing to compare"]
+FixOutcome = Literal[
+    "used", "placed", "turned", "moved", "rejected", "frozen", "repeated", "waiting", "nothing to compare"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -759,7 +761,8 @@ class FixResult:
         shifted. "turned": one of the fixes that determine the rotation of the track. "moved": the last of several fixes
         that agree with each other but not with the track, which was shifted to them. "rejected": the fix does not fit
         the track or its time. "frozen": the fix repeats the previous position exactly during walking, as apps do
-        without GNSS reception. "waiting": samples of its time, or ranges that determine a position together with it,
+        without GNSS reception. "repeated": the fix has the values of an earlier one and was delivered again, so that it
+        contains nothing new. "waiting": samples of its time, or ranges that determine a position together with it,
         are missing. "nothing to compare": there is no step or no known frame to which the fix applies.
     nis : float
         Normalised innovation squared in the mode that explains the fix best. Infinite for a fix with a wrong time. NaN

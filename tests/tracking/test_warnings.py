@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers import a_step
 
+import pdr_filter as pdr
 from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing
 from pdr_filter.tracking.warnings import _step_notes, _window_notes  # pyright: ignore[reportPrivateUsage]
 
@@ -65,3 +66,13 @@ def test_more_than_half_of_the_windows_far_from_the_training_data_cause_a_note(
     notes = list(_window_notes(WindowCounts(n=100, unlike=unlike, unknown=unknown)))
     assert [note.about for note in notes] == (["contexts"] if said else [])
     assert all(said in note.text for note in notes)
+
+
+def test_fixes_that_arrive_after_the_last_sample_are_late_and_not_on_another_clock() -> None:
+    walk = pdr.simulate.demo_walk()
+    late = [pdr.PositionFix(t, np.zeros(2), 1e4 * np.eye(2), received_time_s=t + 20.0) for t in (50.0, 100.0)]
+    ahead = pdr.PositionFix(130.0, np.zeros(2), np.eye(2))
+    notes = pdr.track(walk, fixes=[*late, ahead]).notes
+    (arrived,) = (note for note in notes if "arrived after the last sample" in note)
+    assert arrived.startswith("1 fix not used") and "clock" not in arrived
+    assert any(note.startswith("fixes from after the last sample were not used: 1; check") for note in notes)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from pdr_filter.filter.fixes.range_placement import PairedRange
 from pdr_filter.filter.fixes.relocation import RelocationEvidence
-from pdr_filter.filter.fixes.repeated_fixes import SeenPlace
+from pdr_filter.filter.fixes.repeated_fixes import FixMemory
 from pdr_filter.values import N_BEFORE, FloatArray, PositionFix, Standstill, read_only, replace_unchecked
 
 MAX_STANDSTILLS = 16
@@ -40,14 +40,16 @@ class FixHistory:
         Rejected position fixes that contradict the track.
     used : tuple of UsedFix
         Last used fixes whose errors are correlated with the next one.
-    seen : SeenPlace or None
-        Last position that was not a repetition.
+    memory : FixMemory
+        Earlier fixes with which a new one is compared to find repetitions.
     n_errors : int
         Number of innovations of used position fixes, one for each axis.
     squares : float
         Sum of the normalised squares of these innovations.
     n_frozen : int
         Number of position fixes that repeated the previous position while steps continued.
+    n_repeated : int
+        Number of other fixes that repeated an earlier one.
     standstills : tuple of tuple of float
         Begin and end of the last standstills, s.
     ranges : tuple of PairedRange
@@ -58,10 +60,11 @@ class FixHistory:
 
     relocation: RelocationEvidence = field(default_factory=RelocationEvidence)
     used: tuple[UsedFix, ...] = ()
-    seen: SeenPlace | None = None
+    memory: FixMemory = field(default_factory=FixMemory)
     n_errors: int = 0
     squares: float = 0.0
     n_frozen: int = 0
+    n_repeated: int = 0
     standstills: tuple[tuple[float, float], ...] = ()
     ranges: tuple[PairedRange, ...] = ()
     searched_s: float = -math.inf
@@ -96,18 +99,16 @@ class FixHistory:
         used = (
             u if u.track_m is None else replace_unchecked(u, track_m=read_only(positions(u.track_m))) for u in self.used
         )
-        seen = (
-            None if self.seen is None else replace_unchecked(self.seen, track_m=read_only(positions(self.seen.track_m)))
-        )
         relocation, ranges = self.relocation.moved(positions), tuple(pair.moved(positions) for pair in self.ranges)
-        return replace_unchecked(self, relocation=relocation, used=tuple(used), seen=seen, ranges=ranges)
+        return replace_unchecked(
+            self, relocation=relocation, used=tuple(used), memory=self.memory.moved(positions), ranges=ranges
+        )
 
     def after_gap(self) -> FixHistory:
         """Return the history after a gap, in which the pedestrian may have gone anywhere.
 
         The track positions of used fixes become unknown (None). Ranges are deleted. The last position fix is forgotten
-        unless the phone repeats it (`SeenPlace.is_frozen`).
+        unless it is frozen (`FixMemory.after_gap`).
         """
         used = tuple(replace_unchecked(u, track_m=None) for u in self.used)
-        seen = self.seen if self.seen and self.seen.is_frozen else None
-        return replace_unchecked(self, used=used, seen=seen, ranges=())
+        return replace_unchecked(self, used=used, memory=self.memory.after_gap(), ranges=())

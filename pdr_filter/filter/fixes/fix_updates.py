@@ -39,7 +39,7 @@ from pdr_filter.filter.fixes.gating import (
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.fixes.range_updates import on_range
 from pdr_filter.filter.fixes.relocation import RelocationEvidence
-from pdr_filter.filter.fixes.repeated_fixes import seen_after
+from pdr_filter.filter.fixes.repeated_fixes import Repetition
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES, expect_first_direction
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
@@ -49,6 +49,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     present_position,
     track_place,
     with_detached_path,
+    with_joined_frame,
     with_reopened_rotation,
 )
 from pdr_filter.values import (
@@ -74,22 +75,30 @@ def use_fix(
     """Return the state after a fix, the outcome of the fix, and its normalised innovation squared (NIS).
 
     The NIS is the smallest one of all filters, or NaN if no filter was compared with the fix. A fix is rejected if its
-    NIS exceeds the gate in all filters. A fix older than the stored steps is rejected with infinite NIS, except
-    speed fixes, grid fixes and standstills. A position
-    that is repeated while steps continue is "frozen" and not used. If the frame of the fixes is unknown, the first
-    position fix places the track in it, and later ones rotate it. A standstill is stored and changes no estimate.
+    NIS exceeds the gate in all filters. A fix older than the stored steps is rejected with infinite NIS, except speed
+    fixes, grid fixes and standstills. A fix that repeats an earlier one is not used: it is "repeated", or "frozen" if
+    it is a position and steps continue. If the frame of the fixes is unknown, the first position fix places the track
+    in it, and later ones rotate it. A standstill is stored and changes no estimate.
     `offset_rad` (F,) is the walking heading of each filter minus the heading that the body faces.
     """
     if isinstance(fix, Standstill):
         return replace(state, fixes=state.fixes.with_standstill(fix)), "used", np.nan
-    if isinstance(fix, GridFix):  # used only by the particle filter on a floor plan
-        return state, "nothing to compare", np.nan
-    if isinstance(fix, SpeedFix):
+    if isinstance(fix, GridFix | SpeedFix):
+        state, repetition = _with_memory(state, fix, np.zeros(3))
+        if repetition:
+            return state, repetition, np.nan
+        if isinstance(fix, GridFix):  # used only by the particle filter on a floor plan
+            return state, "nothing to compare", np.nan
         return _on_speed(model, arithmetic, state, fix)
     state = with_reopened_rotation(state)
+    if state.frame.is_of_start and not isinstance(fix, PositionFix | HeadingFix | RangeFix):
+        state = with_joined_frame(state)  # no density of the rotation follows from a measurement of another class
     place = _place_at(state, fix.time_s)
     if place is None:
         return state, "rejected", np.inf
+    state, repetition = _with_memory(state, fix, place)
+    if repetition:
+        return state, repetition, np.nan
     track_m, device_heading_rad = place[:2], float(place[2])
     if isinstance(fix, HeadingFix):
         return _on_heading(model, arithmetic, state, offset_rad, fix, device_heading_rad)
@@ -97,16 +106,23 @@ def use_fix(
         return on_range(model, arithmetic, state, offset_rad, fix, place)
     if not isinstance(fix, PositionFix):
         return on_measurement(model, arithmetic, state, offset_rad, fix, place)
-    seen = seen_after(state.fixes.seen, fix, track_m, state.estimates.distance_m)
-    fixes = replace(state.fixes, seen=seen, n_frozen=state.fixes.n_frozen + seen.is_frozen)
-    state = replace(state, fixes=fixes)
-    if seen.is_frozen:
-        return state, "frozen", np.nan
     if gap_var_m2 := gap_displacement_var_m2(model, state, fix.time_s):
         fix = replace(fix, cov_m2=read_only(fix.cov_m2 + gap_var_m2 * np.eye(2)))
     if not state.frame.is_joined:
         return _on_first_positions(model, arithmetic, state, fix, track_m)
     return _on_known_frame(model, arithmetic, state, fix, track_m)
+
+
+def _with_memory(state: PedestrianState, fix: Fix, place: FloatArray) -> tuple[PedestrianState, Repetition]:
+    """Return the state that remembers a fix, and whether the fix is a repetition.
+
+    `place` (3,) is east, north and device heading of the track at the time of the fix.
+    """
+    fixes = state.fixes
+    memory, repetition = fixes.memory.plus(fix, place, state.estimates.distance_m)
+    n_frozen = fixes.n_frozen + (repetition == "frozen")
+    n_repeated = fixes.n_repeated + (repetition == "repeated")
+    return replace(state, fixes=replace(fixes, memory=memory, n_frozen=n_frozen, n_repeated=n_repeated)), repetition
 
 
 def _on_position(
@@ -183,7 +199,7 @@ def _on_known_frame(
     if outcome == "used":
         return updated, outcome, nis
     pair, heading_var = _paired(state, fix, track_m)
-    relocation, can_turn = state.fixes.relocation.with_rejected(pair), state.frame.alignment is not None
+    relocation, can_turn = state.fixes.relocation.with_rejected(pair), state.frame.is_rotation_estimated
     state = replace(state, fixes=replace(state.fixes, relocation=relocation))
     alignment = relocation.alignment(pair, heading_var, state.steps.n_final, can_turn)
     if alignment is None:

@@ -100,9 +100,19 @@ class Frame:
         return rotation.angle_var_rad2 if rotation else 0.0 if self.compass is None else self.compass.std_rad**2
 
     @property
+    def is_of_start(self) -> bool:
+        """True if the frame of the fixes is the start frame, so that no fix aligns the start of the track."""
+        return self.alignment is None and (self.is_joined or self.since > 0)
+
+    @property
     def is_known(self) -> bool:
-        """True if positions are in the frame of the fixes, even if the rotation is still uncertain."""
-        return self.rotation is not None or self.alignment is not None
+        """True if positions are in a frame of fixes that is not the start frame, even if the rotation is uncertain."""
+        return not self.is_of_start and (self.rotation is not None or self.alignment is not None)
+
+    @property
+    def is_rotation_estimated(self) -> bool:
+        """True if fixes have determined the rotation of the track, at its start or after a lost heading."""
+        return self.alignment is not None or len(self.later) > len(self.relocations)
 
     @property
     def name(self) -> str:
@@ -205,6 +215,9 @@ class Frame:
         # the position at a lost heading is kept; `relocation` handles the case that it is wrong
         n_sure = 1 if self.since else 0
         agreeing, rotation = consistent_pairs(self.pairs, self.north_var_rad2, n_sure)
+        if self.is_of_start and len(agreeing) == 1:
+            # Without fixes, the mean over all angles would stay at the lost heading. The drawn track keeps its shape.
+            rotation = rotation.most_probable()
         turned = replace(self, agreeing=agreeing, rotation=rotation, north_conflict=0.0)
         if self.is_open:
             return turned
@@ -226,9 +239,10 @@ class Frame:
     def with_compass(self, compass: Compass | None) -> Frame:
         """Return the frame with the present magnetic north, or None if it is unknown.
 
-        A frame that is joined, or whose rotation a heading fix has determined, is unchanged.
+        A frame that is joined, or whose rotation a heading fix has determined, is unchanged. So is a frame that leads
+        to the start frame, whose north is unknown.
         """
-        return replace(self, compass=compass) if self.is_open else self
+        return replace(self, compass=compass) if self.is_open and not self.is_of_start else self
 
     @property
     def is_settled(self) -> bool:

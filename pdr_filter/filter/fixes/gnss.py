@@ -8,7 +8,7 @@ uses from each fix only the information that earlier ones do not contain (`pdr_f
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,11 +33,6 @@ SHRINKAGE_STD, MAX_SHRINKAGE = 0.5, 1.5
 # Vertical standard deviation relative to that along each horizontal axis. 95 % of the errors are below 13 m vertically
 # and below 8 m horizontally ("GPS standard positioning service performance standard", 5th edition, 2020).
 _VERTICAL_RATIO = 2.0
-# Smallest speed of a ride, and largest step rate in it: a walk has more than one step a second, a run more than two.
-_RIDE_MPS, _RIDE_STEPS_HZ = 2.5, 0.5
-# Ratio of net displacement to travelled distance below which a ride is an outlier.
-_OUTLIER_SHARE = 0.25
-_MAX_RIDES = 16  # number of stored rides, because a filter may run for days
 # Largest accuracy radius, about the size of a country. Its square must be finite.
 MAX_ACCURACY_M = 1e5
 
@@ -306,78 +301,6 @@ def locations_of(location: Samples, origin: Origin | None = None) -> tuple[Locat
     return position_fixes(
         LocationState(origin), location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Ride:
-    """Interval in which position fixes move faster than a walk and the pedestrian makes hardly any steps.
-
-    Attributes
-    ----------
-    begin_s, end_s : float
-        Times of the first and the last fix.
-    length_m : float
-        Sum of the distances between consecutive fixes.
-    first, last : PositionFix
-        First and last fix.
-    """
-
-    begin_s: float
-    end_s: float
-    length_m: float
-    first: PositionFix
-    last: PositionFix
-
-    @property
-    def is_outlier(self) -> bool:
-        """True if the fixes moved away and came back, as after a reflection of satellite signals."""
-        return float(np.linalg.norm(self.last.position_m - self.first.position_m)) < _OUTLIER_SHARE * self.length_m
-
-
-@dataclass(frozen=True, slots=True)
-class Rides:
-    """Last rides between position fixes.
-
-    Attributes
-    ----------
-    found : tuple of Ride
-        Last rides.
-    last : PositionFix or None
-        Last fix.
-    """
-
-    found: tuple[Ride, ...] = ()
-    last: PositionFix | None = None
-
-    @classmethod
-    def of(cls, fixes: Iterable[PositionFix], step_time_s: FloatArray) -> Rides:
-        """Return the vehicle rides between fixes, given in order of time. Steps are given by their times (K,), s."""
-        rides = cls()
-        for fix in fixes:
-            rides = rides.plus(fix, step_time_s)
-        return rides
-
-    def plus(self, fix: PositionFix, step_time_s: FloatArray) -> Rides:
-        """Return the vehicle rides with one more fix. Steps are given by their times (K,), s.
-
-        A fast interval with hardly any steps begins a ride, or extends the ride that ends at the last fix. It must be
-        longer than three standard deviations. A fix that is not after the last one is ignored. Only the last
-        `_MAX_RIDES` rides are kept.
-        """
-        previous = self.last
-        if previous is None or fix.time_s <= previous.time_s:
-            return self if previous is not None else Rides((), fix)
-        duration_s = fix.time_s - previous.time_s
-        length_m = float(np.linalg.norm(fix.position_m - previous.position_m))
-        n_steps = np.count_nonzero((step_time_s > previous.time_s) & (step_time_s <= fix.time_s))
-        is_sure = length_m > 3 * math.sqrt(previous.var_m2 + fix.var_m2)
-        if not is_sure or length_m < _RIDE_MPS * duration_s or n_steps > _RIDE_STEPS_HZ * duration_s:
-            return Rides(self.found, fix)
-        if self.found and self.found[-1].end_s == previous.time_s:
-            ride = self.found[-1]
-            ride = Ride(ride.begin_s, fix.time_s, ride.length_m + length_m, ride.first, fix)
-            return Rides((*self.found[:-1], ride), fix)
-        return Rides((*self.found, Ride(previous.time_s, fix.time_s, length_m, previous, fix))[-_MAX_RIDES:], fix)
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:

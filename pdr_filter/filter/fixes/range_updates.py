@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import moved
-from pdr_filter.filter.fixes.gating import Result
+from pdr_filter.filter.fixes.gating import Result, gap_displacement_var_m2
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.fixes.range_placement import (
     PairedRange,
@@ -65,7 +65,8 @@ def on_range(
     `earlier` (3,) is east, north and device heading of the track at the time of the range. If the frame of the anchors
     is unknown, or if the track is too uncertain for a linear update, the range waits for further ones ("waiting").
     Together they determine the position of the track ("placed"). The innovation is then NaN. Ranges that contradict the
-    track for long relocate it ("moved"). If two positions fit, both are followed, and the state has a `rival`.
+    track for long relocate it ("moved"). If two positions fit, both are followed, and the state has a `rival`. A range
+    within a gap, after which the track is too uncertain, has "nothing to compare".
     """
     is_joined = state.frame.is_joined
     if is_joined and not _is_wide(state, fix, earlier):
@@ -81,6 +82,9 @@ def on_range(
         if better < 2.0 * PRIOR_LOG_ODDS or len(found) != 1 or not found[0].is_settled:
             return updated, outcome, nis
         return _placed(updated, found[0]), "moved", nis
+    if gap_displacement_var_m2(model, state, fix.time_s):
+        # no steps connect a range within a gap with later ranges
+        return state, "nothing to compare", np.nan
     pairs = recent(state.fixes.ranges, PairedRange(fix, read_only(earlier[:2]), is_used=False))
     state = _with_ranges(state, pairs)
     if is_joined:  # the state already contains the used ranges

@@ -340,23 +340,20 @@ _LOST_HEADING_VAR_RAD2 = 0.75
 def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
     """Return the state with an unknown rotation to the frame of the fixes if the heading has been lost.
 
-    Applies only to a track in the frame of fixes. The present position becomes the first point pair for the new
-    estimate of the rotation. The variance of the heading becomes its prior. A rotation that is unknown since an earlier
-    loss stays unknown until a fix arrives.
+    Applies to a track in the frame of the fixes or of the start. The present position becomes the first point pair for
+    the new estimate of the rotation. The variance of the heading becomes its prior. A rotation that is unknown since an
+    earlier loss stays unknown until a fix arrives.
     """
-    frame = state.frame
-    if not frame.is_known or state.estimates.heading_var_rad2 < _LOST_HEADING_VAR_RAD2:
+    frame, is_placed = state.frame, state.frame.is_known or state.frame.is_of_start
+    # the first step defines the heading, so that it cannot be lost before
+    if not is_placed or state.steps.n_final == 0 or state.estimates.heading_var_rad2 < _LOST_HEADING_VAR_RAD2:
         return state
     if frame.since and not frame.is_joined and len(frame.agreeing) < 2:
         # No fix has arrived since the heading was lost, so keep the open frame. To open a new one at each step would
         # treat the persistent heading error as independent between steps.
         return state
-    steps = state.steps
-    if not frame.is_joined:
-        turn = frame.most_probable(steps.n_final)
-        state = in_other_frame(state, turn)
-        frame = frame.joined(turn)
-    estimates = state.estimates
+    state = with_joined_frame(state)
+    frame, steps, estimates = state.frame, state.steps, state.estimates
     x, P = estimates.combined
     var_m2 = 0.5 * float(np.trace(position_cov(P, estimates.consider_cov_m2)))
     time_s = steps.end_s
@@ -372,6 +369,24 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
         fixes=replace_unchecked(state.fixes, relocation=RelocationEvidence(), used=(), ranges=()),
         path=state.path.detached(P, time_s, x[:2].copy()),
     )
+
+
+def heading_var_rad2(state: PedestrianState) -> float:
+    """Return the variance of the heading in rad2, relative to the walk before the heading was lost."""
+    lost_rad2 = state.frame.rotation_var_rad2 if state.frame.since else 0.0
+    return state.estimates.heading_var_rad2 + lost_rad2
+
+
+def with_joined_frame(state: PedestrianState) -> PedestrianState:
+    """Return the state in the frame of the fixes, rotated by the most probable angle if the frame is not joined.
+
+    The variance of the rotation becomes variance of the heading offset. Raises ValueError before the first fix.
+    """
+    frame = state.frame
+    if frame.is_joined:
+        return state
+    turn = frame.most_probable(state.steps.n_final)
+    return replace_unchecked(in_other_frame(state, turn), frame=frame.joined(turn))
 
 
 def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianState:

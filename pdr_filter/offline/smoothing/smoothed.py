@@ -152,16 +152,16 @@ def observation_table(observed: Observations, row: IntArray | None = None, found
 
 
 def fix_results(observed: Observations, observations: Table, used: Used, end_s: float) -> tuple[FixResult, ...]:
-    """Return the outcome of each fix, followed by each location: "used", "rejected" or "frozen".
+    """Return the outcome of each fix, followed by each location: "used", "rejected", "frozen" or "repeated".
 
-    A fix is frozen if it repeats the last position while steps continue. All other unused fixes are "rejected", also
-    those outside the recording. `end_s` is the end of the recording.
+    A fix is frozen if it repeats the last position while steps continue, and repeated if it was delivered again. All
+    other unused fixes are "rejected", also those outside the recording. `end_s` is the end of the recording.
     """
     fixes = (*observed.fixes, *observed.locations)
-    rows = zip(fixes, observations.weight.tolist(), observations.nis.tolist(), used.is_frozen.tolist(), strict=False)
+    rows = zip(fixes, observations.weight.tolist(), observations.nis.tolist(), used.repetitions, strict=False)
     return tuple(
-        FixResult.of(f, end_s, "frozen" if is_frozen else "used" if weight >= 0.5 else "rejected", nis)
-        for f, weight, nis, is_frozen in rows
+        FixResult.of(f, end_s, repetition or ("used" if weight >= 0.5 else "rejected"), nis)
+        for f, weight, nis, repetition in rows
     )
 
 

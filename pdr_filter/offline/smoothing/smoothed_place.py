@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import Place
-from pdr_filter.filter.fixes.gnss import LocationState, Rides
+from pdr_filter.filter.fixes.gnss import LocationState
+from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height.height_filter import Altitude
 from pdr_filter.offline.smoothing.observations import (
     Observations,
@@ -17,6 +18,7 @@ from pdr_filter.offline.smoothing.preintegration import scaled_rotation
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.offline.smoothing.storeys import with_named_floors
 from pdr_filter.tracking.gnss_alignment import DeadReckoning, align_dead_reckoning
+from pdr_filter.tracking.step_statistics import is_moving
 from pdr_filter.tracking.warnings import notes_of_rides
 from pdr_filter.tracking.whole_recording import Run
 from pdr_filter.values import (
@@ -92,7 +94,8 @@ def on_earth(
     places = sorted([*locations, *(f for f in observed.fixes if isinstance(f, PositionFix))], key=lambda f: f.time_s)
     start = [track.start_time_s, *track.start_position_m]
     vertices = np.vstack([start, np.column_stack([track.time_s, track.position_m])])
-    notes = (*notes, *(note.text for note in notes_of_rides(Rides.of(places, track.time_s), vertices)))
+    rides = Rides.of(places, track.time_s, track.windows.time_s, is_moving(track.windows.standing_prob))
+    notes = (*notes, *(note.text for note in notes_of_rides(rides, vertices)))
     origin, altitude = track.origin, Altitude()
     if origin is None and where.origin is not None and track.frame == "fixes" and track.n_steps:
         origin = replace(

@@ -8,7 +8,7 @@ from itertools import compress
 
 import numpy as np
 
-from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
+from pdr_filter.filter.fixes.repeated_fixes import Repetition, repetitions
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, Mode
 from pdr_filter.offline.smoothing.location_errors import joined_at_contacts, with_even_variances
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, is_uninformative
@@ -50,8 +50,8 @@ class Used:
     row : array of int
         Row of each given observation in the problem (positions, directions, states, measurements), -1 if it is not
         used. The given observations are fixes, locations, loop closures and known headings, in this order.
-    is_frozen : array (F + L,) of bool
-        True for fixes, followed by locations, that repeat the previous position.
+    repetitions : tuple of str (F + L,)
+        "frozen" or "repeated" for fixes, followed by locations, that repeat an earlier one, else empty.
     notes : tuple of str
         Observations that are not used, and why.
     """
@@ -62,7 +62,7 @@ class Used:
     measured: tuple[Measurement, ...]
     device_rad: FloatArray
     row: IntArray
-    is_frozen: BoolArray
+    repetitions: tuple[Repetition, ...]
     notes: tuple[str, ...]
 
     @property
@@ -94,7 +94,7 @@ def usable(
     observed: Observations,
     inside: BoolArray,
 ) -> Used:
-    """Return the observations that carry information: within the recording, not frozen, no uninformative closure.
+    """Return the observations that carry information: within the recording, not repeated, no uninformative closure.
 
     `inside` (F + L,) is a mask of the fixes and locations within the recording. `log_scale_std` is the standard
     deviation of the person's step scale in the track, an error that all speeds of the track share.
@@ -105,9 +105,10 @@ def usable(
     fixes = (*observed.fixes, *observed.locations)
     is_place = np.array([isinstance(f, PositionFix) for f in fixes], dtype=bool)
     places = [f for f in fixes if isinstance(f, PositionFix)]
-    is_frozen = np.zeros(len(fixes), dtype=bool)
-    is_frozen[is_place] = frozen_fixes(places, track.time_s, track.position_m, track.walked_m)
-    is_used = is_place & inside & ~is_frozen
+    repeated = tuple(repetitions(fixes, track.time_s, track.position_m, track.walked_m))
+    is_frozen, is_repeated = inside & (np.array([repeated]) == np.array([["frozen"], ["repeated"]]))
+    outside, inside = ~inside, inside & ~is_frozen & ~is_repeated
+    is_used = is_place & inside
     n_fixes, of_places = len(places) - len(observed.locations), is_used[is_place]
     positions, number = _at_contacts(compress(places[:n_fixes], of_places[:n_fixes]), steps)
     located = with_even_variances(list(compress(places[n_fixes:], of_places[n_fixes:])))
@@ -137,9 +138,10 @@ def usable(
     )
     n_given = len(observed.fixes)
     reasons = (
-        ("fix", ~inside[:n_given], "outside the recording"),
-        ("fix", (inside & is_frozen)[:n_given], "repeats the last position while steps continue"),
-        ("location", (inside & is_frozen)[n_given:], "repeats the last position while steps continue"),
+        ("fix", outside[:n_given], "outside the recording"),
+        ("fix", is_frozen[:n_given], "repeats the last position while steps continue"),
+        ("fix", is_repeated[:n_given], "repeats an earlier fix, which was delivered again"),
+        ("location", is_frozen[n_given:], "repeats the last position while steps continue"),
         ("loop closure", near, "the distance walked between its two times is within its uncertainty"),
     )
     notes = tuple(
@@ -148,7 +150,7 @@ def usable(
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
     columns = ([getattr(part, name) for part in (of_states, north)] for name in ObservedStates.__slots__)
     states = ObservedStates(*map(np.concatenate, columns))
-    return Used(used, states, len(north), tuple(other), device_rad, row.astype(np.int64), is_frozen, notes)
+    return Used(used, states, len(north), tuple(other), device_rad, row.astype(np.int64), repeated, notes)
 
 
 def _at_contacts(fixes: Iterable[PositionFix], steps: Increments) -> tuple[tuple[PositionFix, ...], IntArray]:

@@ -286,7 +286,7 @@ def test_correlated_fixes_with_crossed_ellipses_never_increase_the_covariance() 
     tracker, state = standing_pedestrian(8.0)
     covs = (np.diag([400.0, 9.0]), np.diag([9.0, 400.0]))
     for k in range(8):
-        fix = PositionFix(4.0 * k, np.zeros(2), covs[k % 2], correlation_s=30.0)
+        fix = PositionFix(4.0 * k, np.array([1e-3 * k, 0.0]), covs[k % 2], correlation_s=30.0)
         before = present_position(state.pedestrian)[1]
         state, outcome, nis = tracker.on_fix(state, fix)
         assert outcome == "used"
@@ -542,7 +542,7 @@ def test_an_accepted_fix_corrects_the_stored_position_at_the_time_of_a_later_old
     place = alone.position_m[k] + np.array([1.5, 0.0])
     cov = 0.01 * np.eye(2)
     first = PositionFix(float(alone.time_s[k]), place, cov, received_time_s=38.0)
-    again = PositionFix(float(alone.time_s[k]), place, cov, received_time_s=38.5)
+    again = PositionFix(float(alone.time_s[k]), place + 1e-6, cov, received_time_s=38.5)
     one, two = pdr.track(walk, fixes=[first, again]).fixes
     assert one.accepted and two.accepted
     assert two.nis < 0.2 * one.nis

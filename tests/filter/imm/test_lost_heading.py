@@ -12,6 +12,8 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import recipes
+from pdr_filter.filter.fixes.frame import START_FRAME
+from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, PositionFix
 from pdr_filter.values.recording import Recording, Samples
@@ -99,8 +101,10 @@ def test_a_smoothed_track_is_accurate_also_before_the_fixes_that_determine_the_r
     assert nees(walk, found.time_s, found.position_m, found.position_cov_m2).max() < chi2.isf(1e-3, 2)
 
 
-def test_a_reopened_rotation_does_not_depend_on_the_blocks_of_samples(walk: Recording) -> None:
-    config = recipes.default(walk.subject).in_world_frame()
+@pytest.mark.parametrize("is_in_world", [True, False])
+def test_a_reopened_rotation_does_not_depend_on_the_blocks_of_samples(walk: Recording, is_in_world: bool) -> None:
+    config = recipes.default(walk.subject)
+    config = config.in_world_frame() if is_in_world else config
     tracks = []
     for seed in (None, 1, 2):
         online = pdr.OnlineFilter(config)
@@ -162,3 +166,64 @@ def test_after_a_gyroscope_failure_behind_the_fixes_the_walk_stays_inside_the_el
         off = track.time_s > dies_s + 5.0
         squared = nees(whole, track.time_s[off], track.position_m[off], track.position_cov_m2[off])
         assert (squared < chi2.ppf(0.99, 2)).mean() > 0.97
+
+
+def turned_in_gap(end_s: float = 75.0) -> Recording:
+    """Return a walk without samples from 30 s on, during which it turns."""
+    return without(pdr.simulate.demo_walk(), lambda time_s: (time_s > 30.0) & (time_s < end_s))
+
+
+@pytest.mark.parametrize("weighting", ["imm", "hc"])
+def test_fixes_in_the_start_frame_rotate_the_track_after_a_lost_heading(weighting: str) -> None:
+    walk = turned_in_gap()
+    track = pdr.track(walk, recipes.default(walk.subject), weighting, fixes=fixes_of(walk))
+    assert track.frame == "start"
+    assert all(fix.outcome in ("used", "turned") for fix in track.fixes)
+    assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
+    assert np.linalg.norm(track.position_m[-1] - truth_m(walk, track.time_s[-1:])[0]) < 5.0
+
+
+def test_after_wrong_fixes_behind_a_lost_heading_right_ones_relocate_the_track_in_the_start_frame() -> None:
+    walk = simulate([Leg("walking", distance_m=70.0, turn_rad=turn) for turn in (0.0, 1.2, 2.2, 0.3)], seed=5)
+    walk = without(walk, lambda time_s: (time_s > 60.0) & (time_s < 100.0))
+    times = np.arange(3.0, walk.duration_s - 2.0, 3.0)
+    places = truth_m(walk, times)
+    is_wrong = (times > 100.0) & (times < 112.0)
+    places[is_wrong] = places[is_wrong][::-1]  # the way back, at the same places
+    fixes = [PositionFix(float(t), p, np.eye(2)) for t, p in zip(times, places, strict=True)]
+    track = pdr.track(walk, recipes.default(walk.subject), fixes=fixes)
+    assert np.linalg.norm(track.position_m[-1] - truth_m(walk, track.time_s[-1:])[0]) < 5.0
+
+
+def test_without_fixes_a_track_keeps_its_shape_after_a_lost_heading_and_may_point_anywhere() -> None:
+    walk = turned_in_gap()
+    track = pdr.track(walk)
+    after = track.time_s > 75.0
+    moved_m = np.linalg.norm(np.diff(track.position_m[after], axis=0), axis=1)
+    assert moved_m.sum() == pytest.approx(track.step_length_m[after][1:].sum(), rel=0.02)
+    way_m = np.linalg.norm(track.position_m[after] - track.position_m[after][0], axis=1)
+    var_m2 = 0.5 * np.trace(track.position_cov_m2[after], axis1=1, axis2=2)
+    assert (var_m2[-1] - var_m2[0]) ** 0.5 == pytest.approx(way_m[-1], rel=0.1)  # 2 d^2 for any direction
+    assert track.frame == "start"
+    assert any("the heading is uncertain" in note for note in track.notes)
+
+
+def test_ranges_within_a_gap_do_not_place_the_track_after_it() -> None:
+    walk, rng = turned_in_gap(), np.random.default_rng(0)
+    times = np.arange(5.0, 112.0, 2.0)
+    anchors = [np.array(anchor) for anchor in ((-10.0, 0.0), (40.0, 0.0), (40.0, 40.0), (-10.0, 40.0))]
+    ranges = [
+        pdr.RangeFix(float(t), anchor, float(np.linalg.norm(place - anchor) + rng.normal(0, 0.5)), 0.5)
+        for t, place in zip(times, truth_m(walk, times), strict=True)
+        for anchor in anchors
+    ]
+    track = pdr.track(walk, fixes=ranges)
+    assert "rejected" not in {fix.outcome for fix in track.fixes}
+    assert np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)[track.time_s > 75.0].max() < 3.0
+
+
+def test_magnetic_north_does_not_rotate_a_track_in_the_start_frame() -> None:
+    point = PairedPoint(np.zeros(2), np.zeros(2), 1.0)
+    lost = START_FRAME.reopened((point,), np.inf, n_steps=10)
+    assert lost.with_compass(Compass(1.0, 0.01)) is lost
+    assert (lost.name, lost.is_known) == ("start", False)

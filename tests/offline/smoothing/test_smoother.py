@@ -444,12 +444,16 @@ def test_bad_input_is_refused_with_a_message() -> None:
         waypoint_fixes(replace(WALKED, truth=Truth()))
 
 
-def test_repeated_fixes_and_a_fix_before_the_first_step_are_accepted() -> None:
+def test_repeated_fixes_change_nothing_and_a_fix_before_the_first_step_is_accepted() -> None:
     fixes = fixes_of(WALKED)
     early = PositionFix(0.0, np.zeros(2), np.eye(2))
-    result = smooth(WALKED, [early, *fixes, *fixes])
-    assert np.isfinite(result.track.position_cov_m2).all()
-    assert len(result.rejected) == 0
+    once, twice = smooth(WALKED, [early, *fixes]), smooth(WALKED, [early, *fixes, *fixes])
+    np.testing.assert_array_equal(twice.track.position_m, once.track.position_m)
+    np.testing.assert_array_equal(twice.track.position_cov_m2, once.track.position_cov_m2)
+    n = 1 + len(fixes)
+    assert [fix.outcome for fix in twice.track.fixes] == n * ["used"] + len(fixes) * ["repeated"]
+    (note,) = set(twice.notes) - set(once.notes)
+    assert "repeats an earlier fix" in note
 
 
 @pytest.mark.recordings
