@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from pdr_filter.walk_map.likeness import fingerprint_matrix, likelihood, log_rat
 # All numbers were chosen on storey F1 of `ms_indoor`.
 # Share of the probability that one place of a walk must have, and the radius of a place.
 SURE, _PLACE_M = 0.8, 12.0
+_SURE_ELSEWHERE = 0.999
 # Smallest scalar product of two fingerprints, without their small components, that makes their walks partners.
 _PARTNER_COSINE = 0.15
 # Smallest cosine of similar scans, and smallest number of scans of a walk that are similar to mapped scans. Fewer do
@@ -298,6 +299,42 @@ def grow(walks: ScannedWalks, group: PlacedGroup, free: set[int], pace: int) -> 
             del group.poses[i]
             n_refused[i] = n_refused.get(i, 0) + 1
         free.difference_update(group.poses)
+
+
+def doubtful_seeds(walks: ScannedWalks, group: PlacedGroup, seeds: Mapping[int, Pose], free: set[int]) -> set[int]:
+    """Return the new seeds of a group whose poses contradict the other seeds by the scans.
+
+    A seed is wrong if the map that grows from all other seeds has its place elsewhere, and if without it fewer of them
+    contradict each other. Of two seeds that contradict each other without a third one, both are doubtful.
+    """
+    doubtful = set[int]()
+    while wrong := _elsewhere(walks, group, seeds, doubtful, free):
+        left = {i: len(_elsewhere(walks, group, seeds, doubtful | {i}, free)) for i in wrong}
+        doubtful |= {i for i in wrong if left[i] == min(left.values())}
+    return doubtful
+
+
+def _elsewhere(
+    walks: ScannedWalks, group: PlacedGroup, seeds: Mapping[int, Pose], without: set[int], free: set[int]
+) -> list[int]:
+    """Return the seeds, but those in `without`, that the map grown from all others places elsewhere.
+
+    The walks of `free` around a seed, as far as the partners of its partners, are joined to this map.
+    """
+    found: list[int] = []
+    used = {i: pose for i, pose in seeds.items() if i not in without}
+    for i, pose in used.items():
+        near = walks.partners[i].union(*(walks.partners[j] for j in walks.partners[i]))
+        others = {j: other for j, other in used.items() if j != i}
+        trial = replace(group, poses={**group.poses, **others}, seeds={**group.seeds, **others})
+        grow(walks, trial, (free | without) & near - {i}, PACES[0])
+        place = locate(walks, trial, i)
+        if place is None or place.prob < _SURE_ELSEWHERE:
+            continue
+        here = pose.of(walks.own_m[walks.rows(i)]).mean(axis=0)
+        if place.pose.floor != pose.floor or float(np.hypot(*(place.centre_m - here))) > 2.0 * _PLACE_M:
+            found.append(i)
+    return found
 
 
 def settle(walks: ScannedWalks, group: PlacedGroup, kept: frozenset[int]) -> list[int]:
