@@ -22,8 +22,10 @@ from pdr_filter.walk_map.likeness import fingerprint_matrix, likelihood, log_rat
 
 # All numbers were chosen on storey F1 of `ms_indoor`.
 # Share of the probability that one place of a walk must have, and the radius of a place.
-SURE, _PLACE_M = 0.8, 12.0
-_SURE_ELSEWHERE = 0.999
+SURE, _PLACE_M = 0.98, 12.0
+# The same for the place of a walk whose known positions are wrong, and its smallest distance from these: two radii, so
+# that both places do not overlap.
+_SURE_ELSEWHERE, _ELSEWHERE_M = 0.999, 2.0 * _PLACE_M
 # Smallest scalar product of two fingerprints, without their small components, that makes their walks partners.
 _PARTNER_COSINE = 0.15
 # Smallest cosine of similar scans, and smallest number of scans of a walk that are similar to mapped scans. Fewer do
@@ -304,35 +306,44 @@ def grow(walks: ScannedWalks, group: PlacedGroup, free: set[int], pace: int) -> 
 def doubtful_seeds(walks: ScannedWalks, group: PlacedGroup, seeds: Mapping[int, Pose], free: set[int]) -> set[int]:
     """Return the new seeds of a group whose poses contradict the other seeds by the scans.
 
-    A seed is wrong if the map that grows from all other seeds has its place elsewhere, and if without it fewer of them
-    contradict each other. Of two seeds that contradict each other without a third one, both are doubtful.
+    They are those seeds without which the fewest others are contradicted: all candidates, if the scans do not tell
+    which one is wrong.
     """
-    doubtful = set[int]()
-    while wrong := _elsewhere(walks, group, seeds, doubtful, free):
-        left = {i: len(_elsewhere(walks, group, seeds, doubtful | {i}, free)) for i in wrong}
-        doubtful |= {i for i in wrong if left[i] == min(left.values())}
-    return doubtful
+    kept, wrong = dict(seeds), _contradicted(walks, group, seeds, seeds, free)
+    while wrong:
+        near = kept.keys() & {*wrong}.union(*(_around(walks, i) for i in wrong))
+        left: dict[int, list[int]] = {}
+        for i in near:
+            others = {j: pose for j, pose in kept.items() if j != i}
+            left[i] = _contradicted(walks, group, others, wrong, free | seeds.keys() - others.keys())
+        fewest = min(map(len, left.values()))
+        kept = {i: pose for i, pose in kept.items() if i not in left or len(left[i]) > fewest}
+        wrong = _contradicted(walks, group, kept, wrong, free | seeds.keys() - kept.keys())
+    return seeds.keys() - kept.keys()
 
 
-def _elsewhere(
-    walks: ScannedWalks, group: PlacedGroup, seeds: Mapping[int, Pose], without: set[int], free: set[int]
+def _around(walks: ScannedWalks, walk: int) -> set[int]:
+    """Return the partners of a walk and their partners, without the walk."""
+    return walks.partners[walk].union(*(walks.partners[j] for j in walks.partners[walk])) - {walk}
+
+
+def _contradicted(
+    walks: ScannedWalks, group: PlacedGroup, seeds: Mapping[int, Pose], some: Iterable[int], free: set[int]
 ) -> list[int]:
-    """Return the seeds, but those in `without`, that the map grown from all others places elsewhere.
+    """Return those of some seeds that the map grown from all other seeds has elsewhere.
 
-    The walks of `free` around a seed, as far as the partners of its partners, are joined to this map.
+    The walks of `free` around a seed are joined to this map first.
     """
     found: list[int] = []
-    used = {i: pose for i, pose in seeds.items() if i not in without}
-    for i, pose in used.items():
-        near = walks.partners[i].union(*(walks.partners[j] for j in walks.partners[i]))
-        others = {j: other for j, other in used.items() if j != i}
+    for i in seeds.keys() & set(some):
+        others = {j: pose for j, pose in seeds.items() if j != i}
         trial = replace(group, poses={**group.poses, **others}, seeds={**group.seeds, **others})
-        grow(walks, trial, (free | without) & near - {i}, PACES[0])
+        grow(walks, trial, free & _around(walks, i), PACES[0])
         place = locate(walks, trial, i)
         if place is None or place.prob < _SURE_ELSEWHERE:
             continue
-        here = pose.of(walks.own_m[walks.rows(i)]).mean(axis=0)
-        if place.pose.floor != pose.floor or float(np.hypot(*(place.centre_m - here))) > 2.0 * _PLACE_M:
+        here = seeds[i].of(walks.own_m[walks.rows(i)]).mean(axis=0)
+        if place.pose.floor != seeds[i].floor or float(np.hypot(*(place.centre_m - here))) > _ELSEWHERE_M:
             found.append(i)
     return found
 
