@@ -22,7 +22,7 @@ from pdr_filter.walk_map.likeness import fingerprint_matrix, likelihood, log_rat
 
 # All numbers were chosen on storey F1 of `ms_indoor`.
 # Share of the probability that one place of a walk must have, and the radius of a place.
-SURE, _PLACE_M = 0.98, 12.0
+SURE, _PLACE_M = 0.95, 12.0
 # The same for the place of a walk whose known positions are wrong, and its smallest distance from these: two radii, so
 # that both places do not overlap.
 _SURE_ELSEWHERE, _ELSEWHERE_M = 0.999, 2.0 * _PLACE_M
@@ -365,10 +365,27 @@ def settle(walks: ScannedWalks, group: PlacedGroup, kept: frozenset[int]) -> lis
     return removed
 
 
-def _is_confirmed(walks: ScannedWalks, group: PlacedGroup, walk: int) -> bool:
-    """True if all other walks of a group place a walk where it is: within `_PLACE_M` and on the same storey."""
+def drop_doubtful_storeys(walks: ScannedWalks, group: PlacedGroup, kept: frozenset[int]) -> list[int]:
+    """Remove the joined walks of each storey on which the others confirm none of the walks in `kept`.
+
+    The walks of a map that grew from a wrongly joined walk agree with each other, but seldom with the walks that define
+    the frame. The indices of the removed walks are returned.
+    """
+    storeys = {group.poses[i].floor for i in kept}
+    sure = {group.poses[i].floor for i in kept if _is_confirmed(walks, group, i, SURE)}
+    removed = [i for i in group.poses if i not in kept and group.poses[i].floor in storeys - sure]
+    for i in removed:
+        del group.poses[i]
+    return removed
+
+
+def _is_confirmed(walks: ScannedWalks, group: PlacedGroup, walk: int, prob: float | None = None) -> bool:
+    """True if all other walks of a group place a walk where it is: within `_PLACE_M` and on the same storey.
+
+    Their place must have the probability `prob`, or four fifths of `SURE` by default.
+    """
     again = locate(walks, group, walk)
-    if again is None or again.prob < 0.8 * SURE:
+    if again is None or again.prob < (0.8 * SURE if prob is None else prob):
         return False
     pose = group.poses[walk]
     here = pose.of(walks.own_m[walks.rows(walk)]).mean(axis=0)

@@ -32,6 +32,7 @@ from pdr_filter.walk_map.placing import (
     ScannedWalks,
     adjust,
     doubtful_seeds,
+    drop_doubtful_storeys,
     grow,
     log_evidence,
     settle,
@@ -749,23 +750,25 @@ def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: di
     well, and the more probable result counts.
     """
     kept = frozenset(group.poses)
-    tries: list[tuple[PlacedGroup, set[int], list[int]]] = []
+    tries: list[tuple[PlacedGroup, set[int], dict[int, str]]] = []
     for pace in PACES:
         grown, left = replace(group, poses=dict(group.poses)), set(free)
         if len(grown.poses) > 1:
             adjust(walks, grown, list(grown.poses))
         grow(walks, grown, left, pace)
-        removed = settle(walks, grown, kept)
+        why = "the other walks contradict its place: access points may have been moved"
+        removed = dict.fromkeys(settle(walks, grown, kept), why)
         adjust(walks, grown, list(grown.poses), n_iterations=25)
+        why = "the walks joined on its storey do not agree with the walk that defines the frame: more walks are needed"
+        removed |= dict.fromkeys(drop_doubtful_storeys(walks, grown, kept), why)
         tries.append((grown, left, removed))
-        is_small = 1 < len(grown.poses) <= MOST_TOGETHER
+        is_small = len(grown.poses) <= MOST_TOGETHER and (len(grown.poses) > 1 or removed)
         if not is_small or not any(walks.partners[i] & grown.poses.keys() for i in (*left, *removed)):
             break
     best, left, removed = max(tries, key=lambda of: log_evidence(walks, of[0])) if len(tries) > 1 else tries[0]
     group.poses, group.north_rad = best.poses, best.north_rad
     free.intersection_update(left)
-    for i in removed:
-        reasons[i] = "the other walks contradict its place: access points may have been moved"
+    reasons.update(removed)
 
 
 def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
