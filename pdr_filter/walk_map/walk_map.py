@@ -731,7 +731,7 @@ def _storeys_without_map(groups: Sequence[_JoinedGroup], heard: set[int]) -> lis
 
     `heard` has the indices of all walks with scans.
     """
-    left = heard - {i for g in groups for i in g.number}
+    left = heard - {i for g in groups if g.is_known for i in g.number}
     with_seeds = {g.poses[i].floor for g in groups if g.is_known for i in g.seeds}
     with_others = {g.poses[i].floor for g in groups if g.is_known for i in g.number if i not in g.seeds}
     return [
