@@ -173,7 +173,7 @@ def contradicting(chain: Chain, known: Sequence[Known], north: tuple[float, floa
         other=np.full(len(places), -1),
         ahead_m=ahead_m,
         position_m=np.array([f.position_m for f in places]).reshape(-1, 2),
-        whiten=np.array([np.linalg.inv(np.linalg.cholesky(f.cov_m2)) for f in places]).reshape(-1, 2, 2),
+        whiten=np.array([np.linalg.inv(np.linalg.cholesky(f.cov_m2)) for f in places], dtype=float).reshape(-1, 2, 2),
     )
     magnetic = chain.problem.states
     offsets = [f.walking_heading_rad - chain.device_rad_at(k) for f, k in zip(headings, turned_at, strict=True)]

@@ -20,8 +20,10 @@ from pdr_filter.values import FloatArray, IntArray
 from pdr_filter.walk_map.chains import Chain
 from pdr_filter.walk_map.likeness import fingerprint_matrix, likelihood, log_ratio
 
-# All numbers were chosen on storey F1 of `ms_indoor`.
-# Share of the probability that one place of a walk must have, and the radius of a place.
+# All numbers but the first one were chosen on storey F1 of `ms_indoor`.
+# Share of the probability that one place of a walk must have, and the radius of a place. With all others of up to
+# twelve walks at their true places, at most 5 % of the placed walks are wrong in the mean of the storeys from this
+# share on. Chosen on any four of the five storeys, it is 0.945 to 0.948.
 SURE, _PLACE_M = 0.95, 12.0
 # The same for the place of a walk whose known positions are wrong, and its smallest distance from these: two radii, so
 # that both places do not overlap.
