@@ -3,9 +3,9 @@
 usage: python -m tests.benchmarks.walk_map [storeys] [numbers] [calibration] [radio] [plan] [--data DIR]
 
 99 walks of `ms_indoor` with Wi-Fi on five storeys. All parameters were chosen on F1, but the probability from which a
-walk is joined: `calibration` chooses it on four storeys and tests it on the fifth one. The given walk of a storey is the
-one with the most partners, walks with a similar scan: this choice uses no waypoint. The map knows the city, and with it
-the declination, where a table says so.
+walk is joined: `calibration` chooses it on four storeys and tests it on the fifth one. The given walk of a storey is
+the one with the most partners, walks with a similar scan: this choice uses no waypoint. The map knows the city, and
+with it the declination, where a table says so.
 """
 
 from __future__ import annotations
@@ -251,8 +251,8 @@ def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 ABOUT_CALIBRATION = (
-    "Each walk among 1 to 12 others at their true places, drawn at random. Wrong: its centre is more than 15 m away. The "
-    "threshold is the smallest probability from which at most 5 % of the places are wrong, in the mean of the four "
+    "Each walk among 1 to 12 others at their true places, drawn at random. Wrong: its centre is more than 15 m away. "
+    "The threshold is the smallest probability from which at most 5 % of the places are wrong, in the mean of the four "
     "other storeys."
 )
 SIZES = (*[1] * 14, *[2] * 8, *[3] * 6, *[5] * 6, *[8] * 4, *[12] * 4)
