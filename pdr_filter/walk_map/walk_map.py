@@ -684,9 +684,7 @@ def _mapped(
         for i in set(states) - set(earlier) - set(group.seeds):
             if np.median(worst_std_m(states[i].joint_cov[:, :2, :2])) <= _MOST_STD_M:
                 continue
-            reasons[i] = (
-                f"its place is uncertain by more than {_ACCURATE_M:.0f} m: walk longer, or through mapped places"
-            )
+            reasons[i] = f"its place may be wrong by {_ACCURATE_M:.0f} m: walk longer, or through mapped places"
             del states[i], group.poses[i]
         number = tuple(sorted(states))
         pose, state = tuple(group.poses[i] for i in number), tuple(states[i] for i in number)
