@@ -494,6 +494,24 @@ def bound_heading_variance(cov: FloatArray) -> FloatArray:
     return bounded
 
 
+def bounded_position_cov(cov_m2: FloatArray, reach_m: FloatArray | float) -> FloatArray:
+    """Return covariances (..., 2, 2) in m2 with a standard deviation of at most `reach_m` (...) along each axis.
+
+    A pedestrian is not farther from the last known position than the way walked. The linear covariance is larger if the
+    heading is unknown: the variance v of an angle gives the error v^(1/2) across a way of length one, and the true
+    error is E[sin^2]^(1/2) = ((1 - exp(-2 v)) / 2)^(1/2), which is below 0.71. If the heading changes all the time
+    without being measured, the pedestrian stays near the last known position, at the distance of the way from the
+    estimate.
+    """
+    exceeds = np.trace(cov_m2, axis1=-2, axis2=-1) > np.square(reach_m)
+    if not exceeds.any():
+        return cov_m2
+    var_m2, axes = np.linalg.eigh(cov_m2)
+    var_m2 = np.minimum(var_m2, np.square(reach_m)[..., None])
+    bounded = (axes * var_m2[..., None, :]) @ axes.swapaxes(-1, -2)
+    return np.where(exceeds[..., None, None], 0.5 * (bounded + bounded.swapaxes(-1, -2)), cov_m2)
+
+
 def second_order_errors(heading_var_rad2: float, log_scale_var: float) -> tuple[float, float]:
     """Return the root mean square errors along and across a step of length one that the linear covariance neglects.
 

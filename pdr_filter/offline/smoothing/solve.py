@@ -12,7 +12,7 @@ from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, 
 from pdr_filter.offline.robust_loss import GNC_FACTOR, truncated_start, truncated_weights
 from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminated, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS
-from pdr_filter.offline.smoothing.preintegration import TURN, end_states, scaled_rotation, state_transform
+from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, state_transform
 from pdr_filter.offline.smoothing.problem import (
     MIN_HEADING_LENGTH_M,
     ObservedDirections,
@@ -325,7 +325,7 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
 
     n = problem.n_nodes - 1
     start, end = mean[:n, :N_STATES], mean[1 : n + 1, :N_STATES]
-    ahead, F = end_states(start, problem.intervals.total_m)
+    ahead, F = problem.intervals.ends_from(start)
     whiten = problem.intervals.whiten @ np.linalg.inv(state_transform(start))
     residual = np.einsum("nab,nb->na", whiten, end - ahead)
     rows.append(Rows(np.arange(n), -whiten @ F, -residual, np.arange(1, n + 1), whiten))
