@@ -28,9 +28,10 @@ _OF_POSITION = np.eye(2, N_STATES)
 _MIN_ANCHORS_APART = 30
 # Assumed standard deviation of the first estimate of a measurement's position, and the factor on the gate there.
 _GUESS_STD_M, _ROUGH_LIMIT = 2.0, 4.0
-# A solution has converged if its last step changed no state (m, rad, log scale) by more than this. In the slowest cases
-# each change is 0.9 times the one before, so that the remaining changes sum to ten times the last one: 1 cm.
-_CONVERGED = 1e-3
+# The iteration ends if a step changes no state (m, rad, log scale) by more than the first value. It has converged if its
+# last step changed none by more than the second one. In the slowest cases each change is 0.9 times the one before, so
+# that the remaining changes sum to ten times the last one: 1 cm.
+_SMALLEST_CHANGE, _CONVERGED = 1e-7, 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +206,7 @@ def _gauss_newton(
         share *= 1.0 if iteration < 20 else 0.5
         mean, frame_rad = mean + share * change, frame_rad + share * turn
         largest = share * float(np.abs(change).max())
-        if largest < 1e-9 * (1 + float(np.abs(mean).max())):
+        if largest < _SMALLEST_CHANGE:
             break
     return mean, frame_rad, largest < _CONVERGED
 
