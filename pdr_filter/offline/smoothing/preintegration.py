@@ -103,15 +103,19 @@ class Increments:
 def increments(
     steps: Table, mode_prob: FloatArray, model: PedestrianModel, gap_before_s: FloatArray, *, is_weighted: bool = False
 ) -> tuple[Increments, FloatArray]:
-    """Return the increments of detected steps, and their errors (K, M, 2) in m due to the step-length parameters.
+    """Return the increments of detected steps, and their errors (K, M + 1, 2) in m due to consider parameters.
 
     The displacement of a step is the mean over the M modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the
     mixture. For mode m, mu_m is the probability, L_m the step length and o_m the heading offset. psi is the device
     heading, and u the unit vector of a heading. If `is_weighted` is True, the step has the weighted length and the
     direction of the single filter of `WeightedTracker` instead. Lengths, directions, drift and decay are those of the
-    filter. All steps share the error of the fitted parameters, which the smoother does not estimate. The second result
-    is therefore the error for one standard deviation of the parameters of each mode. `mode_prob` is (K, M), and
-    `gap_before_s` (K,) is the time without samples before each step.
+    filter. `mode_prob` is (K, M), and `gap_before_s` (K,) is the time without samples before each step.
+
+    Consider parameters have the same error in all steps, and the smoother does not estimate them. The second result is
+    the error of each step for one standard deviation of each. The first M are the length parameters of the modes. The
+    last one is the person's scale in steps whose heading is not measured. Such steps may lead anywhere, so that fixes
+    closer together than the steps do not contradict their lengths, and fixes farther apart do. An estimate of the scale
+    would therefore grow with the errors of the fixes.
     """
     n, noise, each = len(steps), model.noise, steps_of(steps)
     lengths, directions = [model.lengths(step) for step in each], [model.directions] * n
@@ -149,6 +153,8 @@ def increments(
         np.asarray(steps.yaw_bias_std_radps),
         (prob * way.drift_rad2_per_s).sum(axis=1),
     )
+    # a heading that diffuses by the variance V during a step gives the mean direction of the step the variance V / 3
+    cov += (unknown_var / 3.0 * (displacement**2).sum(axis=1))[:, None, None] * np.eye(2)
     change_std_rad = np.asarray(steps.offset_change_std_rad)
     change_std_rad = np.where(change_std_rad < _MIN_CHANGE_STD_RAD, 0.0, change_std_rad)
     jump_var = change_std_rad**2 + noise.heading_drift.unmeasured_rad2(gap_before_s)
@@ -165,7 +171,8 @@ def increments(
         jump_var_rad2=np.minimum(jump_var, MAX_HEADING_VARIANCE),
         gap_var_m2=noise.gap_var_m2(gap_before_s),
     )
-    return walking, parameter_std_m[..., None] * along
+    scale_error_m = noise.log_scale_std * np.where(unknown_var[:, None] > 0, displacement, 0.0)
+    return walking, np.concatenate([parameter_std_m[..., None] * along, scale_error_m[:, None]], axis=1)
 
 
 def _elapsed_s(steps: Table, gap_before_s: FloatArray) -> FloatArray:
@@ -195,6 +202,8 @@ class Intervals:
         Displacement of each step.
     decay : array (K,)
         Log scale at each step, relative to that at the start of the interval.
+    is_measured : array (K,) of bool
+        False for steps without a measured heading, from which the scale is not estimated (`increments`).
     sum_m : array (K, 2)
         D from the start of the interval to the contact of each step, without the decay of the scale.
     cov : array (K, 4, 4)
@@ -216,6 +225,7 @@ class Intervals:
     index: IntArray
     step_m: FloatArray
     decay: FloatArray
+    is_measured: BoolArray
     sum_m: FloatArray
     cov: FloatArray
     to_end: FloatArray
@@ -231,7 +241,7 @@ class Intervals:
         """Return the states (K, 4) at all contacts from those at the starts (n, 4), and their derivatives (K, 4, 4).
 
         Step j of an interval has the displacement e^(c_j s) R(theta) d_j, with heading offset theta and log scale s at
-        the start, and the decay c_j of the log scale.
+        the start, and the decay c_j of the log scale. The derivative by s is zero for steps without a measured heading.
         """
         first, state = self.nodes[:-1][self.index], start[self.index]
         scaled_m = np.exp(self.decay * state[:, LOG_SCALE])[:, None] * self.step_m
@@ -239,7 +249,8 @@ class Intervals:
         moved = np.einsum("kab,kb->ka", rotation, _since(scaled_m, first))
         F = np.broadcast_to(np.eye(N_STATES), (len(state), N_STATES, N_STATES)).copy()
         F[:, _POSITION, HEADING_OFFSET] = moved @ TURN.T
-        F[:, _POSITION, LOG_SCALE] = np.einsum("kab,kb->ka", rotation, _since(self.decay[:, None] * scaled_m, first))
+        by_scale = _since((self.decay * self.is_measured)[:, None] * scaled_m, first)
+        F[:, _POSITION, LOG_SCALE] = np.einsum("kab,kb->ka", rotation, by_scale)
         after = np.append(self.decay[1:], 0.0)
         last = self.nodes[1:] - 1
         after[last] = self.total_decay
@@ -280,7 +291,9 @@ def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     noise[:, LOG_SCALE, LOG_SCALE] = np.maximum(steps.scale_drift_var, MIN_STATE_VAR)
     drift_var = np.where(np.arange(n) == first, MIN_STATE_VAR, np.maximum(steps.drift_var_rad2, MIN_STATE_VAR))
     F = np.broadcast_to(np.eye(N_STATES), (n, N_STATES, N_STATES)).copy()
-    F[:, _POSITION, HEADING_OFFSET], F[:, _POSITION, LOG_SCALE] = steps.displacement_m @ TURN.T, steps.displacement_m
+    is_measured = steps.unknown_var_rad2 == 0
+    F[:, _POSITION, HEADING_OFFSET] = steps.displacement_m @ TURN.T
+    F[:, _POSITION, LOG_SCALE] = is_measured[:, None] * steps.displacement_m
     F[:, LOG_SCALE, LOG_SCALE] = steps.scale_memory
     decay, Q, to_end = np.ones(n), np.zeros_like(F), np.broadcast_to(np.eye(N_STATES), F.shape).copy()
     ranks = [nodes[:-1][count > j] + j for j in range(count.max())]  # the steps with number j of all intervals
@@ -304,6 +317,7 @@ def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
         index=index,
         step_m=steps.displacement_m,
         decay=decay,
+        is_measured=is_measured,
         sum_m=D,
         cov=Q,
         to_end=to_end,

@@ -525,7 +525,7 @@ def _smooth_track(
 
 
 class _Posed(NamedTuple):
-    """Increments of the steps, their errors (K, M, 2) by length parameters, used observations, and the problem."""
+    """Increments of the steps, their errors (K, C, 2) by consider parameters, used observations, and the problem."""
 
     steps: Increments
     parameter_error_m: FloatArray
@@ -659,11 +659,11 @@ def _smoothed(track: Track, posed: _Posed, found: Solution, observed: Observatio
 
 
 def _consider_errors_m(moved: FloatArray, cov: FloatArray, parameter_error_m: FloatArray) -> FloatArray:
-    """Return the error (K, 2 + M, 2) in m of each step for one standard deviation of each consider parameter.
+    """Return the error (K, 2 + C, 2) in m of each step for one standard deviation of each consider parameter.
 
     The parameters are those of the filter (`Estimates.consider_cov_m2`): the second-order errors along and across the
-    steps, and the length parameters of each of the M modes, with the errors `parameter_error_m` (K, M, 2). `moved` (K,
-    2) are the displacements of the steps and `cov` (K, 4, 4) the covariances of the states.
+    steps, and the C parameters of `increments` with the errors `parameter_error_m` (K, C, 2). `moved` (K, 2) are the
+    displacements of the steps and `cov` (K, 4, 4) the covariances of the states.
     """
     variances = np.diagonal(cov, axis1=1, axis2=2)[:, HEADING_OFFSET:]
     along, across = np.array([second_order_errors(*each) for each in variances.tolist()]).reshape(-1, 2).T

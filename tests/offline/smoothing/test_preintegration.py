@@ -116,12 +116,15 @@ def test_an_increment_is_the_step_of_the_filter(duration_s: float, is_weighted: 
     of_filter = advance(np.zeros((1, 4)), np.zeros((1, 4, 4)), step, length_m, own_var_m2, model.directions, noise)
     np.testing.assert_allclose(found.length_m, length_m)
     np.testing.assert_allclose(found.displacement_m[0], of_filter.mean[0, :2])
-    np.testing.assert_allclose(found.cov_m2[0], of_filter.cov[0, :2, :2])
+    # the heading diffuses within a step of unmeasured heading
+    inside_m2 = 0.2 / 3 * length_m[0] ** 2 * np.eye(2)
+    np.testing.assert_allclose(found.cov_m2[0], of_filter.cov[0, :2, :2] + inside_m2)
     np.testing.assert_allclose(found.drift_var_rad2[0] + found.unknown_var_rad2[0], drift_cov[0, 2, 2])
     np.testing.assert_allclose(found.unknown_var_rad2[0], 0.2)
     np.testing.assert_allclose(found.scale_memory[0], of_filter.by_state[0, 3, 3])
     np.testing.assert_allclose(found.scale_drift_var[0], of_filter.cov[0, 3, 3])
     np.testing.assert_allclose(shared[0, 0], parameter_std_m[0] * of_filter.motion.along[0])
+    np.testing.assert_allclose(shared[0, 1], noise.log_scale_std * of_filter.mean[0, :2])
 
 
 def test_with_weights_the_increment_has_the_length_and_the_direction_of_the_weighted_tracker() -> None:
