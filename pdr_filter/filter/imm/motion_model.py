@@ -503,13 +503,25 @@ def bounded_position_cov(cov_m2: FloatArray, reach_m: FloatArray | float) -> Flo
     without being measured, the pedestrian stays near the last known position, at the distance of the way from the
     estimate.
     """
-    exceeds = np.trace(cov_m2, axis1=-2, axis2=-1) > np.square(reach_m)
+    exceeds = cov_m2[..., 0, 0] + cov_m2[..., 1, 1] > np.square(reach_m)
     if not exceeds.any():
         return cov_m2
     var_m2, axes = np.linalg.eigh(cov_m2)
     var_m2 = np.minimum(var_m2, np.square(reach_m)[..., None])
     bounded = (axes * var_m2[..., None, :]) @ axes.swapaxes(-1, -2)
     return np.where(exceeds[..., None, None], 0.5 * (bounded + bounded.swapaxes(-1, -2)), cov_m2)
+
+
+def reach_m(way_m: FloatArray, std_m: FloatArray) -> FloatArray:
+    """Return the largest possible standard deviations (N,) in m of positions that are one walk apart.
+
+    `way_m` (N,) is the way walked until each position, and `std_m` (N,) are standard deviations of the positions. The
+    result is the smallest std_m + |difference of way_m| over all positions: from one position to another, the error
+    grows by at most the way between both.
+    """
+    since = way_m + np.minimum.accumulate(std_m - way_m)
+    until = np.minimum.accumulate((std_m + way_m)[::-1])[::-1] - way_m
+    return np.minimum(since, until)
 
 
 def second_order_errors(heading_var_rad2: float, log_scale_var: float) -> tuple[float, float]:

@@ -22,6 +22,7 @@ from pdr_filter.filter.imm.motion_model import (
     NORTH,
     Directions,
     MotionNoise,
+    bounded_position_cov,
     expect_first_direction,
     grow_over_gap,
     initial_estimate,
@@ -34,8 +35,11 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.step_history import StepHistory, Walked
 from pdr_filter.filter.imm.walking_speed import WalkingSpeed
 from pdr_filter.values import (
+    Fix,
     FloatArray,
     OnPlan,
+    PositionFix,
+    RangeFix,
     Step,
     as_plain,
     frozen,
@@ -43,9 +47,10 @@ from pdr_filter.values import (
     replace_unchecked,
     wrap_angle,
 )
+from pdr_filter.values.uncertainty import worst_std_m
 
 # Time between two steps from which there is a pause between them.
-_PAUSE_S = 2.0
+PAUSE_S = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +205,8 @@ class PedestrianState:
         Present estimate of the positions of all steps.
     rival : Rival or None
         Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
+    reach_m : float
+        Largest possible standard deviation of the position in m: that after the last used fix plus the way since then.
     """
 
     estimates: Estimates
@@ -209,6 +216,7 @@ class PedestrianState:
     fixes: FixHistory = field(default_factory=FixHistory)
     path: PastPath = field(default_factory=PastPath)
     rival: Rival | None = None
+    reach_m: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,6 +289,7 @@ def with_step(
         frame=_with_compass(state.frame, step, float(x[HEADING_OFFSET])),
         steps=state.steps.plus(step, walked, x, P),
         path=state.path.with_event(event),
+        reach_m=state.reach_m + walked.length_m,
     )
 
 
@@ -321,7 +330,16 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
         steps=state.steps.after_gap(gap_s),
         fixes=state.fixes.after_gap(),
         path=state.path.predicted(P, estimates.combined[1]),
+        reach_m=state.reach_m + math.sqrt(noise.gap_var_m2(gap_s)),
     )
+
+
+def with_reach_after_fix(state: PedestrianState, fix: Fix) -> PedestrianState:
+    """Return the state after a used fix, with the standard deviation that a fix of the position has given it."""
+    if not isinstance(fix, PositionFix | RangeFix):
+        return state
+    P = state.estimates.combined[1]
+    return replace_unchecked(state, reach_m=float(worst_std_m(position_cov(P, state.estimates.consider_cov_m2))))
 
 
 # The square of 50 degrees. Above it the rotation to the fixes is estimated again; below it the walking directions
@@ -417,7 +435,7 @@ def step_update(
     speed, n_steps = updated.steps.speed, previous.steps.n_final
     if speed is None:
         raise ValueError("the state after a step must have a walking speed: use the state that with_step returns")
-    cov_m2 = position_cov(P, updated.estimates.consider_cov_m2)
+    cov_m2 = bounded_position_cov(position_cov(P, updated.estimates.consider_cov_m2), updated.reach_m)
     of_start = Place(frozen(x[:2].copy()), cov_m2, walked.heading_rad, n_steps)
     place = of_start if updated.frame.is_joined else updated.frame.world(of_start)
     return StepUpdate(
@@ -454,7 +472,7 @@ def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, leng
     The move leads from the combined position before a step to that after it. The move is longer than the step if the
     step corrected the heading, which rotates earlier steps. The result is 0 across a pause or a change of the frame.
     """
-    is_pause = not updated.steps.last_s - previous.steps.last_s < _PAUSE_S
+    is_pause = not updated.steps.last_s - previous.steps.last_s < PAUSE_S
     if (
         is_pause
         or previous.frame.alignment is not updated.frame.alignment
@@ -469,4 +487,5 @@ def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, leng
 def track_place(state: PedestrianState) -> Place:
     """Return the present position and its covariance in the frame of the filter states. The heading is set to 0."""
     x, P = state.estimates.combined
-    return Place(x[[EAST, NORTH]], position_cov(P, state.estimates.consider_cov_m2), 0.0, state.steps.n_final)
+    cov_m2 = bounded_position_cov(position_cov(P, state.estimates.consider_cov_m2), state.reach_m)
+    return Place(x[[EAST, NORTH]], cov_m2, 0.0, state.steps.n_final)

@@ -24,6 +24,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     over_gap,
     step_update,
     with_heading,
+    with_reach_after_fix,
     with_reopened_rotation,
     with_step,
 )
@@ -228,6 +229,8 @@ class WeightedTracker:
             Normalised innovation squared of the fix, or NaN if it was not compared with the track.
         """
         pedestrian, outcome, nis = use_fix(self.model, NumpyImm(), state.pedestrian, np.zeros(1), fix)
+        if pedestrian.estimates is not state.pedestrian.estimates:
+            pedestrian = with_reach_after_fix(pedestrian, fix)
         return replace_unchecked(state, pedestrian=pedestrian), outcome, nis
 
     def finish(self, state: WeightedState) -> tuple[WeightedState, tuple[StepUpdate, ...]]:

@@ -25,6 +25,7 @@ from pdr_filter.filter.imm.motion_model import (
     MAX_HEADING_VARIANCE,
     MotionNoise,
     bounded_position_cov,
+    reach_m,
     second_order_errors,
 )
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
@@ -620,9 +621,9 @@ def _smoothed(track: Track, posed: _Posed, found: Solution, observed: Observatio
     anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
     error_m = _consider_errors_m(own, cov, np.einsum("kab,kmb->kma", rotation, parameter_error_m))
     position_cov = cov[:, :2, :2] + _since_fix_cov_m2(error_m, anchored)
-    start_std_m, position_std_m = worst_std_m(found.joint_cov[0, :2, :2]), worst_std_m(position_cov)
-    reach_m = _reach_m(length, steps.gap_var_m2, np.append(start_std_m, position_std_m), anchored)
-    position_cov = bounded_position_cov(position_cov, reach_m)
+    way_m = np.cumsum(np.append(0.0, length + np.sqrt(steps.gap_var_m2)))
+    std_m = np.append(worst_std_m(found.joint_cov[0, :2, :2]), worst_std_m(position_cov))
+    position_cov = bounded_position_cov(position_cov, reach_m(way_m, std_m)[1:])
     observations = observation_table(observed, used.row, found)
     scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
     start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
@@ -685,19 +686,3 @@ def _since_fix_cov_m2(error_m: FloatArray, anchored: IntArray) -> FloatArray:
     nearer = (ahead**2).sum(axis=-1) < (back**2).sum(axis=-1)
     nearest = np.where(nearer[..., None], ahead, back)
     return np.einsum("kca,kcb->kab", nearest, nearest)
-
-
-def _reach_m(length_m: FloatArray, gap_var_m2: FloatArray, std_m: FloatArray, anchored: IntArray) -> FloatArray:
-    """Return the largest possible standard deviation (K,) in m of each position after a step of length (K,).
-
-    It is that at the nearest used fix plus the way walked between both. `std_m` (K + 1,) are the standard deviations of
-    the start and of all positions, and `anchored` the numbers of steps before the fixes. Without any, the start is
-    known. The way across a gap is its standard deviation.
-    """
-    fixed = anchored if len(anchored) else np.zeros(1, dtype=np.int64)
-    way_m = np.concatenate([[0.0], np.cumsum(length_m + np.sqrt(gap_var_m2))])
-    known_m = np.full(len(way_m), np.inf)
-    known_m[fixed] = std_m[fixed]
-    since = way_m + np.minimum.accumulate(known_m - way_m)
-    until = np.minimum.accumulate((known_m + way_m)[::-1])[::-1] - way_m
-    return np.minimum(since, until)[1:]
