@@ -19,7 +19,7 @@ from pdr_filter.values import PositionFix
 def smooth_every_step(
     steps: Increments, start_mean: np.ndarray, start_cov: np.ndarray, fixes: Sequence[tuple[int, PositionFix]]
 ) -> np.ndarray:
-    """Return the states (K + 1, 4) before the first and after each step, given fixes and the numbers of steps before."""
+    """Return the states (K + 1, 4) before the first and after each step, given fixes after numbers of steps."""
     n = len(steps)
     whiten_start = np.linalg.inv(np.linalg.cholesky(start_cov))
     whiten_steps = np.linalg.inv(np.linalg.cholesky(steps.cov_m2))

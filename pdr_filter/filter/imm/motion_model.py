@@ -503,11 +503,12 @@ def bounded_position_cov(cov_m2: FloatArray, reach_m: FloatArray | float) -> Flo
     without being measured, the pedestrian stays near the last known position, at the distance of the way from the
     estimate.
     """
-    exceeds = cov_m2[..., 0, 0] + cov_m2[..., 1, 1] > np.square(reach_m)
+    most_m2 = (1.0 - 1e-9) * np.square(reach_m)  # below the limit after rounding
+    exceeds = cov_m2[..., 0, 0] + cov_m2[..., 1, 1] > most_m2
     if not exceeds.any():
         return cov_m2
     var_m2, axes = np.linalg.eigh(cov_m2)
-    var_m2 = np.minimum(var_m2, np.square(reach_m)[..., None])
+    var_m2 = np.minimum(var_m2, np.asarray(most_m2)[..., None])
     bounded = (axes * var_m2[..., None, :]) @ axes.swapaxes(-1, -2)
     return np.where(exceeds[..., None, None], 0.5 * (bounded + bounded.swapaxes(-1, -2)), cov_m2)
 

@@ -205,8 +205,9 @@ class PedestrianState:
         Present estimate of the positions of all steps.
     rival : Rival or None
         Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
-    reach_m : float
-        Largest possible standard deviation of the position in m: that after the last used fix plus the way since then.
+    std_at_start_m : float
+        Standard deviation of the position after the last used position fix, minus the distance walked until then, in m.
+        A gap adds its standard deviation.
     """
 
     estimates: Estimates
@@ -216,7 +217,15 @@ class PedestrianState:
     fixes: FixHistory = field(default_factory=FixHistory)
     path: PastPath = field(default_factory=PastPath)
     rival: Rival | None = None
-    reach_m: float = 0.0
+    std_at_start_m: float = 0.0
+
+    @property
+    def reach_m(self) -> float:
+        """Largest possible standard deviation of the position in m (`motion_model.reach_m`).
+
+        It is the standard deviation after the last used position fix plus the way walked since then.
+        """
+        return max(self.std_at_start_m + self.estimates.distance_m, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,7 +298,6 @@ def with_step(
         frame=_with_compass(state.frame, step, float(x[HEADING_OFFSET])),
         steps=state.steps.plus(step, walked, x, P),
         path=state.path.with_event(event),
-        reach_m=state.reach_m + walked.length_m,
     )
 
 
@@ -330,7 +338,7 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
         steps=state.steps.after_gap(gap_s),
         fixes=state.fixes.after_gap(),
         path=state.path.predicted(P, estimates.combined[1]),
-        reach_m=state.reach_m + math.sqrt(noise.gap_var_m2(gap_s)),
+        std_at_start_m=state.std_at_start_m + math.sqrt(noise.gap_var_m2(gap_s)),
     )
 
 
@@ -338,8 +346,9 @@ def with_reach_after_fix(state: PedestrianState, fix: Fix) -> PedestrianState:
     """Return the state after a used fix, with the standard deviation that a fix of the position has given it."""
     if not isinstance(fix, PositionFix | RangeFix):
         return state
-    P = state.estimates.combined[1]
-    return replace_unchecked(state, reach_m=float(worst_std_m(position_cov(P, state.estimates.consider_cov_m2))))
+    estimates = state.estimates
+    std_m = float(worst_std_m(position_cov(estimates.combined[1], estimates.consider_cov_m2)))
+    return replace_unchecked(state, std_at_start_m=std_m - estimates.distance_m)
 
 
 # The square of 50 degrees. Above it the rotation to the fixes is estimated again; below it the walking directions

@@ -622,7 +622,8 @@ def _smoothed(track: Track, posed: _Posed, found: Solution, observed: Observatio
     error_m = _consider_errors_m(own, cov, np.einsum("kab,kmb->kma", rotation, parameter_error_m))
     position_cov = cov[:, :2, :2] + _since_fix_cov_m2(error_m, anchored)
     way_m = np.cumsum(np.append(0.0, length + np.sqrt(steps.gap_var_m2)))
-    std_m = np.append(worst_std_m(found.joint_cov[0, :2, :2]), worst_std_m(position_cov))
+    start_std_m = worst_std_m(found.joint_cov[0, :2, :2]) if used.has_places else 0.0
+    std_m = np.append(start_std_m, worst_std_m(position_cov))
     position_cov = bounded_position_cov(position_cov, reach_m(way_m, std_m)[1:])
     observations = observation_table(observed, used.row, found)
     scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
