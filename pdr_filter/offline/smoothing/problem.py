@@ -423,7 +423,7 @@ def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) ->
     before each change of the heading offset and each gap. More anchors in between keep the time between anchors at
     about `interval_s` or less.
     """
-    changed = np.flatnonzero((steps.jump_var_rad2 > 0) | (steps.gap_var_m2 > 0))
+    changed = np.flatnonzero(steps.is_turned)
     needed = np.unique(np.concatenate([[0, len(steps)], changed, np.asarray(wanted, dtype=np.int64)]).astype(np.int64))
     nodes: list[int] = [0]
     for a, b in pairwise(needed.tolist()):
@@ -452,7 +452,7 @@ def nearest_contact(steps: Increments, time_s: float) -> _Contact:
     if done <= 0.5:
         return k, done * steps.displacement_m[k], done**2 * step_var + gap_var
     left, after = 1.0 - done, k + 1
-    if after < len(steps) and (steps.jump_var_rad2[after] > 0 or steps.gap_var_m2[after] > 0):
+    if after < len(steps) and steps.is_turned[after]:
         # the anchor there is after the change and has no information on the heading of this step
         moved_var = left**2 * float(steps.displacement_m[k] @ steps.displacement_m[k])
         return after, np.zeros(2), moved_var + float(steps.gap_var_m2[after])
