@@ -23,6 +23,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import os
 import numpy as np
 
 from pdr_filter.filter.fixes.gnss import MAX_SHRINKAGE, SHRINKAGE_STD
@@ -33,6 +34,9 @@ _CONSTANT, _VARYING, _SHRUNK, _LATE = slice(0, 2), slice(2, 4), 4, 5
 N_ERRORS = 6
 # Share of the variance of a location that is constant for a walk (of up to an hour), and share of its independent
 # noise.
+_LONG_WAY = float(os.environ.get("LW", "10"))
+_MIN_SIZE = 0.87
+Complex = np.ndarray
 _CONSTANT_SHARE, _CONSTANT_S, _OWN_SHARE = 0.2, 3600.0, 0.1
 # The shrinkage (`SHRINKAGE_STD`) is towards the mean of the locations within two minutes. It is limited
 # (`MAX_SHRINKAGE`), because outdoors the path of two minutes is long. Shrinkage and delay change within half a minute.
@@ -85,7 +89,9 @@ def independent_share(fix: PositionFix, is_location: bool) -> float:
     return 1.0 if fix.correlation_s == 0 else _OWN_SHARE if is_location else INDEPENDENT_SHARE
 
 
-def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArray) -> Errors:
+def errors_of(
+    fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArray, reckoned_m: FloatArray
+) -> Errors:
     """Return the error states of the E correlated fixes among F fixes in order of time.
 
     The error of a phone's location has all four parts: constant, varying, shrinkage and delay (see `Errors`). The error
@@ -104,20 +110,52 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
     by[:, :, _VARYING] = np.sqrt(varying)[:, None, None] * root
     by[:, :, _CONSTANT] = np.where(located, np.sqrt(_CONSTANT_SHARE), 0.0)[:, None, None] * root
     std_m = np.sqrt([f.var_m2 for f in chosen])
-    shrunk_m = _limited(SHRINKAGE_STD * _from_local_mean(time_s, place_m), MAX_SHRINKAGE * std_m)
+    shrunk_m = _shrinkage_m(time_s, place_m, reckoned_m[position], std_m)
     by[:, :, _SHRUNK] = np.where(located[:, None], -shrunk_m, 0.0)
     by[:, :, _LATE] = -_LATE_STD_S * located[:, None] * _velocity_mps(time_s, place_m)
     memory_s = np.full((len(chosen) - 1, N_ERRORS), _CONSTANT_S)
     memory_s[:, _VARYING] = np.array([f.correlation_s for f in chosen[1:]])[:, None]
-    memory_s[:, [_SHRUNK, _LATE]] = _FILTERED_S
+    memory_s[:, _LATE] = _FILTERED_S
     return Errors(position, node[position], by, np.exp(-np.diff(time_s)[:, None] / memory_s))
 
 
-def _from_local_mean(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
-    """Return each position (E, 2) minus the mean of all positions in [t - d, t + d), with d = `_SHRUNK_WITHIN_S`."""
-    first, end = (np.searchsorted(time_s, time_s + d) for d in (-_SHRUNK_WITHIN_S, _SHRUNK_WITHIN_S))
-    total = np.concatenate([np.zeros((1, 2)), np.cumsum(place_m - place_m[0], axis=0)])
-    return place_m - place_m[0] - (total[end] - total[first]) / (end - first)[:, None]
+def _shrinkage_m(time_s: FloatArray, place_m: FloatArray, reckoned_m: FloatArray, std_m: FloatArray) -> FloatArray:
+    """Return the standard deviation of the shrinkage of each location, as a vector (E, 2) from the local mean.
+
+    It is the dead-reckoned position relative to the mean of all positions in [t - d, t + d), with d =
+    `_SHRUNK_WITHIN_S`, rotated into the frame of the locations. The vector is limited where the extent of these
+    locations is known (`_is_extent_known`).
+    """
+    place, reckoned = place_m @ [1, 1j], reckoned_m @ [1, 1j]
+    shrunk = np.zeros(len(time_s), dtype=complex)
+    first, end = (np.searchsorted(time_s, time_s + d).tolist() for d in (-_SHRUNK_WITHIN_S, _SHRUNK_WITHIN_S))
+    for k, (i, j) in enumerate(zip(first, end, strict=True)):
+        similarity, centre, error_m = _similarity(reckoned[i:j], place[i:j])
+        away = reckoned[k] - centre
+        extent_m = np.sqrt(np.mean(np.abs(reckoned[i:j] - centre) ** 2))
+        error_m = max(error_m, std_m[k])
+        is_known = extent_m > _LONG_WAY * error_m and abs(similarity) > _MIN_SIZE
+        most_m = MAX_SHRINKAGE * error_m if is_known else np.inf
+        if os.environ.get("V"): print(f"{time_s[k]:.0f} ext {extent_m:.1f} err {error_m:.1f} k {abs(similarity):.2f} ang {np.degrees(np.angle(similarity)):.0f} {is_known}")
+        shrunk[k] = np.exp(1j * np.angle(similarity)) * away * min(1.0, most_m / max(abs(away), 1e-9))
+    return np.column_stack([shrunk.real, shrunk.imag])
+
+
+def _similarity(reckoned: Complex, place: Complex) -> tuple[complex, complex, float]:
+    """Return the similarity that maps positions onto locations, the centre of the positions, and the standard deviation.
+
+    Positions are complex numbers.
+    """
+    used = np.ones(len(place), dtype=bool)
+    similarity, centre, std_m = 1 + 0j, reckoned[0], np.inf
+    for _ in range(3):
+        centre, to = reckoned[used].mean(), place[used].mean()
+        square = float((np.abs(reckoned[used] - centre) ** 2).sum())
+        similarity = complex(np.vdot(reckoned[used] - centre, place[used] - to)) / max(square, 1e-9)
+        away = np.abs(place - to - similarity * (reckoned - centre))
+        std_m = float(np.median(away)) / np.sqrt(2 * np.log(2))
+        used = away <= 3.7 * std_m
+    return similarity, centre, std_m * np.sqrt(len(place) / max(len(place) - 2, 1))
 
 
 def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:

@@ -279,6 +279,7 @@ def pose_problem(
     anchor_interval_s: float,
     states: ObservedStates = NO_STATES,
     measurements: Measurements | None = None,
+    reckoned_m: FloatArray | None = None,
 ) -> Problem:
     """Return the least-squares problem, with anchors at observations, changes of the heading offset and gaps.
 
@@ -294,6 +295,9 @@ def pose_problem(
         [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures],
         [(nearest_contact(steps, h.start_s)[0], nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings],
     )
+    at = [i for i, _, _ in contacts.fixes]
+    if reckoned_m is None:
+        reckoned_m = np.vstack([np.zeros((1, 2)), np.cumsum(steps.displacement_m, axis=0)])
     measured_at = [nearest_contact(steps, f.time_s) for f in measurements.fixes] if measurements else []
     wanted = [*contacts.steps(), *states.node.tolist(), *(i for i, _, _ in measured_at)]
     nodes = choose_nodes(steps, wanted, anchor_interval_s)
@@ -309,7 +313,7 @@ def pose_problem(
         _directions(contacts, numbers, steps, observed.known_headings),
         _at_anchors(steps, nodes, offsets),
         frame_std_rad,
-        errors_of(fixes, is_location, numbers([i for i, _, _ in contacts.fixes])),
+        errors_of(fixes, is_location, numbers(at), reckoned_m[at]),
         replace(states, node=numbers(states.node.tolist())),
         NO_MEASUREMENTS if measurements is None else _measurements(measured_at, numbers, measurements),
     )

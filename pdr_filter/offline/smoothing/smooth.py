@@ -568,6 +568,7 @@ def _problem(
         anchor_interval_s=anchor_interval_s,
         states=used.states,
         measurements=None if guess is None else _measurements_on_path(used, guess),
+        reckoned_m=np.vstack([np.zeros((1, 2)), track.position_m]),
     )
     return steps, used, problem
 
