@@ -2,15 +2,17 @@
 
 The error of a location is not white noise. On 20 walks of ipin2023, a part of the error is constant for the whole walk,
 and another part is correlated for some 20 s. Phones smooth their locations. This makes closed walks smaller (0.7 to
-0.95 of their size outdoors) and delays them by 2 to 4 s. With a white noise model, the smoother would attribute smaller
-loops to shorter steps.
+0.95 of their size outdoors, 0.6 to 0.8 indoors) and delays them by 2 to 4 s. With a white noise model, the smoother
+would attribute smaller loops to shorter steps. The shrinkage is proportional to the walk, not to the locations. Their
+scatter would otherwise hide it, as errors in a regressor do.
 
 The error of a location is the sum of these parts, each a Gauss-Markov process:
 
 - constant over a walk, east and north: standard deviation sqrt(0.2) of that of the location, memory 1 h;
 - varying, east and north: sqrt(0.7) of that of the location, memory 20 s (the correlation time of the fix);
-- shrinkage towards the mean of the locations within 2 min before and after: standard deviation half of the distance
-  from this mean, at most 1.5 standard deviations of the location, memory 30 s;
+- shrinkage of the walk towards its mean within 2 min before and after: standard deviation half of the distance from
+  this mean, memory 1 h. It is limited to 1.5 standard deviations of the location where the locations themselves show
+  that their extent is right (`_shrinkage_m`);
 - delay, along the velocity of the walk: standard deviation 3 s, memory 30 s;
 - white: the remaining tenth of the variance.
 
@@ -23,8 +25,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import os
 import numpy as np
+from numpy.typing import NDArray
 
 from pdr_filter.filter.fixes.gnss import MAX_SHRINKAGE, SHRINKAGE_STD
 from pdr_filter.values import INDEPENDENT_SHARE, BoolArray, FloatArray, IntArray, PositionFix
@@ -34,13 +36,16 @@ _CONSTANT, _VARYING, _SHRUNK, _LATE = slice(0, 2), slice(2, 4), 4, 5
 N_ERRORS = 6
 # Share of the variance of a location that is constant for a walk (of up to an hour), and share of its independent
 # noise.
-_LONG_WAY = float(os.environ.get("LW", "10"))
-_MIN_SIZE = 0.87
-Complex = np.ndarray
 _CONSTANT_SHARE, _CONSTANT_S, _OWN_SHARE = 0.2, 3600.0, 0.1
-# The shrinkage (`SHRINKAGE_STD`) is towards the mean of the locations within two minutes. It is limited
-# (`MAX_SHRINKAGE`), because outdoors the path of two minutes is long. Shrinkage and delay change within half a minute.
+# The shrinkage (`SHRINKAGE_STD`) is towards the mean of the walk within two minutes. It lasts for the whole walk, so
+# that the mean of many locations does not determine the step length. The delay changes within half a minute.
 _SHRUNK_WITHIN_S = 120.0
+# The extent of locations is right if it is ten times their error, so that a shrinkage of 1.5 standard deviations is at
+# most 15 % of it, and if it is not below 0.87 of that of the walk, two standard deviations (7 %) of the step length of
+# people. Smaller extents are shrinkage rather than a person with short steps.
+_LONG_WAY, _MIN_SIZE = 10.0, 0.87
+# Median and 99.9 % quantile of the length of a vector with two standard normal components.
+_MEDIAN_RADIUS, _OUTLIER_RADIUS = 1.177, 3.717
 _LATE_STD_S, _LATE_WITHIN_S = 3.0, 15.0
 _FILTERED_S = 30.0
 # Largest speed of a pedestrian. A faster displacement is an error, or a ride.
@@ -52,8 +57,8 @@ class Errors:
     """Errors of correlated fixes, one state (6,) per fix, in order of time.
 
     Each component is a Gauss-Markov process of variance one. Two components are the constant part of the position
-    error, and two the varying part. The fifth is the shrinkage of the locations towards their local mean, and the last
-    is their delay.
+    error, and two the varying part. The fifth is the shrinkage of the walk towards its local mean, and the last is the
+    delay of the locations.
 
     Attributes
     ----------
@@ -90,13 +95,15 @@ def independent_share(fix: PositionFix, is_location: bool) -> float:
 
 
 def errors_of(
-    fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArray, reckoned_m: FloatArray
+    fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArray, shape_m: FloatArray | None = None
 ) -> Errors:
     """Return the error states of the E correlated fixes among F fixes in order of time.
 
     The error of a phone's location has all four parts: constant, varying, shrinkage and delay (see `Errors`). The error
     of any other fix has the varying part only. `node` (F,) is the index of each fix's anchor, the foot contact at which
-    the smoother estimates a state. `is_location` (F,) is True for locations of the phone.
+    the smoother estimates a state. `is_location` (F,) is True for locations of the phone. `shape_m` (F, 2) are
+    positions at the fixes that show the shape of the walk, in the axes of the fixes and with step lengths of the model.
+    The default is the fixes.
     """
     position = np.flatnonzero([f.correlation_s > 0 for f in fixes])
     if not len(position):
@@ -110,7 +117,7 @@ def errors_of(
     by[:, :, _VARYING] = np.sqrt(varying)[:, None, None] * root
     by[:, :, _CONSTANT] = np.where(located, np.sqrt(_CONSTANT_SHARE), 0.0)[:, None, None] * root
     std_m = np.sqrt([f.var_m2 for f in chosen])
-    shrunk_m = _shrinkage_m(time_s, place_m, reckoned_m[position], std_m)
+    shrunk_m = _shrinkage_m(time_s, place_m, place_m if shape_m is None else shape_m[position], std_m)
     by[:, :, _SHRUNK] = np.where(located[:, None], -shrunk_m, 0.0)
     by[:, :, _LATE] = -_LATE_STD_S * located[:, None] * _velocity_mps(time_s, place_m)
     memory_s = np.full((len(chosen) - 1, N_ERRORS), _CONSTANT_S)
@@ -119,43 +126,56 @@ def errors_of(
     return Errors(position, node[position], by, np.exp(-np.diff(time_s)[:, None] / memory_s))
 
 
-def _shrinkage_m(time_s: FloatArray, place_m: FloatArray, reckoned_m: FloatArray, std_m: FloatArray) -> FloatArray:
-    """Return the standard deviation of the shrinkage of each location, as a vector (E, 2) from the local mean.
+def turned_to(locations: Sequence[PositionFix], at_m: FloatArray, walk_m: FloatArray) -> FloatArray:
+    """Return positions (N, 2) of a walk in the axes of L locations, by the best rotation of its positions at them.
 
-    It is the dead-reckoned position relative to the mean of all positions in [t - d, t + d), with d =
-    `_SHRUNK_WITHIN_S`, rotated into the frame of the locations. The vector is limited where the extent of these
-    locations is known (`_is_extent_known`).
+    `at_m` (L, 2) are the positions of the walk at the times of the locations.
     """
-    place, reckoned = place_m @ [1, 1j], reckoned_m @ [1, 1j]
-    shrunk = np.zeros(len(time_s), dtype=complex)
+    if not locations:
+        return walk_m
+    place = np.array([f.position_m for f in locations]) @ [1, 1j]
+    both = np.vdot(at_m @ [1, 1j] - np.mean(at_m @ [1, 1j]), place - place.mean())
+    turned = (walk_m @ [1, 1j]) * np.exp(1j * np.angle(both))
+    return np.column_stack([turned.real, turned.imag])
+
+
+def _shrinkage_m(time_s: FloatArray, place_m: FloatArray, shape_m: FloatArray, std_m: FloatArray) -> FloatArray:
+    """Return the standard deviation of the shrinkage of each location, as a vector (E, 2) away from the local mean.
+
+    It is half of the position in `shape_m` (E, 2) relative to the mean of all positions in [t - d, t + d), with d =
+    `_SHRUNK_WITHIN_S`. Its length is limited where the extent of these locations is right: they follow the shape of the
+    walk with an error below a tenth of the extent, and are not smaller than the walk. The error is that of the best
+    similarity, or the stated one if that is larger.
+    """
+    place, shape = place_m @ [1, 1j], shape_m @ [1, 1j]
+    most_m = np.full(len(time_s), np.inf)
+    away = np.zeros((len(time_s), 2))
     first, end = (np.searchsorted(time_s, time_s + d).tolist() for d in (-_SHRUNK_WITHIN_S, _SHRUNK_WITHIN_S))
     for k, (i, j) in enumerate(zip(first, end, strict=True)):
-        similarity, centre, error_m = _similarity(reckoned[i:j], place[i:j])
-        away = reckoned[k] - centre
-        extent_m = np.sqrt(np.mean(np.abs(reckoned[i:j] - centre) ** 2))
-        error_m = max(error_m, std_m[k])
-        is_known = extent_m > _LONG_WAY * error_m and abs(similarity) > _MIN_SIZE
-        most_m = MAX_SHRINKAGE * error_m if is_known else np.inf
-        if os.environ.get("V"): print(f"{time_s[k]:.0f} ext {extent_m:.1f} err {error_m:.1f} k {abs(similarity):.2f} ang {np.degrees(np.angle(similarity)):.0f} {is_known}")
-        shrunk[k] = np.exp(1j * np.angle(similarity)) * away * min(1.0, most_m / max(abs(away), 1e-9))
-    return np.column_stack([shrunk.real, shrunk.imag])
+        size, error_m = _size_and_error(shape[i:j], place[i:j])
+        error_m = max(error_m, float(std_m[k]))
+        if size > _MIN_SIZE and float(np.std(shape[i:j])) > _LONG_WAY * error_m:
+            most_m[k] = MAX_SHRINKAGE * error_m
+        away[k] = shape_m[k] - shape_m[i:j].mean(axis=0)
+    return _limited(SHRINKAGE_STD * away, most_m)
 
 
-def _similarity(reckoned: Complex, place: Complex) -> tuple[complex, complex, float]:
-    """Return the similarity that maps positions onto locations, the centre of the positions, and the standard deviation.
+def _size_and_error(shape: NDArray[np.complex128], place: NDArray[np.complex128]) -> tuple[float, float]:
+    """Return the scale of the similarity from the walk to its locations, and their standard deviation along each axis.
 
-    Positions are complex numbers.
+    Positions (N,) are complex numbers. The similarity is fitted again without outliers beyond the 99.9 % quantile
+    of the distances from it, given their median. The standard deviation is infinite for fewer than three locations.
     """
+    if len(place) < 3:
+        return 0.0, np.inf
     used = np.ones(len(place), dtype=bool)
-    similarity, centre, std_m = 1 + 0j, reckoned[0], np.inf
-    for _ in range(3):
-        centre, to = reckoned[used].mean(), place[used].mean()
-        square = float((np.abs(reckoned[used] - centre) ** 2).sum())
-        similarity = complex(np.vdot(reckoned[used] - centre, place[used] - to)) / max(square, 1e-9)
-        away = np.abs(place - to - similarity * (reckoned - centre))
-        std_m = float(np.median(away)) / np.sqrt(2 * np.log(2))
-        used = away <= 3.7 * std_m
-    return similarity, centre, std_m * np.sqrt(len(place) / max(len(place) - 2, 1))
+    for _ in range(2):
+        walked, located = shape - shape[used].mean(), place - place[used].mean()
+        similarity = np.vdot(walked[used], located[used]) / max(float((np.abs(walked[used]) ** 2).sum()), 1e-9)
+        away_m = np.abs(located - similarity * walked)
+        std_m = float(np.median(away_m)) / _MEDIAN_RADIUS
+        used = away_m <= max(_OUTLIER_RADIUS * std_m, float(np.median(away_m)))
+    return float(np.abs(similarity)), std_m * float(np.sqrt(len(place) / (len(place) - 2)))
 
 
 def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
@@ -171,7 +191,7 @@ def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
 
 def _limited(vector: FloatArray, length: FloatArray) -> FloatArray:
     """Return vectors (E, 2) shortened to at most `length` (E,)."""
-    return vector * (length / np.maximum(np.hypot(*vector.T), length))[:, None]
+    return vector * np.minimum(1.0, length / np.maximum(np.hypot(*vector.T), 1e-9))[:, None]
 
 
 # Smallest factor by which `with_even_variances` reduces a claimed variance.

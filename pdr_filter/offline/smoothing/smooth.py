@@ -28,6 +28,7 @@ from pdr_filter.filter.imm.motion_model import (
     second_order_errors,
 )
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
+from pdr_filter.offline.smoothing.location_errors import turned_to
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -37,7 +38,14 @@ from pdr_filter.offline.smoothing.observations import (
 )
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
 from pdr_filter.offline.smoothing.preintegration import Increments, increments, scaled_rotation, step_states
-from pdr_filter.offline.smoothing.problem import Measurements, Problem, heading_offsets, pose_problem, start_covariance
+from pdr_filter.offline.smoothing.problem import (
+    Measurements,
+    Problem,
+    heading_offsets,
+    nearest_contact,
+    pose_problem,
+    start_covariance,
+)
 from pdr_filter.offline.smoothing.smoothed import (
     KNOWN_STD_M,
     Smoothed,
@@ -514,10 +522,19 @@ def _smooth_track(
         places = compress((*observed.fixes, *observed.locations), inside)
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return without_steps(track, observed, known), np.zeros(0)
-    steps, used, problem = _problem(
-        track, modes, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess
-    )
-    smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
+
+    def solved(shape_m: FloatArray | None) -> tuple[Increments, Problem, Smoothed, FloatArray]:
+        """Return increments, problem and result, given positions (K + 1, 2) of the start and of the steps, if known."""
+        steps, used, problem = _problem(
+            track, modes, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess, shape_m
+        )
+        return steps, problem, *_smoothed(track, steps, problem, solve(problem), observed, used)
+
+    steps, problem, smoothed, walked_var_m2 = solved(None)
+    if len(problem.errors):
+        # the shrinkage of the locations follows the shape of the walk, which the first solution knows best
+        shape_m = np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale
+        steps, problem, smoothed, walked_var_m2 = solved(shape_m)
     length_fixes = LengthFixes()
     for fix, result in zip((*observed.fixes, *observed.locations), smoothed.track.fixes, strict=True):
         length_fixes = length_fixes.plus(fix) if result.accepted else length_fixes
@@ -540,16 +557,22 @@ def _problem(
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
     guess: WalkedPath | None,
+    shape_m: FloatArray | None = None,
 ) -> tuple[Increments, Used, Problem]:
     """Return the increments of the steps, the used observations, and the least-squares problem of a track with steps.
 
-    `inside` is a mask of the fixes and locations within the recording.
+    `inside` is a mask of the fixes and locations within the recording. `shape_m` (K + 1, 2) are positions of the start
+    and of the steps that show the shape of the walk (`errors_of`). The default is dead reckoning.
     """
     noise = config.model.noise
     steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
     used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
+    if shape_m is None:
+        walk_m = np.vstack([np.zeros((1, 2)), track.position_m])
+        at = [nearest_contact(steps, fix.time_s)[0] for fix in used.observed.locations]
+        shape_m = turned_to(used.observed.locations, walk_m[at], walk_m)
     fixes = (*used.observed.positions, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
     if not fixes and guess is not None and used.has_places:
@@ -568,7 +591,7 @@ def _problem(
         anchor_interval_s=anchor_interval_s,
         states=used.states,
         measurements=None if guess is None else _measurements_on_path(used, guess),
-        reckoned_m=np.vstack([np.zeros((1, 2)), track.position_m]),
+        shape_m=shape_m,
     )
     return steps, used, problem
 
