@@ -133,10 +133,11 @@ def turned_to(locations: Sequence[PositionFix], at_m: FloatArray, walk_m: FloatA
     """
     if not locations:
         return walk_m
-    place = np.array([f.position_m for f in locations]) @ [1, 1j]
-    both = np.vdot(at_m @ [1, 1j] - np.mean(at_m @ [1, 1j]), place - place.mean())
-    turned = (walk_m @ [1, 1j]) * np.exp(1j * np.angle(both))
-    return np.column_stack([turned.real, turned.imag])
+    place_m = np.array([f.position_m for f in locations])
+    a, b = at_m - at_m.mean(axis=0), place_m - place_m.mean(axis=0)
+    angle = np.arctan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
+    c, s = np.cos(angle), np.sin(angle)
+    return walk_m @ np.array([[c, s], [-s, c]])
 
 
 def _shrinkage_m(time_s: FloatArray, place_m: FloatArray, shape_m: FloatArray, std_m: FloatArray) -> FloatArray:
@@ -147,7 +148,7 @@ def _shrinkage_m(time_s: FloatArray, place_m: FloatArray, shape_m: FloatArray, s
     walk with an error below a tenth of the extent, and are not smaller than the walk. The error is that of the best
     similarity, or the stated one if that is larger.
     """
-    place, shape = place_m @ [1, 1j], shape_m @ [1, 1j]
+    place, shape = (m[:, 0] + 1j * m[:, 1] for m in (place_m, shape_m))
     most_m = np.full(len(time_s), np.inf)
     away = np.zeros((len(time_s), 2))
     first, end = (np.searchsorted(time_s, time_s + d).tolist() for d in (-_SHRUNK_WITHIN_S, _SHRUNK_WITHIN_S))
@@ -160,22 +161,22 @@ def _shrinkage_m(time_s: FloatArray, place_m: FloatArray, shape_m: FloatArray, s
     return _limited(SHRINKAGE_STD * away, most_m)
 
 
-def _size_and_error(shape: NDArray[np.complex128], place: NDArray[np.complex128]) -> tuple[float, float]:
+def _size_and_error(shape: NDArray[np.complexfloating], place: NDArray[np.complexfloating]) -> tuple[float, float]:
     """Return the scale of the similarity from the walk to its locations, and their standard deviation along each axis.
 
-    Positions (N,) are complex numbers. The similarity is fitted again without outliers beyond the 99.9 % quantile
+    Positions (N,) are complex numbers. The similarity is fitted again, without outliers beyond the 99.9 % quantile
     of the distances from it, given their median. The standard deviation is infinite for fewer than three locations.
     """
     if len(place) < 3:
         return 0.0, np.inf
-    used = np.ones(len(place), dtype=bool)
+    size, std_m, used = 0.0, np.inf, np.ones(len(place), dtype=bool)
     for _ in range(2):
         walked, located = shape - shape[used].mean(), place - place[used].mean()
-        similarity = np.vdot(walked[used], located[used]) / max(float((np.abs(walked[used]) ** 2).sum()), 1e-9)
+        similarity = complex(np.vdot(walked[used], located[used])) / max(float(np.sum(np.abs(walked[used]) ** 2)), 1e-9)
         away_m = np.abs(located - similarity * walked)
-        std_m = float(np.median(away_m)) / _MEDIAN_RADIUS
-        used = away_m <= max(_OUTLIER_RADIUS * std_m, float(np.median(away_m)))
-    return float(np.abs(similarity)), std_m * float(np.sqrt(len(place) / (len(place) - 2)))
+        size, std_m = abs(similarity), float(np.median(away_m)) / _MEDIAN_RADIUS
+        used = away_m <= _OUTLIER_RADIUS * std_m
+    return size, std_m * float(np.sqrt(len(place) / (len(place) - 2)))
 
 
 def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
