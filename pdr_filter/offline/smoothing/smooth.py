@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -29,6 +30,7 @@ from pdr_filter.filter.imm.motion_model import (
     second_order_errors,
 )
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
+from pdr_filter.offline.smoothing.location_errors import turned_to
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -38,7 +40,14 @@ from pdr_filter.offline.smoothing.observations import (
 )
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
 from pdr_filter.offline.smoothing.preintegration import TURN, Increments, increments, scaled_rotation, step_states
-from pdr_filter.offline.smoothing.problem import Measurements, Problem, heading_offsets, pose_problem, start_covariance
+from pdr_filter.offline.smoothing.problem import (
+    Measurements,
+    Problem,
+    heading_offsets,
+    nearest_contact,
+    pose_problem,
+    start_covariance,
+)
 from pdr_filter.offline.smoothing.smoothed import (
     KNOWN_STD_M,
     Smoothed,
@@ -512,8 +521,13 @@ def _smooth_track(
         places = compress((*observed.fixes, *observed.locations), inside)
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return without_steps(track, observed, known), np.zeros(0)
-    posed = _problem(track, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess)
+    posed_with = partial(_problem, track, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess)
+    posed = posed_with(None)
     smoothed, walked_var_m2 = _smoothed(track, posed, solve(posed.problem), observed)
+    if len(posed.problem.errors):
+        # the shrinkage of the locations follows the shape of the walk, which the first solution knows best
+        posed = posed_with(np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale)
+        smoothed, walked_var_m2 = _smoothed(track, posed, solve(posed.problem), observed)
     length_fixes = LengthFixes()
     for fix, result in zip((*observed.fixes, *observed.locations), smoothed.track.fixes, strict=True):
         length_fixes = length_fixes.plus(fix) if result.accepted else length_fixes
@@ -542,10 +556,12 @@ def _problem(
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
     guess: WalkedPath | None,
+    shape_m: FloatArray | None,
 ) -> _Posed:
     """Return the least-squares problem of a track with steps.
 
-    `inside` is a mask of the fixes and locations within the recording.
+    `inside` is a mask of the fixes and locations within the recording. `shape_m` (K + 1, 2) are positions of the start
+    and of the steps that show the shape of the walk (`errors_of`), or None for dead reckoning.
     """
     noise, modes = config.model.noise, config.model.modes
     steps, parameter_error_m = increments(
@@ -554,6 +570,10 @@ def _problem(
     used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
+    if shape_m is None:
+        walk_m = np.vstack([np.zeros((1, 2)), track.position_m])
+        at = [nearest_contact(steps, fix.time_s)[0] for fix in used.observed.locations]
+        shape_m = turned_to(used.observed.locations, walk_m[at], walk_m)
     fixes = (*used.observed.positions, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
     if not fixes and guess is not None and used.has_places:
@@ -572,6 +592,7 @@ def _problem(
         anchor_interval_s=anchor_interval_s,
         states=used.states,
         measurements=None if guess is None else _measurements_on_path(used, guess),
+        shape_m=shape_m,
     )
     return _Posed(steps, parameter_error_m, used, problem)
 
