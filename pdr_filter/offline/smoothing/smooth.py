@@ -349,7 +349,7 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     track = _with_smoothed_modes(track, config)
     nothing = Observations()
     inside = nothing.fixes_inside(0.0, 0.0)
-    posed = _problem(track, config, nothing, inside, None, anchor_interval_s, None)
+    posed = _problem(track, config, nothing, inside, None, anchor_interval_s, None, None)
     return track, posed.used.device_rad, posed.problem
 
 
