@@ -25,7 +25,7 @@ from pdr_filter.filter.plan_stage import PlanState
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
-from pdr_filter.sensing.features.barometer import Climb, ClimbState
+from pdr_filter.sensing.features.barometer import STAIRS_MPS, Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
 from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing, is_moving
@@ -391,9 +391,14 @@ _CLIMB_AGE_S = 1.0
 
 
 def climb_at(climbs: Sequence[Climb], time_s: float) -> Climb | None:
-    """Return the last climb rate at or before a time, or None if it is older than `_CLIMB_AGE_S`."""
+    """Return the last climb rate at or before a time, or None if it is too old or cannot tell stairs from level ground.
+
+    It is too old after `_CLIMB_AGE_S`. It can tell if its standard deviation is at most half of the rate on stairs.
+    """
     i = bisect_right(climbs, time_s, key=attrgetter("time_s"))
-    return climbs[i - 1] if i and climbs[i - 1].time_s >= time_s - _CLIMB_AGE_S else None
+    if not i or climbs[i - 1].time_s < time_s - _CLIMB_AGE_S or climbs[i - 1].std_mps > 0.5 * STAIRS_MPS:
+        return None
+    return climbs[i - 1]
 
 
 def finish(config: Config, state: State) -> tuple[State, Output]:

@@ -107,4 +107,5 @@ def test_a_description_is_plain_and_json_can_write_it() -> None:
     plain = description.as_dict()
     assert json.loads(json.dumps(plain, allow_nan=False)) == plain
     assert [stream["name"] for stream in plain["streams"]] == ["accelerometer", "gyroscope"]
-    assert plain["notes"] == ["odd"]
+    assert plain["notes"][0] == "odd"
+    assert [note[:27] for note in plain["notes"][1:]] == ["gyroscope: no samples since"]

@@ -119,6 +119,7 @@ def test_csv_has_one_line_for_each_step_under_names_with_units(tmp_path: Path) -
             "height_m": 0.0,
             "height_std_m": 0.0,
             "floor": 0.0,
+            "floor_prob": 1.0,
             "context_prob_stationary": 0.25,
             "context_prob_walking": 0.75,
             "mode_prob_walk, normal": 1.0,

@@ -417,20 +417,20 @@ def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
 def notes(state: HeightState, barometer: ClimbState) -> list[Note]:
     """Return warnings about an unknown storey, a stuck or coarse barometer, and a large change of the air."""
     found, known = list[Note](), state.known
-    cause = ""
+    cause, is_odd = "the pressure has gaps", False
     if barometer.stuck_s >= _NOTABLE_STUCK_S:
-        cause = f"the barometer gave one value for {barometer.stuck_s:.0f} s in total"
+        cause, is_odd = f"the barometer gave one value for {barometer.stuck_s:.0f} s in total", True
     elif math.isnan(known.pressure_s):
         cause = "there is no barometer"
     elif _COARSE_HPA < barometer.quantum_hpa < math.inf:
-        cause = f"the pressure is rounded to {barometer.quantum_hpa:.2g} hPa"
+        cause, is_odd = f"the pressure is rounded to {barometer.quantum_hpa:.2g} hPa", True
     elif state.step_s - known.pressure_s > PRESSURE_AGE_S:
         cause = f"the pressure ends at {known.pressure_s:.0f} s"
     if is_floor_unknown(np.array(known.height_std_m)):
         words = f"height and storey are unknown, ± {known.height_std_m:.0f} m at the end: "
-        words += f"{cause or 'the pressure has gaps'}, and nothing else shows stairs; "
+        words += f"{cause}, and nothing else shows stairs; "
         found.append(Note("height", words + "record the pressure, or give fixes with floors"))
-    elif cause and not math.isnan(known.pressure_s):
+    elif is_odd:
         found.append(Note("height", f"heights are uncertain: {cause}; record the pressure without rounding"))
     if known.most_air_m >= _NOTABLE_AIR_M:
         hpa = known.most_air_m / _M_PER_HPA

@@ -295,7 +295,7 @@ OTHER_STD_MPS = 0.06
 OUTLIER_SHARE = 0.1
 LIFT_MAX_MPS = 2.5
 
-_STAIRS_MPS = RISER_M * STAIR_CADENCE_HZ  # 0.27
+STAIRS_MPS = RISER_M * STAIR_CADENCE_HZ  # 0.27
 # 0.08 m/s: 0.051 from the step frequency, 0.016 from the riser, and 0.06 from draughts, which occur on stairs too.
 _STAIRS_STD_MPS = float(
     np.sqrt((RISER_M * STAIR_CADENCE_STD_HZ) ** 2 + (STAIR_CADENCE_HZ * RISER_STD_M) ** 2 + OTHER_STD_MPS**2)
@@ -306,7 +306,7 @@ _STAIRS_STD_MPS = float(
 def _climb_rates(contexts: ContextSet) -> tuple[FloatArray, FloatArray]:
     """Return the mean climb rate (C,) of each context in m/s, and its variance (C,)."""
     climbs = np.array([c.climbs for c in contexts.contexts])
-    return climbs * _STAIRS_MPS, np.where(climbs != 0, _STAIRS_STD_MPS**2, OTHER_STD_MPS**2)
+    return climbs * STAIRS_MPS, np.where(climbs != 0, _STAIRS_STD_MPS**2, OTHER_STD_MPS**2)
 
 
 def climb_log_evidence(

@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from sensed_walk import SensedWalk, Tracked
 
 import pdr_filter as pdr
-from pdr_filter.filter.fixes.repeated_fixes import frozen_fixes
+from pdr_filter.filter.fixes.repeated_fixes import repetitions
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
 from pdr_filter.simulate import Gait, Leg, SensorErrors, simulate
 from pdr_filter.tracking.filtering import MAX_FIX_AGE_S
@@ -308,8 +308,8 @@ def test_a_closed_walk_may_end_at_exactly_its_first_position(walk: SensedWalk) -
     once = SensedWalk(recording)
     same = [PositionFix(t, np.zeros(2), 0.25 * np.eye(2)) for t in (1.0, once.end_s - 1.0)]
     assert once.tracked(same, once.config).outcomes == ("used", "used")
-    # a standing pedestrian may receive the same position again and again
-    assert frozen_fixes(same, np.array([0.0, 90.0]), np.zeros((2, 2)), np.zeros(2)) == [False, False]
+    # a standing pedestrian who receives the same position again learns nothing new
+    assert repetitions(same, np.array([0.0, 90.0]), np.zeros((2, 2)), np.zeros(2)) == ["", "repeated"]
 
 
 def test_frozen_locations_are_detected_online_in_alignment_and_in_smoothing(walk: SensedWalk) -> None:

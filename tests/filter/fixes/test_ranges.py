@@ -363,7 +363,7 @@ def test_a_range_to_an_overhead_anchor_has_less_curvature_than_one_at_the_same_l
     state = initial_state(model, model.long_run_mode_prob)
     cov = state.estimates.cov.copy()
     cov[:, [0, 1], [0, 1]] = 1.0
-    state = replace(state, estimates=replace(state.estimates, cov=cov))
+    state = replace(state, estimates=replace(state.estimates, cov=cov), std_at_start_m=1.0)
     assert not _is_wide(state, overhead, np.zeros(3))
     assert _is_wide(state, beside, np.zeros(3))
 

@@ -432,7 +432,7 @@ def test_a_speed_or_a_heading_fix_before_any_step_changes_nothing(weighting: str
     for fix in (SpeedFix(0.5, 1.3, 0.2), HeadingFix(0.5, 1.0, 0.2)):
         after, outcome, nis = filter_.on_fix(state, fix)
         assert outcome == "nothing to compare" and np.isnan(nis)
-        assert after.pedestrian is state.pedestrian
+        assert after.pedestrian.estimates is state.pedestrian.estimates
 
 
 def test_fixes_keep_the_scale_of_a_tall_person() -> None:
