@@ -54,7 +54,10 @@ def _half_s(samples: Samples) -> float:
 def stuck(name: str, samples: Samples) -> Samples:
     """All values of the second half equal the first of them."""
     half = int(np.searchsorted(samples.time_s, _half_s(samples)))
-    return Samples(samples.time_s, np.vstack([samples.values[:half], np.tile(samples.values[half], (len(samples.time_s) - half, 1))]))
+    return Samples(
+        samples.time_s,
+        np.vstack([samples.values[:half], np.tile(samples.values[half], (len(samples.time_s) - half, 1))]),
+    )
 
 
 def noisy(name: str, samples: Samples) -> Samples:
@@ -161,7 +164,9 @@ def simulated_walk(seed: int, carrying_mode: str | None = None, legs: Sequence[L
     at_s = np.arange(1.0, walk.duration_s, LOCATION_EVERY_S)
     found_m = evaluate.positions_at(truth.time_s, place_m, at_s) + rng.normal(0, LOCATION_STD_M, (len(at_s), 2))
     latitude_deg, longitude_deg = HERE.latitude_longitude_deg(found_m)
-    location = np.column_stack([latitude_deg, longitude_deg, np.full(len(at_s), np.nan), np.full(len(at_s), 1.5 * LOCATION_STD_M)])
+    location = np.column_stack(
+        [latitude_deg, longitude_deg, np.full(len(at_s), np.nan), np.full(len(at_s), 1.5 * LOCATION_STD_M)]
+    )
     storeys = truth.up_m / STOREY_HEIGHT_M
     return Walk(
         replace(walk, location=Samples(at_s, location)),
