@@ -40,6 +40,7 @@ def simulated_walk(
     start_heading_std_rad: float = 0.15,
     any_rotation: bool = False,
     jumps: int = 0,
+    scale_memory: float = 1.0,
 ) -> Walk:
     """A walk with a turn every 20 steps or so, its errors drawn from the covariances that the increments carry."""
     length = rng.normal(0.7, 0.05, n_steps)
@@ -56,10 +57,12 @@ def simulated_walk(
     steps = Increments(
         time_s=STEP_S * np.arange(1, n_steps + 1),
         duration_s=np.full(n_steps, STEP_S),
+        length_m=length,
         displacement_m=length[:, None] * along,
         cov_m2=cov,
         drift_var_rad2=drift_var,
         unknown_var_rad2=np.zeros(n_steps),
+        scale_memory=np.full(n_steps, scale_memory),
         scale_drift_var=scale_var,
         jump_var_rad2=jump_var,
         gap_var_m2=np.zeros(n_steps),
@@ -68,9 +71,9 @@ def simulated_walk(
     jump, drift = rng.normal(size=n_steps) * np.sqrt(jump_var), rng.normal(size=n_steps) * np.sqrt(drift_var)
     # the offset that a step is walked with has the change before it, and the drifts of those before it
     walked_with = start + np.cumsum(jump) + np.concatenate([[0.0], np.cumsum(drift)[:-1]])
-    scale = rng.normal(scale=log_scale_std) + np.concatenate(
-        [[0.0], np.cumsum(rng.normal(size=n_steps) * np.sqrt(scale_var))]
-    )
+    scale = np.full(n_steps + 1, rng.normal(scale=log_scale_std))
+    for k, drift_of_scale in enumerate(rng.normal(size=n_steps) * np.sqrt(scale_var)):
+        scale[k + 1] = scale_memory * scale[k] + drift_of_scale
     noise = np.einsum("kab,kb->ka", np.linalg.cholesky(cov), rng.normal(size=(n_steps, 2)))
     moved = np.einsum("kab,kb->ka", scaled_rotation(walked_with, scale[:-1]), steps.displacement_m + noise)
     position = np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)])

@@ -62,6 +62,8 @@ def map_folder(
             )
         for name, why in found.apart:
             console.print_line(f"apart: {name}: {why}")
+        for note in found.notes:
+            console.print_line(f"note: {note}")
         if not found.n_groups:
             raise ValueError("no map was written, because no walk could be joined: see the lines that begin with apart")
         for group in range(found.n_groups):

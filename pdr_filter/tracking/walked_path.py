@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_filter.filter.imm.motion_model import MotionNoise, bounded_position_cov, reach_m
 from pdr_filter.filter.imm.past_path import turned
-from pdr_filter.filter.imm.pedestrian_state import track_place
+from pdr_filter.filter.imm.pedestrian_state import PAUSE_S, track_place
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.extrapolation import present_place
 from pdr_filter.tracking.filtering import State
@@ -92,4 +93,21 @@ def walked_path(config: Config, state: State) -> WalkedPath:
         first = int(np.searchsorted(time_s, pedestrian.path.since_s, side="right"))
         place_m[:, first:], cov_m2[:, first:] = turned(turn, place_m[:, first:], cov_m2[:, first:])
     cov_m2 = cov_m2[[0, 1, 1, 2]].T.reshape(-1, 2, 2)
+    cov_m2 = _bounded(cov_m2, time_s, place_m, config.model.noise, pedestrian.frame.is_known)
     return WalkedPath(read_only(time_s), read_only(place_m.T), read_only(cov_m2), n_steps)
+
+
+def _bounded(
+    cov_m2: FloatArray, time_s: FloatArray, place_m: FloatArray, noise: MotionNoise, is_placed: bool
+) -> FloatArray:
+    """Return covariances (K, 2, 2) whose standard deviations change by at most the way between the positions (2, K).
+
+    Between two steps that are a pause apart, the pedestrian may have walked as in a gap. The start is known unless
+    fixes have placed the track.
+    """
+    start_std_m = np.inf if is_placed else 0.0
+    lasted_s = np.diff(time_s, prepend=time_s[:1])
+    gap_m = np.sqrt(noise.gap_var_m2(np.where(lasted_s > PAUSE_S, lasted_s, 0.0)))
+    moved_m = np.hypot(*np.diff(place_m, axis=1, prepend=np.zeros((2, 1))))
+    way_m = np.append(0.0, np.cumsum(np.maximum(moved_m, gap_m)))
+    return bounded_position_cov(cov_m2, reach_m(way_m, np.append(start_std_m, worst_std_m(cov_m2)))[1:])

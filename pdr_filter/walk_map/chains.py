@@ -63,6 +63,7 @@ class Chain:
     mean: FloatArray  # (N, 4) states at the knots, from the walk alone
     frame_rad: float  # rotation of the frame of the heading offsets
     knows_north: bool  # from the magnetometer
+    span_s: tuple[float, float]  # first and last time of the recording, zeros in maps without times
     time_s: FloatArray  # (K,) times of the steps, empty in maps without times
     device_rad: FloatArray  # (K,) walking heading of each step minus its heading offset
     floor: IntArray  # (K + 1,) storeys before the first and after each step, relative to the start
@@ -128,6 +129,7 @@ def chain_of(recording: Recording, key: str = "", salt: str | None = None) -> Ch
         mean=alone.mean,
         frame_rad=alone.frame_rad,
         knows_north=knows_north,
+        span_s=(track.start_time_s, max(track.start_time_s + track.duration_s, float(track.time_s[-1]))),
         time_s=np.asarray(track.time_s),
         device_rad=device_rad,
         floor=np.concatenate([track.floor[:1], track.floor]).astype(np.int64),
@@ -224,4 +226,5 @@ def content_of(recording: Recording) -> str:
 
 def without_times(chains: Sequence[Chain]) -> list[Chain]:
     """Return chains (walks reduced to knots and scans) without times and notes, named "walk 1", "walk 2" and so on."""
-    return [replace(c, name=f"walk {i + 1}", time_s=np.zeros(0), notes=()) for i, c in enumerate(chains)]
+    nothing = {"span_s": (0.0, 0.0), "time_s": np.zeros(0), "notes": ()}
+    return [replace(c, name=f"walk {i + 1}", **nothing) for i, c in enumerate(chains)]

@@ -79,10 +79,12 @@ def plan_text(walks: Sequence[MappedWalk]) -> str:
     return json.dumps({"type": "FeatureCollection", "name": "walked area", "features": features}) + "\n"
 
 
-def report_text(walks: Sequence[MappedWalk], apart: Sequence[tuple[str, str]], moved: Sequence[int]) -> str:
+def report_text(
+    walks: Sequence[MappedWalk], apart: Sequence[tuple[str, str]], moved: Sequence[int], notes: Sequence[str]
+) -> str:
     """Return the HTML page with the paths of each group and storey, and lists of walks and moved access points.
 
-    `apart` has the name and the reason of each walk that was not joined.
+    `apart` has the name and the reason of each walk that was not joined. `notes` are the warnings, at the top.
     """
     parts: list[str] = []
     for group in sorted({w.group for w in walks}):
@@ -101,7 +103,8 @@ def report_text(walks: Sequence[MappedWalk], apart: Sequence[tuple[str, str]], m
         '<!doctype html><html lang="en"><meta charset="utf-8"><title>Map of walks</title><style>'
         "body{font-family:sans-serif;max-width:960px;margin:2em auto}svg{border:1px solid #ccc;width:100%}"
         "td,th{padding:2px 12px;text-align:left}</style>"
-        f"<h1>Map of {len(walks)} walks, {len(apart)} apart</h1>{''.join(parts)}"
+        f"<h1>Map of {len(walks)} walks, {len(apart)} apart</h1>"
+        f"{''.join(f'<p>{html.escape(note)}</p>' for note in notes)}{''.join(parts)}"
         f"<h2>Walks</h2><table><tr><th>name<th>group<th>steps<th>standard deviation</tr>{rows}</table>"
         f"<h2>Apart</h2><ul>{names or '<li>none</li>'}</ul>{moved_text}</html>\n"
     )

@@ -16,7 +16,8 @@ import numpy as np
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
 from pdr_filter.offline.smoothing.linear_graph import Rows
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, step_states
-from pdr_filter.offline.smoothing.solve import linearised
+from pdr_filter.offline.smoothing.problem import ObservedPositions, ObservedStates
+from pdr_filter.offline.smoothing.solve import linearised, solve
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, wrap_angle
 from pdr_filter.walk_map.chains import Chain
 from pdr_filter.walk_map.placing import PlacedGroup, Pose, ScannedWalks, joint_poses, of_storeys, scans_around
@@ -154,6 +155,42 @@ def _by_pose(mean: FloatArray, shift_m: FloatArray) -> FloatArray:
     by_pose[:, :2, 3] = lever
     by_pose[:, HEADING_OFFSET, 0] = by_pose[:, LOG_SCALE, 3] = 1.0
     return by_pose.reshape(-1, 4)
+
+
+def contradicting(chain: Chain, known: Sequence[Known], north: tuple[float, float]) -> list[Known]:
+    """Return the known fixes of a walk that its steps, its magnetometer and its other fixes contradict.
+
+    They are the outliers of the smoother (`solve`), and all positions if at most half of them agree. Headings that only
+    the magnetometer contradicts are wrong as well, because it seldom errs by more than three standard deviations.
+    `north` is the mean and the standard deviation of magnetic north in the frame of the fixes.
+    """
+    places = [f for f in known if isinstance(f, PositionFix)]
+    headings = [f for f in known if isinstance(f, HeadingFix)]
+    at, turned_at = ([chain.step_at(f.time_s) for f in fixes] for fixes in (places, headings))
+    node, ahead_m = chain.node_of(np.array(at, dtype=np.int64))
+    positions = ObservedPositions(
+        node=node,
+        other=np.full(len(places), -1),
+        ahead_m=ahead_m,
+        position_m=np.array([f.position_m for f in places]).reshape(-1, 2),
+        whiten=np.array([np.linalg.inv(np.linalg.cholesky(f.cov_m2)) for f in places], dtype=float).reshape(-1, 2, 2),
+    )
+    magnetic = chain.problem.states
+    offsets = [f.walking_heading_rad - chain.device_rad_at(k) for f, k in zip(headings, turned_at, strict=True)]
+    states = ObservedStates(
+        node=np.concatenate([magnetic.node, chain.node_of(np.array(turned_at, dtype=np.int64))[0]]),
+        state=np.concatenate([magnetic.state, np.full(len(headings), HEADING_OFFSET)]),
+        value=np.concatenate([magnetic.value + north[0] * (magnetic.state == HEADING_OFFSET), offsets]),
+        std=np.concatenate([np.hypot(magnetic.std, north[1]), [f.std_rad for f in headings]]),
+    )
+    used = solve(replace(chain.problem, positions=positions, states=states)).weight > 0
+    of_places, of_north, of_headings = np.split(used, [len(places), len(used) - len(headings)])
+    if 2 * np.count_nonzero(of_places) <= len(places):
+        of_places = np.zeros(len(places), dtype=bool)
+    # two positions give a direction as well
+    if np.count_nonzero(of_headings) + (np.count_nonzero(of_places) > 1) <= np.count_nonzero(~of_north):
+        of_headings = np.zeros(len(headings), dtype=bool)
+    return [f for f, is_used in zip([*places, *headings], [*of_places, *of_headings], strict=True) if not is_used]
 
 
 def step_positions(chain: Chain, states: States) -> tuple[FloatArray, FloatArray]:

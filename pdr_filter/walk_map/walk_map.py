@@ -14,6 +14,7 @@ from pdr_filter.batch.workers import Failure, each
 from pdr_filter.io.files.safe_files import read_json, read_small, write_files
 from pdr_filter.maps.marks import read_marks
 from pdr_filter.maps.radio.radio_map import RadioMap
+from pdr_filter.offline.smoothing.observations import OUTSIDE_S
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, limits, read_only
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.recording import Recording
@@ -21,7 +22,7 @@ from pdr_filter.values.serialisation import from_bytes, to_bytes
 from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.version import __version__
 from pdr_filter.walk_map.chains import Chain, cached_chain, without_times
-from pdr_filter.walk_map.joint import Known, States, solve_group, step_positions
+from pdr_filter.walk_map.joint import Known, States, contradicting, solve_group, step_positions
 from pdr_filter.walk_map.placing import (
     MOST_TOGETHER,
     PACES,
@@ -30,19 +31,23 @@ from pdr_filter.walk_map.placing import (
     Pose,
     ScannedWalks,
     adjust,
+    doubtful_seeds,
+    drop_doubtful_storeys,
     grow,
     log_evidence,
     settle,
     turned,
 )
 
-_FORMAT = 2
+_FORMAT = 3
 # An access point has moved if walks that receive it this strongly are farther apart than this.
 _LOUD_DBM, _MOVED_M = -60.0, 60.0
 # Standard deviation of magnetic north around the declination, for all walks of a building together.
 DECLINATION_STD_RAD = 0.05
-# Walks with a larger standard deviation in the worst direction are not joined: the median over their knots.
-_MOST_STD_M = 15.0
+# Largest error of 95 % of the joined walks in the worst direction. Walks with a larger standard deviation are not
+# joined: the median over their knots, where 1.96 is the 97.5 % quantile of the normal distribution.
+_ACCURATE_M = 15.0
+_MOST_STD_M = _ACCURATE_M / 1.96
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,6 +159,8 @@ class WalkMap:
         Name and reason of each walk that was not joined.
     moved_access_points : tuple of int
         Addresses that were received strongly at distant places. They are not part of `radio`.
+    notes : tuple of str
+        Warnings: known positions and headings that are not used, and storeys without a map.
 
     See Also
     --------
@@ -171,6 +178,7 @@ class WalkMap:
     walks: tuple[MappedWalk, ...]
     apart: tuple[tuple[str, str], ...]
     moved_access_points: tuple[int, ...]
+    notes: tuple[str, ...]
     _chains: tuple[Chain, ...] = field(default=())
     _groups: tuple[_JoinedGroup, ...] = field(default=())
     _known: Mapping[str, Sequence[Known]] = field(default_factory=dict[str, Sequence[Known]])
@@ -292,7 +300,7 @@ class WalkMap:
         """
         from pdr_filter.walk_map.drawing import report_text
 
-        write_files({Path(path): report_text(self.walks, self.apart, self.moved_access_points).encode()})
+        write_files({Path(path): report_text(self.walks, self.apart, self.moved_access_points, self.notes).encode()})
         return Path(path)
 
     def add(
@@ -396,6 +404,7 @@ class WalkMap:
             "format_version": _FORMAT,
             "n_walks": len(chains),
             "apart": list(self.apart) if times else apart,
+            "notes": list(self.notes) if times else [],
             "version": __version__,
         }
         folder.mkdir(parents=True, exist_ok=True)
@@ -437,7 +446,7 @@ class WalkMap:
             chains: tuple[Chain, ...] = tuple(from_bytes(read_small(w, limits.MAX_WHOLE_BYTES)) for w in walks)
             groups, known, north = from_bytes(read_small(folder / "groups.bin", limits.MAX_WHOLE_BYTES))
             apart = tuple((name, why) for name, why in card["apart"])
-            return _result(chains, groups, apart, known, salt, north)
+            return _result(chains, groups, apart, tuple(card["notes"]), known, salt, north)
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise ValueError(
                 f"{folder}: not a map of walks ({error}): check the folder, or map the recordings again"
@@ -478,7 +487,8 @@ def map_walks(
     known : iterable of tuple of str and PositionFix or HeadingFix
         Known positions and headings, each with the name of its walk. They define the frame of the map, together with
         the marks beside recordings in files (`fixes.csv`). Without them, the origin is the start of one walk, and north
-        is magnetic north.
+        is magnetic north. Fixes that contradict the steps of their walk, each other, or the other walks are not used,
+        and `notes` names them.
     origin : Origin or tuple of float, optional
         Latitude and longitude of the building in degrees, to a few kilometres. With the declination there, the
         magnetometers of all walks say where true north is.
@@ -501,7 +511,7 @@ def map_walks(
     Raises
     ------
     ValueError
-        If there are no recordings, or if a known fix names an unknown walk.
+        If there are no recordings, or if a known fix names an unknown walk or is outside of its walk.
 
     See Also
     --------
@@ -535,9 +545,9 @@ def map_walks(
 def _by_name(known: Iterable[tuple[str, object]], chains: Sequence[Chain]) -> dict[str, list[Known]]:
     """Return the known positions and headings of each walk, by its name.
 
-    ValueError for a name that no chain has, and for other kinds of fixes.
+    ValueError for a name that no chain has, for a time outside of the walk, and for other kinds of fixes.
     """
-    names, found = {c.name for c in chains}, dict[str, list[Known]]()
+    names, found = {c.name: c.span_s for c in chains}, dict[str, list[Known]]()
     for name, fix in known:
         if name not in names:
             raise ValueError(
@@ -546,6 +556,12 @@ def _by_name(known: Iterable[tuple[str, object]], chains: Sequence[Chain]) -> di
             )
         if not isinstance(fix, PositionFix | HeadingFix):
             raise ValueError(f"known must have PositionFix or HeadingFix, got {type(fix).__name__} for {name!r}")
+        start_s, end_s = names[name]
+        if not start_s - OUTSIDE_S <= fix.time_s <= end_s + OUTSIDE_S:
+            raise ValueError(
+                f"known has a fix at {fix.time_s} s for the walk {name!r}, which is from {start_s:.1f} to {end_s:.1f} "
+                "s: give the time on the clock of its samples"
+            )
         found.setdefault(name, []).append(fix)
     return found
 
@@ -619,23 +635,27 @@ def _mapped(
     """
     walks = ScannedWalks.of(chains)
     reasons = {i: "no Wi-Fi scans: record Wi-Fi with the walk" for i, c in enumerate(chains) if not len(c.scans)}
-    fixes = {i: known[c.name] for i, c in enumerate(chains) if c.name in known}
+    fixes, notes = _consistent_fixes(chains, known, north)
     free = {i for i in range(len(chains)) if i not in reasons}
     groups = [PlacedGroup(g.poses, {i: g.poses[i] for i in g.seeds}, g.north_rad, north) for g in before]
     fixed = [g.states for g in before]
     is_known = [g.is_known for g in before]
     free -= {i for g in groups for i in g.poses}
     seeds = {i: pose for i in fixes if i in free and (pose := _known_pose(chains[i], fixes[i])) is not None}
+    home = next((k for k, flag in enumerate(is_known) if flag), None)
+    of_known = PlacedGroup({}, {}, north[0], north) if home is None else groups[home]
+    for i in sorted(doubtful_seeds(walks, of_known, seeds, free - seeds.keys())):
+        del seeds[i], fixes[i]
+        notes.append(
+            f"the known positions of {chains[i].name} are not used: its Wi-Fi scans place it more than 24 m away among "
+            "the walks around the other known positions: check the places and their frame"
+        )
     if seeds:
-        home = next((k for k, flag in enumerate(is_known) if flag), None)
-        if home is None:
-            groups.insert(0, PlacedGroup(dict(seeds), seeds, north[0], north))
-            fixed.insert(0, {})
-            is_known.insert(0, True)
-        else:
-            groups[home].poses.update(seeds)
-            groups[home].seeds = {**groups[home].seeds, **seeds}
+        of_known.poses.update(seeds)
+        of_known.seeds = {**of_known.seeds, **seeds}
         free.difference_update(seeds)
+        if home is None:
+            groups, fixed, is_known = [of_known, *groups], [{}, *fixed], [True, *is_known]
     for group in groups:
         _extend(walks, group, free, reasons)
     todo = sorted(free, key=lambda i: (-len(walks.partners[i] & free), i))
@@ -664,7 +684,7 @@ def _mapped(
         for i in set(states) - set(earlier) - set(group.seeds):
             if np.median(worst_std_m(states[i].joint_cov[:, :2, :2])) <= _MOST_STD_M:
                 continue
-            reasons[i] = "its place is uncertain by more than 15 m: walk longer, or through mapped places"
+            reasons[i] = f"its place may be wrong by {_ACCURATE_M:.0f} m: walk longer, or through mapped places"
             del states[i], group.poses[i]
         number = tuple(sorted(states))
         pose, state = tuple(group.poses[i] for i in number), tuple(states[i] for i in number)
@@ -679,7 +699,45 @@ def _mapped(
                 else "recognises no place of another walk: walk through mapped places"
             )
             apart = [*apart, (chain.name, why)]
-    return _result(chains, solved, apart, known, salt, north)
+    heard = {i for i, chain in enumerate(chains) if len(chain.scans)}
+    return _result(chains, solved, apart, (*notes, *_storeys_without_map(solved, heard)), known, salt, north)
+
+
+def _consistent_fixes(
+    chains: Sequence[Chain], known: Mapping[str, Sequence[Known]], north: tuple[float, float]
+) -> tuple[dict[int, list[Known]], list[str]]:
+    """Return the fixes of each walk, by its index, that do not contradict its steps or each other, and notes.
+
+    `known` has all fixes by the names of the walks. The notes name the other fixes.
+    """
+    fixes, notes = dict[int, list[Known]](), list[str]()
+    for i, chain in enumerate(chains):
+        if chain.name in known:
+            wrong = contradicting(chain, known[chain.name], north)
+            fixes[i] = [fix for fix in known[chain.name] if fix not in wrong]
+            for fix in wrong:
+                kind = "position" if isinstance(fix, PositionFix) else "heading"
+                notes.append(
+                    f"the known {kind} of {chain.name} at {fix.time_s:.1f} s is not used: its steps and its other "
+                    "fixes contradict it: check the place, the heading and the time"
+                )
+    return fixes, notes
+
+
+def _storeys_without_map(groups: Sequence[_JoinedGroup], heard: set[int]) -> list[str]:
+    """Return a note for each storey with a known walk, to which none of the other walks with scans was joined.
+
+    `heard` has the indices of all walks with scans.
+    """
+    left = heard - {i for g in groups if g.is_known for i in g.number}
+    with_seeds = {g.poses[i].floor for g in groups if g.is_known for i in g.seeds}
+    with_others = {g.poses[i].floor for g in groups if g.is_known for i in g.number if i not in g.seeds}
+    return [
+        f"storey {floor} has no map: no place among its known walks is sure for any other walk, because too few walks "
+        "pass the same places: record more walks there, or give known positions of more walks"
+        for floor in sorted(with_seeds - with_others)
+        if left
+    ]
 
 
 def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: dict[int, str]) -> None:
@@ -690,23 +748,25 @@ def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: di
     well, and the more probable result counts.
     """
     kept = frozenset(group.poses)
-    tries: list[tuple[PlacedGroup, set[int], list[int]]] = []
+    tries: list[tuple[PlacedGroup, set[int], dict[int, str]]] = []
     for pace in PACES:
         grown, left = replace(group, poses=dict(group.poses)), set(free)
         if len(grown.poses) > 1:
             adjust(walks, grown, list(grown.poses))
         grow(walks, grown, left, pace)
-        removed = settle(walks, grown, kept)
+        why = "the other walks contradict its place: access points may have been moved"
+        removed = dict.fromkeys(settle(walks, grown, kept), why)
         adjust(walks, grown, list(grown.poses), n_iterations=25)
+        why = "the walks joined on its storey do not agree with the walk that defines the frame: more walks are needed"
+        removed |= dict.fromkeys(drop_doubtful_storeys(walks, grown, kept), why)
         tries.append((grown, left, removed))
-        is_small = 1 < len(grown.poses) <= MOST_TOGETHER
+        is_small = len(grown.poses) <= MOST_TOGETHER and (len(grown.poses) > 1 or removed)
         if not is_small or not any(walks.partners[i] & grown.poses.keys() for i in (*left, *removed)):
             break
     best, left, removed = max(tries, key=lambda of: log_evidence(walks, of[0])) if len(tries) > 1 else tries[0]
     group.poses, group.north_rad = best.poses, best.north_rad
     free.intersection_update(left)
-    for i in removed:
-        reasons[i] = "the other walks contradict its place: access points may have been moved"
+    reasons.update(removed)
 
 
 def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
@@ -737,13 +797,14 @@ def _result(
     chains: Sequence[Chain],
     groups: Sequence[_JoinedGroup],
     apart: Sequence[tuple[str, str]],
+    notes: tuple[str, ...],
     known: Mapping[str, Sequence[Known]],
     salt: str | None,
     north: tuple[float, float],
 ) -> WalkMap:
     """Return the map of solved groups, with positions and covariances of all their walks.
 
-    `apart` has the names and reasons of the walks that were not joined.
+    `apart` has the names and reasons of the walks that were not joined, and `notes` has the warnings.
     """
     found = list[MappedWalk]()
     for number, group in enumerate(groups):
@@ -754,7 +815,7 @@ def _result(
                 MappedWalk(chains[i].name, number, chains[i].time_s, read_only(position_m), read_only(cov_m2), floor)
             )
     moved = _moved_access_points(chains, groups, found)
-    return WalkMap(tuple(found), tuple(apart), moved, tuple(chains), tuple(groups), dict(known), salt, north)
+    return WalkMap(tuple(found), tuple(apart), moved, notes, tuple(chains), tuple(groups), dict(known), salt, north)
 
 
 def _moved_access_points(

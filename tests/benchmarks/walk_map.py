@@ -1,10 +1,11 @@
 """A map of many walks through a shopping mall, from the first waypoint and direction of one walk a storey.
 
-usage: python -m tests.benchmarks.walk_map [storeys] [numbers] [radio] [plan] [--data DIR]
+usage: python -m tests.benchmarks.walk_map [storeys] [numbers] [calibration] [radio] [plan] [--data DIR]
 
-99 walks of `ms_indoor` with Wi-Fi on five storeys. All parameters were chosen on F1. The given walk of a storey is the
-one with the most partners, walks with a similar scan: this choice uses no waypoint. The map knows the city, and with it
-the declination, where a table says so.
+99 walks of `ms_indoor` with Wi-Fi on five storeys. All parameters were chosen on F1, but the probability from which a
+walk is joined: `calibration` chooses it on four storeys and tests it on the fifth one. The given walk of a storey is
+the one with the most partners, walks with a similar scan: this choice uses no waypoint. The map knows the city, and
+with it the declination, where a table says so.
 """
 
 from __future__ import annotations
@@ -249,6 +250,50 @@ def numbers(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("walk_map_numbers", COLUMNS, [*means, *rows], ABOUT_NUMBERS)
 
 
+ABOUT_CALIBRATION = (
+    "Each walk among 1 to 12 others at their true places, drawn at random. Wrong: its centre is more than 15 m away. "
+    "The threshold is the smallest probability from which at most 5 % of the places are wrong, in the mean of the four "
+    "other storeys."
+)
+SIZES = (*[1] * 14, *[2] * 8, *[3] * 6, *[5] * 6, *[8] * 4, *[12] * 4)
+
+
+def placed(walks: Sequence[Walk]) -> np.ndarray:
+    """Probability (n,) and error in m of the best place of walks among a few others at their true places, (n, 2)."""
+    scanned, rng = ScannedWalks.of([w.chain for w in walks]), np.random.default_rng(0)
+    poses, found = {i: true_pose(w) for i, w in enumerate(walks)}, list[tuple[float, float]]()
+    for i in poses:
+        for size in SIZES if scanned.partners[i] else ():
+            some = {int(rng.choice(sorted(scanned.partners[i])))}
+            while len(some) < size and (near := set().union(*(scanned.partners[j] for j in some)) - some - {i}):
+                some.add(int(rng.choice(sorted(near))))
+            group = PlacedGroup({j: poses[j] for j in sorted(some)}, {}, CITY.declination_rad())
+            candidate = locate(scanned, group, i) if len(some) == size else None
+            if candidate is not None:
+                centre_m = poses[i].of(scanned.own_m[scanned.rows(i)]).mean(axis=0)
+                found.append((candidate.prob, float(np.hypot(*(candidate.centre_m - centre_m)))))
+    return np.array(found)
+
+
+def calibration(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Threshold of the probability of a place, chosen without each storey in turn, and its errors there."""
+    of_storey = {name: placed(group) for name, group in by_storey(walks_of(arguments.data))}
+
+    def wrong(name: str, prob: float) -> float:
+        sure = of_storey[name][of_storey[name][:, 0] >= prob]
+        return float((sure[:, 1] > WRONG_M).mean()) if len(sure) else 0.0
+
+    odds, rows = np.exp(np.arange(0.0, 8.0, 0.05)), list[list[str]]()
+    for name, found in of_storey.items():
+        others = [other for other in of_storey if other != name]
+        prob = next(p for p in (odds / (1.0 + odds)).tolist() if np.mean([wrong(o, p) for o in others]) <= 0.05)
+        share = (found[:, 0] >= prob).mean()
+        cells = [f"{100 * value:.0f} %" for value in (share, wrong(name, prob), wrong(name, 0.8), wrong(name, SURE))]
+        rows.append([name, str(len(found)), f"{prob:.3f}", *cells])
+    columns = ["storey", "places", "threshold of the others", "sure", "of these wrong", "from 0.8", f"from {SURE}"]
+    tables.write("walk_map_calibration", columns, rows, ABOUT_CALIBRATION)
+
+
 ABOUT_RADIO = (
     "Each fifth of the walks of F1 by the map of the others. The map that is turned and shifted keeps its uncertainty."
 )
@@ -333,4 +378,4 @@ def _hall(path: Path, walks: Sequence[Walk]) -> Path:
 
 
 if __name__ == "__main__":
-    run(__doc__, storeys, numbers, radio, plan)
+    run(__doc__, storeys, numbers, calibration, radio, plan)

@@ -37,6 +37,21 @@ def test_a_folder_becomes_a_map_with_a_radio_map_a_plan_and_a_report(tmp_path: P
     assert (out / "map.html").read_text("utf-8").count("<polyline") == 2
 
 
+def test_known_positions_that_are_not_used_are_named(tmp_path: Path) -> None:
+    for seed in (1, 2):
+        walk_with_wifi(round_a_block(), seed).save(tmp_path / f"walk{seed}.zip")
+    marks = tmp_path / "walk1.zip.marks"
+    marks.mkdir()
+    (marks / "fixes.csv").write_text("time_s,east_m,north_m\n0.5,100,50\n0.5,400,50\n")
+    result = run("map", tmp_path, "--out", tmp_path / "out", "--times")
+    assert result.exit_code == 0
+    assert result.stdout.count("note: the known position of walk1 at 0.5 s is not used: ") == 2
+    assert "the known position of walk1 at 0.5 s" in (tmp_path / "out" / "map.html").read_text("utf-8")
+    (marks / "fixes.csv").write_text("time_s,east_m,north_m\n1e6,100,50\n")
+    result = run("map", tmp_path, "--out", tmp_path / "out")
+    assert result.exit_code == 2 and "fix at 1000000.0 s for the walk 'walk1'" in one_line(result.stderr)
+
+
 def test_an_empty_folder_is_named(tmp_path: Path) -> None:
     result = run("map", tmp_path, "--out", tmp_path / "out")
     assert result.exit_code == 2

@@ -12,7 +12,7 @@ import pytest
 import pdr_filter as pdr
 from pdr_filter.walk_map import placing, walk_map
 from pdr_filter.walk_map.chains import Chain, Scans, chain_of
-from pdr_filter.walk_map.joint import _by_state, solve_group, step_positions
+from pdr_filter.walk_map.joint import _by_state, contradicting, solve_group, step_positions
 from pdr_filter.walk_map.likeness import (
     EVIDENCE,
     LENGTH_M,
@@ -145,7 +145,8 @@ def test_of_two_paces_of_growth_the_more_probable_result_counts(monkeypatch: pyt
         group.north_rad = float(pace)
         free.difference_update({*joined, 4})
 
-    for name, other in {"grow": grow, "adjust": lambda *_, **__: None, "settle": lambda *_: [4]}.items():
+    nothing = {"adjust": lambda *_, **__: None, "drop_doubtful_storeys": lambda *_: [], "settle": lambda *_: [4]}
+    for name, other in {"grow": grow, **nothing}.items():
         monkeypatch.setattr(walk_map, name, other)
     monkeypatch.setattr(walk_map, "log_evidence", lambda _, group: float(2 + better in group.poses))
     walks = SimpleNamespace(partners=[set(range(5)) for _ in range(5)])
@@ -248,3 +249,65 @@ def test_walks_that_are_on_a_map_stay_although_the_others_do_not_confirm_them(mo
     group = PlacedGroup(poses, {0: poses[0]})
     assert placing.settle(cast(Any, None), group, kept=frozenset([0, 2])) == [1, 3]
     assert set(group.poses) == {0, 2}
+
+
+def test_walks_leave_a_storey_on_which_no_walk_of_the_frame_is_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(placing, "_is_confirmed", lambda _, group, i, prob: i == 0 and prob == placing.SURE)
+    poses = {i: Pose(0.0, np.zeros(2), floor) for i, floor in enumerate((0, 1, 0, 1, 2, 0))}
+    group = PlacedGroup(poses, {})
+    # the walks 0 and 5 of storey 0 define the frame, of which one is confirmed; storey 2 has none
+    assert placing.drop_doubtful_storeys(cast(Any, None), group, frozenset([0, 1, 5])) == [3]
+    assert set(group.poses) == {0, 1, 2, 4, 5}
+
+
+def test_after_a_map_without_agreement_the_other_pace_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried: list[int] = []
+
+    def grow(_: object, group: PlacedGroup, free: set[int], pace: int) -> None:
+        tried.append(pace)
+        group.poses[1] = Pose(float(pace), np.zeros(2))
+        free.discard(1)
+
+    def drop(_: object, group: PlacedGroup, __: object) -> list[int]:
+        return [i for i in (1,) if group.poses[1].turn_rad == PACES[0] and group.poses.pop(1)]
+
+    others = {"grow": grow, "adjust": lambda *_, **__: None, "settle": lambda *_: [], "drop_doubtful_storeys": drop}
+    for name, other in others.items():
+        monkeypatch.setattr(walk_map, name, other)
+    monkeypatch.setattr(walk_map, "log_evidence", lambda _, group: float(len(group.poses)))
+    group, free = PlacedGroup({0: Pose(0.0, np.zeros(2))}, {}), {1}
+    walk_map._extend(cast(Any, SimpleNamespace(partners=[{1}, {0}])), group, free, reasons := dict[int, str]())
+    assert tried == list(PACES) and set(group.poses) == {0, 1} and not reasons
+
+
+def fixes_along(chain: Chain, every: int, std_m: float = 0.5) -> list[pdr.PositionFix]:
+    """Positions of every so many steps of a walk, rotated and shifted, with the order of their times."""
+    steps = np.arange(0, len(chain.time_s), every)
+    at_m = Pose(0.3, np.array([50.0, -20.0])).of(chain.position_m(steps))
+    times_s = np.append(chain.time_s[:1] - 0.1, chain.time_s)[steps]
+    return [pdr.PositionFix(t, p, std_m**2 * np.eye(2)) for t, p in zip(times_s.tolist(), at_m, strict=True)]
+
+
+@pytest.mark.parametrize("wrong", range(4))
+def test_a_known_position_that_the_steps_and_the_others_contradict_is_found(chain: Chain, wrong: int) -> None:
+    fixes, north = fixes_along(chain, len(chain.time_s) // 4), (0.3, 0.05)
+    assert len(fixes) >= 4 and contradicting(chain, fixes, north) == []
+    fixes[wrong] = replace(fixes[wrong], position_m=np.add(fixes[wrong].position_m, (24.0, -32.0)))
+    assert contradicting(chain, fixes, north) == [fixes[wrong]]
+
+
+def test_of_two_contradicting_positions_both_are_found(chain: Chain) -> None:
+    (first, *_, last), north = fixes_along(chain, 5), (0.3, 0.05)
+    assert contradicting(chain, [first, last], north) == []
+    last = replace(last, position_m=np.add(last.position_m, (300.0, 0.0)))
+    assert contradicting(chain, [first, last], north) == [first, last]
+
+
+@pytest.mark.parametrize("off_rad", [0.0, np.pi, 1.8])
+def test_a_known_heading_that_the_magnetometer_contradicts_is_found(chain: Chain, off_rad: float) -> None:
+    assert chain.knows_north
+    step, first = 8, fixes_along(chain, 5)[0]
+    node = int(chain.node_of(np.array([step]))[0][0])
+    heading_rad = chain.device_rad_at(step) + float(chain.mean[node, 2]) + 0.3 + off_rad
+    heading = pdr.HeadingFix(float(chain.time_s[step - 1]), heading_rad, 0.1)
+    assert contradicting(chain, [first, heading], (0.3, 0.05)) == ([heading] if off_rad else [])

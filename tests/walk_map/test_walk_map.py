@@ -265,7 +265,7 @@ def test_with_an_origin_the_map_has_true_north(building: list[Recording]) -> Non
 def test_an_access_point_that_was_moved_is_named_and_not_mapped(building: list[Recording]) -> None:
     moved = 0xABCDEF
     near = []
-    for k, end in ((0, slice(0, 3)), (3, slice(0, 3))):
+    for k, end in ((0, slice(0, 3)), (1, slice(0, 3))):  # all other access points differ
         wifi = building[k].wifi
         assert wifi is not None
         times = np.unique(np.array([s.time_s for s in wifi.scans()]))[end]
@@ -286,11 +286,62 @@ def test_an_access_point_that_was_moved_is_named_and_not_mapped(building: list[R
     assert moved not in found.radio().bssid
 
 
+def test_two_places_of_a_walk_in_one_second_are_both_named_and_not_used(building: list[Recording]) -> None:
+    name = building[0].name
+    fixes = [(name, pdr.PositionFix(2.0, (east, 0.0), np.eye(2))) for east in (0.0, 300.0)]
+    found = pdr.map_walks([building[0], building[3]], fixes)
+    assert len(found.notes) == 2 and all(f"position of {name} at 2.0 s" in note for note in found.notes)
+    np.testing.assert_array_equal(
+        found.walks[0].position_m, pdr.map_walks([building[0], building[3]]).walks[0].position_m
+    )
+
+
+def moved(fixes: list[tuple[str, object]], east_m: float) -> list[tuple[str, object]]:
+    """Known positions moved to the east, and known headings."""
+    return [
+        (name, replace(f, position_m=np.add(f.position_m, (east_m, 0.0))) if isinstance(f, pdr.PositionFix) else f)
+        for name, f in fixes
+    ]
+
+
+def test_a_walk_whose_known_positions_the_scans_contradict_is_named_and_placed_by_them(
+    building: list[Recording], tmp_path: Path
+) -> None:
+    walks = building[::3]
+    fixes = [fix for k, w in enumerate(walks) for fix in moved(known(w, 0), 40.0 * (k == 1))]
+    found = pdr.map_walks(walks, fixes)
+    (note,) = found.notes
+    assert f"positions of {walks[1].name} are not used" in note
+    error, cov = errors(found, walks)
+    nees = np.einsum("na,nab,nb->n", error, np.linalg.inv(cov + 0.2**2 * np.eye(2)), error)
+    assert len(found.walks) == 3 and np.hypot(*error.T).max() < 12.0 and (nees < 9.2).mean() > 0.85
+    assert pdr.map_walks(walks, [fix for w in walks for fix in known(w, 0)]).notes == ()
+    assert note in found.write_report(tmp_path / "map.html").read_text("utf-8")
+    assert pdr.WalkMap.load(found.save(tmp_path / "times", times=True)).notes == found.notes
+    assert pdr.WalkMap.load(found.save(tmp_path / "map")).notes == ()  # notes have names
+
+
+def test_of_two_known_walks_that_the_scans_contradict_neither_is_used(building: list[Recording]) -> None:
+    walks = [building[0], building[3]]
+    found = pdr.map_walks(walks, [*known(walks[0], 0), *moved(known(walks[1], 0), 40.0)])
+    assert [any(f"of {w.name} are not used" in note for note in found.notes) for w in walks] == [True, True]
+
+
+def test_a_storey_on_which_no_walk_joins_the_known_one_is_named(building: list[Recording]) -> None:
+    found = pdr.map_walks([building[k] for k in (0, 3, 2)], [*known(building[0], 4), *known(building[2], 7)])
+    assert [note.split(":")[0] for note in found.notes] == []  # no walk is left
+    found = pdr.map_walks([building[k] for k in (0, 3, 2, 1, 4)], [*known(building[0], 4), *known(building[2], 7)])
+    assert [note.split(":")[0] for note in found.notes] == ["storey 7 has no map"]
+
+
 def test_wrong_arguments_are_named(building: list[Recording]) -> None:
     with pytest.raises(ValueError, match="recordings is empty"):
         pdr.map_walks([])
     with pytest.raises(ValueError, match="'nobody'"):
         pdr.map_walks([building[0]], [("nobody", pdr.HeadingFix(1.0, 0.0, 0.1))])
+    for time_s in (-5.0, 1e6):
+        with pytest.raises(ValueError, match=f"at {time_s} s for the walk 'phone0_storey0', which is from 0.0 to"):
+            pdr.map_walks([building[0]], [(building[0].name, pdr.PositionFix(time_s, (0.0, 0.0), np.eye(2)))])
     with pytest.raises(ValueError, match="PositionFix or HeadingFix"):
         pdr.map_walks([building[0]], [(building[0].name, pdr.SpeedFix(1.0, 1.0, 0.1))])
 

@@ -17,6 +17,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     over_gap,
     step_update,
     with_heading,
+    with_reach_after_fix,
     with_reopened_rotation,
     with_step,
 )
@@ -254,6 +255,8 @@ class ImmTracker:
         """
         offset_rad = self.model.directions.heading_offset_rad
         pedestrian, outcome, nis = use_fix(self.model, self.arithmetic, state.pedestrian, offset_rad, fix)
+        if pedestrian.estimates is not state.pedestrian.estimates:
+            pedestrian = with_reach_after_fix(pedestrian, fix)
         return replace_unchecked(state, pedestrian=pedestrian), outcome, nis
 
     def finish(self, state: ImmState) -> tuple[ImmState, tuple[StepUpdate, ...]]:

@@ -506,6 +506,37 @@ def bound_heading_variance(cov: FloatArray) -> FloatArray:
     return bounded
 
 
+def bounded_position_cov(cov_m2: FloatArray, reach_m: FloatArray | float) -> FloatArray:
+    """Return covariances (..., 2, 2) in m2 with a standard deviation of at most `reach_m` (...) along each axis.
+
+    A pedestrian is not farther from the last known position than the way walked. The linear covariance is larger if the
+    heading is unknown: the variance v of an angle gives the error v^(1/2) across a way of length one, and the true
+    error is E[sin^2]^(1/2) = ((1 - exp(-2 v)) / 2)^(1/2), which is below 0.71. If the heading changes all the time
+    without being measured, the pedestrian stays near the last known position, at the distance of the way from the
+    estimate.
+    """
+    most_m2 = (1.0 - 1e-9) * np.square(reach_m)  # below the limit after rounding
+    exceeds = cov_m2[..., 0, 0] + cov_m2[..., 1, 1] > most_m2
+    if not exceeds.any():
+        return cov_m2
+    var_m2, axes = np.linalg.eigh(cov_m2)
+    var_m2 = np.minimum(var_m2, np.asarray(most_m2)[..., None])
+    bounded = (axes * var_m2[..., None, :]) @ axes.swapaxes(-1, -2)
+    return np.where(exceeds[..., None, None], 0.5 * (bounded + bounded.swapaxes(-1, -2)), cov_m2)
+
+
+def reach_m(way_m: FloatArray, std_m: FloatArray) -> FloatArray:
+    """Return the largest possible standard deviations (N,) in m of positions that are one walk apart.
+
+    `way_m` (N,) is the way walked until each position, and `std_m` (N,) are standard deviations of the positions. The
+    result is the smallest std_m + |difference of way_m| over all positions: from one position to another, the error
+    grows by at most the way between both.
+    """
+    since = way_m + np.minimum.accumulate(std_m - way_m)
+    until = np.minimum.accumulate((std_m + way_m)[::-1])[::-1] - way_m
+    return np.minimum(since, until)
+
+
 def second_order_errors(heading_var_rad2: float, log_scale_var: float) -> tuple[float, float]:
     """Return the root mean square errors along and across a step of length one that the linear covariance neglects.
 

@@ -22,6 +22,7 @@ from pdr_filter.filter.imm.motion_model import (
     NORTH,
     Directions,
     MotionNoise,
+    bounded_position_cov,
     expect_first_direction,
     grow_over_gap,
     initial_estimate,
@@ -34,8 +35,11 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.step_history import StepHistory, Walked
 from pdr_filter.filter.imm.walking_speed import WalkingSpeed
 from pdr_filter.values import (
+    Fix,
     FloatArray,
     OnPlan,
+    PositionFix,
+    RangeFix,
     Step,
     as_plain,
     frozen,
@@ -43,9 +47,10 @@ from pdr_filter.values import (
     replace_unchecked,
     wrap_angle,
 )
+from pdr_filter.values.uncertainty import worst_std_m
 
 # Time between two steps from which there is a pause between them.
-_PAUSE_S = 2.0
+PAUSE_S = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +205,9 @@ class PedestrianState:
         Present estimate of the positions of all steps.
     rival : Rival or None
         Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
+    std_at_start_m : float
+        Standard deviation of the position after the last used position fix, minus the distance walked until then, in m.
+        A gap adds its standard deviation.
     """
 
     estimates: Estimates
@@ -209,6 +217,15 @@ class PedestrianState:
     fixes: FixHistory = field(default_factory=FixHistory)
     path: PastPath = field(default_factory=PastPath)
     rival: Rival | None = None
+    std_at_start_m: float = 0.0
+
+    @property
+    def reach_m(self) -> float:
+        """Largest possible standard deviation of the position in m (`motion_model.reach_m`).
+
+        It is the standard deviation after the last used position fix plus the way walked since then.
+        """
+        return max(self.std_at_start_m + self.estimates.distance_m, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,10 +343,21 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
         steps=state.steps.after_gap(gap_s),
         fixes=state.fixes.after_gap(),
         path=state.path.predicted(P, estimates.combined[1]),
+        std_at_start_m=state.std_at_start_m + math.sqrt(noise.gap_var_m2(gap_s)),
     )
 
 
 _MAX_NORTH_STD_RAD = 1.0  # limit of a normal density on a circle
+
+
+def with_reach_after_fix(state: PedestrianState, fix: Fix) -> PedestrianState:
+    """Return the state after a used fix, with the standard deviation that a fix of the position has given it."""
+    if not isinstance(fix, PositionFix | RangeFix):
+        return state
+    estimates = state.estimates
+    std_m = float(worst_std_m(position_cov(estimates.combined[1], estimates.consider_cov_m2)))
+    return replace_unchecked(state, std_at_start_m=std_m - estimates.distance_m)
+
 
 # The square of 50 degrees. Above it the rotation to the fixes is estimated again; below it the walking directions
 # restore the heading. Among 0.25, 0.4, 0.5, 0.6 and 0.75 this value has the smallest errors of the shape on routes 21
@@ -439,7 +467,7 @@ def step_update(
     speed, n_steps = updated.steps.speed, previous.steps.n_final
     if speed is None:
         raise ValueError("the state after a step must have a walking speed: use the state that with_step returns")
-    cov_m2 = position_cov(P, updated.estimates.consider_cov_m2)
+    cov_m2 = bounded_position_cov(position_cov(P, updated.estimates.consider_cov_m2), updated.reach_m)
     of_start = Place(frozen(x[:2].copy()), cov_m2, walked.heading_rad, n_steps)
     place = of_start if updated.frame.is_joined else updated.frame.world(of_start)
     return StepUpdate(
@@ -476,7 +504,7 @@ def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, leng
     The move leads from the combined position before a step to that after it. The move is longer than the step if the
     step corrected the heading, which rotates earlier steps. The result is 0 across a pause or a change of the frame.
     """
-    is_pause = not updated.steps.last_s - previous.steps.last_s < _PAUSE_S
+    is_pause = not updated.steps.last_s - previous.steps.last_s < PAUSE_S
     if (
         is_pause
         or previous.frame.alignment is not updated.frame.alignment
@@ -491,4 +519,5 @@ def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, leng
 def track_place(state: PedestrianState) -> Place:
     """Return the present position and its covariance in the frame of the filter states. The heading is set to 0."""
     x, P = state.estimates.combined
-    return Place(x[[EAST, NORTH]], position_cov(P, state.estimates.consider_cov_m2), 0.0, state.steps.n_final)
+    cov_m2 = bounded_position_cov(position_cov(P, state.estimates.consider_cov_m2), state.reach_m)
+    return Place(x[[EAST, NORTH]], cov_m2, 0.0, state.steps.n_final)

@@ -25,6 +25,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     over_gap,
     step_update,
     with_heading,
+    with_reach_after_fix,
     with_reopened_rotation,
     with_step,
 )
@@ -231,6 +232,8 @@ class WeightedTracker:
             Normalised innovation squared of the fix, or NaN if it was not compared with the track.
         """
         pedestrian, outcome, nis = use_fix(self.model, NumpyImm(), state.pedestrian, np.zeros(1), fix)
+        if pedestrian.estimates is not state.pedestrian.estimates:
+            pedestrian = with_reach_after_fix(pedestrian, fix)
         return replace_unchecked(state, pedestrian=pedestrian), outcome, nis
 
     def finish(self, state: WeightedState) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
@@ -330,21 +333,12 @@ class WeightedTracker:
         The length of the step is the weighted mean over the modes.
         """
         lengths = self.model.lengths(step)
-        length_m, length_var_m2 = float(weights @ lengths.length_m), lengths.mixture_var_m2(weights)
-        single_var_m2 = max(length_var_m2 - float(weights @ lengths.parameter_std_m**2), 0.0)
-        advanced = advance(
-            estimates.mean,
-            estimates.cov,
-            step,
-            np.array([length_m]),
-            np.array([single_var_m2]),
-            directions,
-            self.model.noise,
-        )
+        length_m, length_var_m2, single_var_m2, _ = lengths.weighted(weights)
+        advanced = advance(estimates.mean, estimates.cov, step, length_m, single_var_m2, directions, self.model.noise)
         motion, mean = advanced.motion, advanced.mean
         walked = Walked(
             length_m=float(motion.length_m[0]),
-            length_var_m2=length_var_m2,
+            length_var_m2=float(length_var_m2[0]),
             heading_rad=step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0]),
             parameter_std_m=weights * lengths.parameter_std_m * motion.scale,
             direction=motion.along,

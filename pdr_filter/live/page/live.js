@@ -218,6 +218,7 @@ const OUTCOMES = {
   waiting: "waits until the current step is complete",
   used: "was used", placed: "was used", turned: "was used", moved: "was used, and the track was moved to it together with other fixes",
   frozen: "was not used, because it repeats the last position although the person walks",
+  repeated: "was not used, because it repeats an earlier fix",
   "nothing to compare": "was not used, because there is no step at its time",
 };
 

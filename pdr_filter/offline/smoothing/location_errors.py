@@ -2,15 +2,17 @@
 
 The error of a location is not white noise. On 20 walks of ipin2023, a part of the error is constant for the whole walk,
 and another part is correlated for some 20 s. Phones smooth their locations. This makes closed walks smaller (0.7 to
-0.95 of their size outdoors) and delays them by 2 to 4 s. With a white noise model, the smoother would attribute smaller
-loops to shorter steps.
+0.95 of their size outdoors, 0.6 to 0.8 indoors) and delays them by 2 to 4 s. With a white noise model, the smoother
+would attribute smaller loops to shorter steps. The shrinkage is proportional to the walk, not to the locations. Their
+scatter would otherwise hide it, as errors in a regressor do.
 
 The error of a location is the sum of these parts, each a Gauss-Markov process:
 
 - constant over a walk, east and north: standard deviation sqrt(0.2) of that of the location, memory 1 h;
 - varying, east and north: sqrt(0.7) of that of the location, memory 20 s (the correlation time of the fix);
-- shrinkage towards the mean of the locations within 2 min before and after: standard deviation half of the distance
-  from this mean, at most 1.5 standard deviations of the location, memory 30 s;
+- shrinkage of the walk towards its mean within 2 min before and after: standard deviation half of the distance from
+  this mean, memory 1 h. It is limited to 1.5 standard deviations of the location where the locations themselves show
+  that their extent is right (`_shrinkage_m`);
 - delay, along the velocity of the walk: standard deviation 3 s, memory 30 s;
 - white: the remaining tenth of the variance.
 
@@ -24,6 +26,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdr_filter.filter.fixes.gnss import MAX_SHRINKAGE, SHRINKAGE_STD
 from pdr_filter.values import INDEPENDENT_SHARE, BoolArray, FloatArray, IntArray, PositionFix
@@ -34,9 +37,15 @@ N_ERRORS = 6
 # Share of the variance of a location that is constant for a walk (of up to an hour), and share of its independent
 # noise.
 _CONSTANT_SHARE, _CONSTANT_S, _OWN_SHARE = 0.2, 3600.0, 0.1
-# The shrinkage (`SHRINKAGE_STD`) is towards the mean of the locations within two minutes. It is limited
-# (`MAX_SHRINKAGE`), because outdoors the path of two minutes is long. Shrinkage and delay change within half a minute.
+# The shrinkage (`SHRINKAGE_STD`) is towards the mean of the walk within two minutes. It lasts for the whole walk, so
+# that the mean of many locations does not determine the step length. The delay changes within half a minute.
 _SHRUNK_WITHIN_S = 120.0
+# The extent of locations is right if it is ten times their error, so that a shrinkage of 1.5 standard deviations is at
+# most 15 % of it, and if it is not below 0.87 of that of the walk, two standard deviations (7 %) of the step length of
+# people. Smaller extents are shrinkage rather than a person with short steps.
+_LONG_WAY, _MIN_SIZE = 10.0, 0.87
+# Median and 99.9 % quantile of the length of a vector with two standard normal components.
+_MEDIAN_RADIUS, _OUTLIER_RADIUS = 1.177, 3.717
 _LATE_STD_S, _LATE_WITHIN_S = 3.0, 15.0
 _FILTERED_S = 30.0
 # Largest speed of a pedestrian. A faster displacement is an error, or a ride.
@@ -48,8 +57,8 @@ class Errors:
     """Errors of correlated fixes, one state (6,) per fix, in order of time.
 
     Each component is a Gauss-Markov process of variance one. Two components are the constant part of the position
-    error, and two the varying part. The fifth is the shrinkage of the locations towards their local mean, and the last
-    is their delay.
+    error, and two the varying part. The fifth is the shrinkage of the walk towards its local mean, and the last is the
+    delay of the locations.
 
     Attributes
     ----------
@@ -85,12 +94,16 @@ def independent_share(fix: PositionFix, is_location: bool) -> float:
     return 1.0 if fix.correlation_s == 0 else _OWN_SHARE if is_location else INDEPENDENT_SHARE
 
 
-def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArray) -> Errors:
+def errors_of(
+    fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArray, shape_m: FloatArray | None = None
+) -> Errors:
     """Return the error states of the E correlated fixes among F fixes in order of time.
 
     The error of a phone's location has all four parts: constant, varying, shrinkage and delay (see `Errors`). The error
     of any other fix has the varying part only. `node` (F,) is the index of each fix's anchor, the foot contact at which
-    the smoother estimates a state. `is_location` (F,) is True for locations of the phone.
+    the smoother estimates a state. `is_location` (F,) is True for locations of the phone. `shape_m` (F, 2) are
+    positions at the fixes that show the shape of the walk, in the axes of the fixes and with step lengths of the model.
+    The default is the fixes.
     """
     position = np.flatnonzero([f.correlation_s > 0 for f in fixes])
     if not len(position):
@@ -104,20 +117,66 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
     by[:, :, _VARYING] = np.sqrt(varying)[:, None, None] * root
     by[:, :, _CONSTANT] = np.where(located, np.sqrt(_CONSTANT_SHARE), 0.0)[:, None, None] * root
     std_m = np.sqrt([f.var_m2 for f in chosen])
-    shrunk_m = _limited(SHRINKAGE_STD * _from_local_mean(time_s, place_m), MAX_SHRINKAGE * std_m)
+    shrunk_m = _shrinkage_m(time_s, place_m, place_m if shape_m is None else shape_m[position], std_m)
     by[:, :, _SHRUNK] = np.where(located[:, None], -shrunk_m, 0.0)
     by[:, :, _LATE] = -_LATE_STD_S * located[:, None] * _velocity_mps(time_s, place_m)
     memory_s = np.full((len(chosen) - 1, N_ERRORS), _CONSTANT_S)
     memory_s[:, _VARYING] = np.array([f.correlation_s for f in chosen[1:]])[:, None]
-    memory_s[:, [_SHRUNK, _LATE]] = _FILTERED_S
+    memory_s[:, _LATE] = _FILTERED_S
     return Errors(position, node[position], by, np.exp(-np.diff(time_s)[:, None] / memory_s))
 
 
-def _from_local_mean(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
-    """Return each position (E, 2) minus the mean of all positions in [t - d, t + d), with d = `_SHRUNK_WITHIN_S`."""
-    first, end = (np.searchsorted(time_s, time_s + d) for d in (-_SHRUNK_WITHIN_S, _SHRUNK_WITHIN_S))
-    total = np.concatenate([np.zeros((1, 2)), np.cumsum(place_m - place_m[0], axis=0)])
-    return place_m - place_m[0] - (total[end] - total[first]) / (end - first)[:, None]
+def turned_to(locations: Sequence[PositionFix], at_m: FloatArray, walk_m: FloatArray) -> FloatArray:
+    """Return positions (N, 2) of a walk in the axes of L locations, by the best rotation of its positions at them.
+
+    `at_m` (L, 2) are the positions of the walk at the times of the locations.
+    """
+    if not locations:
+        return walk_m
+    place_m = np.array([f.position_m for f in locations])
+    a, b = at_m - at_m.mean(axis=0), place_m - place_m.mean(axis=0)
+    angle = np.arctan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
+    c, s = np.cos(angle), np.sin(angle)
+    return walk_m @ np.array([[c, s], [-s, c]])
+
+
+def _shrinkage_m(time_s: FloatArray, place_m: FloatArray, shape_m: FloatArray, std_m: FloatArray) -> FloatArray:
+    """Return the standard deviation of the shrinkage of each location, as a vector (E, 2) away from the local mean.
+
+    It is half of the position in `shape_m` (E, 2) relative to the mean of all positions in [t - d, t + d), with d =
+    `_SHRUNK_WITHIN_S`. Its length is limited where the extent of these locations is right: they follow the shape of the
+    walk with an error below a tenth of the extent, and are not smaller than the walk. The error is that of the best
+    similarity, or the stated one if that is larger.
+    """
+    place, shape = (m[:, 0] + 1j * m[:, 1] for m in (place_m, shape_m))
+    most_m = np.full(len(time_s), np.inf)
+    away = np.zeros((len(time_s), 2))
+    first, end = (np.searchsorted(time_s, time_s + d).tolist() for d in (-_SHRUNK_WITHIN_S, _SHRUNK_WITHIN_S))
+    for k, (i, j) in enumerate(zip(first, end, strict=True)):
+        size, error_m = _size_and_error(shape[i:j], place[i:j])
+        error_m = max(error_m, float(std_m[k]))
+        if size > _MIN_SIZE and float(np.std(shape[i:j])) > _LONG_WAY * error_m:
+            most_m[k] = MAX_SHRINKAGE * error_m
+        away[k] = shape_m[k] - shape_m[i:j].mean(axis=0)
+    return _limited(SHRINKAGE_STD * away, most_m)
+
+
+def _size_and_error(shape: NDArray[np.complexfloating], place: NDArray[np.complexfloating]) -> tuple[float, float]:
+    """Return the scale of the similarity from the walk to its locations, and their standard deviation along each axis.
+
+    Positions (N,) are complex numbers. The similarity is fitted again, without outliers beyond the 99.9 % quantile
+    of the distances from it, given their median. The standard deviation is infinite for fewer than three locations.
+    """
+    if len(place) < 3:
+        return 0.0, np.inf
+    size, std_m, used = 0.0, np.inf, np.ones(len(place), dtype=bool)
+    for _ in range(2):
+        walked, located = shape - shape[used].mean(), place - place[used].mean()
+        similarity = complex(np.vdot(walked[used], located[used])) / max(float(np.sum(np.abs(walked[used]) ** 2)), 1e-9)
+        away_m = np.abs(located - similarity * walked)
+        size, std_m = abs(similarity), float(np.median(away_m)) / _MEDIAN_RADIUS
+        used = away_m <= _OUTLIER_RADIUS * std_m
+    return size, std_m * float(np.sqrt(len(place) / (len(place) - 2)))
 
 
 def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
@@ -133,7 +192,7 @@ def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
 
 def _limited(vector: FloatArray, length: FloatArray) -> FloatArray:
     """Return vectors (E, 2) shortened to at most `length` (E,)."""
-    return vector * (length / np.maximum(np.hypot(*vector.T), length))[:, None]
+    return vector * np.minimum(1.0, length / np.maximum(np.hypot(*vector.T), 1e-9))[:, None]
 
 
 # Smallest factor by which `with_even_variances` reduces a claimed variance.

@@ -9,7 +9,7 @@ import numpy as np
 from pdr_filter.values import BoolArray, HeadingFix, Measurement, PositionFix, SpeedFix, are_numbers, check_number
 from pdr_filter.values.recording import Recording
 
-_OUTSIDE_S = 1.0  # fixes up to this far outside the samples are moved to the ends, because clocks are not more accurate
+OUTSIDE_S = 1.0  # fixes up to this far outside the samples are moved to the ends, because clocks are not more accurate
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +167,7 @@ class Observations:
         """
 
         def is_inside(time_s: float) -> bool:
-            return start_s - _OUTSIDE_S <= time_s <= end_s + _OUTSIDE_S
+            return start_s - OUTSIDE_S <= time_s <= end_s + OUTSIDE_S
 
         times_s = [f.time_s for f in self.fixes]
         inside = np.array([is_inside(f.time_s) for f in (*self.fixes, *self.locations)], dtype=bool)

@@ -5,17 +5,18 @@ In the frame of the heading offset and the scale at the start of an interval, it
     p_b = p_a + e^s_a R(theta_a) D,  theta_b = theta_a,  s_b = s_a,  and noise of covariance T Q T',
     T = diag(e^s_a R(theta_a), 1, 1),
 
-so that D and Q are computed once, however often the solver linearises (the idea of C. Forster et al., "On-manifold
-preintegration for real-time visual-inertial odometry", IEEE T-RO 33, 2017).
+so that Q is computed once, however often the solver linearises (the idea of C. Forster et al., "On-manifold
+preintegration for real-time visual-inertial odometry", IEEE T-RO 33, 2017). The log scale decays with each step, as in
+the filter. It scales each step of D and decays to s_b in `Intervals.steps_from`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_filter.filter.imm.imm import predict_cov
 from pdr_filter.filter.imm.motion_model import (
     EAST,
     HEADING_OFFSET,
@@ -23,12 +24,10 @@ from pdr_filter.filter.imm.motion_model import (
     MAX_HEADING_VARIANCE,
     N_STATES,
     Directions,
-    Mode,
-    MotionNoise,
     step_motion,
 )
-from pdr_filter.filter.step_length.models import StepLengths, uneven_var_m2
-from pdr_filter.values import FloatArray, IntArray, Table, read_only, steps_of
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.values import BoolArray, FloatArray, IntArray, Table, read_only, steps_of
 
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).
 TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -56,6 +55,8 @@ class Increments:
         Times of the contacts.
     duration_s : array (K,)
         Durations of the steps.
+    length_m : array (K,)
+        Length, mean over the modes.
     displacement_m : array (K, 2)
         East and north displacement, from device heading and modes.
     cov_m2 : array (K, 2, 2)
@@ -64,6 +65,8 @@ class Increments:
         Variance of the drift of the heading offset before the step.
     unknown_var_rad2 : array (K,)
         Variance of the heading offset from time without angular rate, before the step.
+    scale_memory : array (K,)
+        Factor on the log scale after the step.
     scale_drift_var : array (K,)
         Variance of the drift of the log scale after the step.
     jump_var_rad2 : array (K,)
@@ -74,10 +77,12 @@ class Increments:
 
     time_s: FloatArray
     duration_s: FloatArray
+    length_m: FloatArray
     displacement_m: FloatArray
     cov_m2: FloatArray
     drift_var_rad2: FloatArray
     unknown_var_rad2: FloatArray
+    scale_memory: FloatArray
     scale_drift_var: FloatArray
     jump_var_rad2: FloatArray
     gap_var_m2: FloatArray
@@ -85,74 +90,89 @@ class Increments:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    @property
+    def is_turned(self) -> BoolArray:
+        """True (K,) where the heading before the step is not that of the step before: it was moved, or not measured."""
+        return (self.jump_var_rad2 > 0) | (self.gap_var_m2 > 0) | (self.unknown_var_rad2 > 0)
+
     def part(self, first: int, end: int) -> Increments:
         """Return the increments of the steps from index `first` to `end` - 1."""
         return Increments(*(getattr(self, name)[first:end] for name in self.__slots__))
 
 
 def increments(
-    steps: Table,
-    mode_prob: FloatArray,
-    modes: Sequence[Mode],
-    noise: MotionNoise,
-    gap_before_s: FloatArray,
-) -> tuple[Increments, float]:
-    """Return the increments of detected steps, and the variance of the log scale from the step-length parameters.
+    steps: Table, mode_prob: FloatArray, model: PedestrianModel, gap_before_s: FloatArray, *, is_weighted: bool = False
+) -> tuple[Increments, FloatArray]:
+    """Return the increments of detected steps, and their errors (K, M + 1, 2) in m due to consider parameters.
 
     The displacement of a step is the mean over the M modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the
     mixture. For mode m, mu_m is the probability, L_m the step length and o_m the heading offset. psi is the device
-    heading, and u the unit vector of a heading. All steps share the error of the fitted step-length parameters. The
-    second result is therefore the mean of J cov J' / L^2 over steps and modes. J is the derivative of L by the
-    parameters, and cov is their covariance. This is an approximation for several parameters. `mode_prob` is (K, M), and
-    `gap_before_s` (K,) is the time without samples before each step.
-    """
-    n = len(steps)
-    lengths = StepLengths(tuple(m.step_length for m in modes))
-    each = steps_of(steps)
-    found = [lengths.predict(step) for step in each]
-    moves = np.array([m.moves for m in modes])
-    length_m = np.array([f[0] for f in found]).reshape(n, len(modes)) * moves
-    variance = np.array([f[1] for f in found]).reshape(n, len(modes))
-    residual_var = np.array([m.step_length.residual_std_m**2 for m in modes])
-    shared_var = mode_prob * moves * (variance - residual_var) / np.maximum(length_m, 0.1) ** 2
+    heading, and u the unit vector of a heading. If `is_weighted` is True, the step has the weighted length and the
+    direction of the single filter of `WeightedTracker` instead. Lengths, directions, drift and decay are those of the
+    filter. `mode_prob` is (K, M), and `gap_before_s` (K,) is the time without samples before each step.
 
-    directions = Directions.of(modes)
-    device_heading_rad = np.asarray(steps.device_heading_rad)[:, None]
-    own_var = residual_var + np.array([uneven_var_m2(step) for step in each]).reshape(n, 1) * moves
-    turned_rad = np.array([step.turned_rad for step in each]).reshape(n, 1)
-    move = step_motion(device_heading_rad, 0.0, 0.0, length_m, own_var, directions, turned_rad)
+    Consider parameters have the same error in all steps, and the smoother does not estimate them. The second result is
+    the error of each step for one standard deviation of each. The first M are the length parameters of the modes. The
+    last one is the person's scale in steps whose heading is not measured. Such steps may lead anywhere, so that fixes
+    closer together than the steps do not contradict their lengths, and fixes farther apart do. An estimate of the scale
+    would therefore grow with the errors of the fixes.
+    """
+    n, noise, each = len(steps), model.noise, steps_of(steps)
+    lengths, directions = [model.lengths(step) for step in each], [model.directions] * n
+    parameter_std_m = np.array([of.parameter_std_m for of in lengths]).reshape(n, -1) * mode_prob
+    prob = mode_prob
+    if is_weighted:
+        lengths = [of.weighted(weights) for of, weights in zip(lengths, mode_prob, strict=True)]
+        directions = [of.weighted(weights) for of, weights in zip(directions, mode_prob, strict=True)]
+        prob = np.ones((n, 1))
+    way = Directions(
+        *(np.array([getattr(of, name) for of in directions]).reshape(prob.shape) for name in Directions.__slots__)
+    )
+    move = step_motion(
+        np.asarray(steps.device_heading_rad)[:, None],
+        0.0,
+        0.0,
+        np.array([of.length_m for of in lengths]).reshape(prob.shape),
+        np.array([of.residual_var_m2 for of in lengths]).reshape(prob.shape),
+        way,
+        np.array([step.turned_rad for step in each]).reshape(n, 1),
+    )
     along, across = move.along, move.across
     displacement_m = move.length_m[..., None] * along
-    displacement = np.einsum("km,kma->ka", mode_prob, displacement_m)
+    displacement = np.einsum("km,kma->ka", prob, displacement_m)
     apart = displacement_m - displacement[:, None]
     cov = (
-        np.einsum("km,kma,kmb->kab", mode_prob * move.var_along_m2, along, along)
-        + np.einsum("km,kma,kmb->kab", mode_prob * move.var_across_m2, across, across)
-        + np.einsum("km,kma,kmb->kab", mode_prob, apart, apart)
-        + (mode_prob @ directions.extra_var_m2)[:, None, None] * np.eye(2)
+        np.einsum("km,kma,kmb->kab", prob * move.var_along_m2, along, along)
+        + np.einsum("km,kma,kmb->kab", prob * move.var_across_m2, across, across)
+        + np.einsum("km,kma,kmb->kab", prob, apart, apart)
+        + (prob * way.extra_var_m2).sum(axis=1)[:, None, None] * np.eye(2)
     )
-    elapsed_s = _elapsed_s(steps, gap_before_s)
     drift_var, unknown_var = noise.heading_drift.variances_rad2(
-        elapsed_s,
+        _elapsed_s(steps, gap_before_s),
         np.asarray(steps.heading_unknown_s),
         np.asarray(steps.yaw_bias_std_radps),
-        mode_prob @ directions.drift_rad2_per_s,
+        (prob * way.drift_rad2_per_s).sum(axis=1),
     )
+    # a heading that diffuses by the variance V during a step gives the mean direction of the step the variance V / 3
+    cov += (unknown_var / 3.0 * (displacement**2).sum(axis=1))[:, None, None] * np.eye(2)
     change_std_rad = np.asarray(steps.offset_change_std_rad)
     change_std_rad = np.where(change_std_rad < _MIN_CHANGE_STD_RAD, 0.0, change_std_rad)
     jump_var = change_std_rad**2 + noise.heading_drift.unmeasured_rad2(gap_before_s)
     walking = Increments(
         time_s=np.asarray(steps.time_s),
         duration_s=np.asarray(steps.duration_s),
+        length_m=(prob * move.length_m).sum(axis=1),
         displacement_m=displacement,
         cov_m2=cov,
         drift_var_rad2=drift_var,
         unknown_var_rad2=unknown_var,
+        scale_memory=np.full(n, noise.log_scale_memory),
         scale_drift_var=np.full(n, noise.log_scale_drift_var),
         jump_var_rad2=np.minimum(jump_var, MAX_HEADING_VARIANCE),
         gap_var_m2=noise.gap_var_m2(gap_before_s),
     )
-    return walking, float(shared_var.sum(axis=1).mean()) if n else 0.0
+    scale_error_m = noise.log_scale_std * np.where(unknown_var[:, None] > 0, displacement, 0.0)
+    return walking, np.concatenate([parameter_std_m[..., None] * along, scale_error_m[:, None]], axis=1)
 
 
 def _elapsed_s(steps: Table, gap_before_s: FloatArray) -> FloatArray:
@@ -178,13 +198,23 @@ class Intervals:
         Number of steps before each anchor, from 0 to K.
     index : array (K,)
         Interval of each step.
+    step_m : array (K, 2)
+        Displacement of each step.
+    decay : array (K,)
+        Log scale at each step, relative to that at the start of the interval.
+    is_measured : array (K,) of bool
+        False for steps without a measured heading, from which the scale is not estimated (`increments`).
     sum_m : array (K, 2)
-        D from the start of the interval to the contact of each step.
+        D from the start of the interval to the contact of each step, without the decay of the scale.
     cov : array (K, 4, 4)
         Q from the start of the interval to the contact of each step. It excludes a gap or a change of the heading
         offset after the contact.
+    to_end : array (K, 4, 4)
+        Derivative of the state at the end of the interval by the state at the contact of each step.
     total_m : array (n, 2)
-        D of each whole interval.
+        D of each whole interval, without the decay of the scale.
+    total_decay : array (n,)
+        Log scale at the end of each whole interval, relative to that at its start.
     total_cov : array (n, 4, 4)
         Q of each whole interval, including a gap and a change of the heading offset at its end.
     whiten : array (n, 4, 4)
@@ -193,132 +223,115 @@ class Intervals:
 
     nodes: IntArray
     index: IntArray
+    step_m: FloatArray
+    decay: FloatArray
+    is_measured: BoolArray
     sum_m: FloatArray
     cov: FloatArray
+    to_end: FloatArray
     total_m: FloatArray
+    total_decay: FloatArray
     total_cov: FloatArray
     whiten: FloatArray
 
     def __len__(self) -> int:
         return len(self.total_m)
 
+    def steps_from(self, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the states (K, 4) at all contacts from those at the starts (n, 4), and their derivatives (K, 4, 4).
+
+        Step j of an interval has the displacement e^(c_j s) R(theta) d_j, with heading offset theta and log scale s at
+        the start, and the decay c_j of the log scale. The derivative by s is zero for steps without a measured heading.
+        """
+        first, state = self.nodes[:-1][self.index], start[self.index]
+        scaled_m = np.exp(self.decay * state[:, LOG_SCALE])[:, None] * self.step_m
+        rotation = scaled_rotation(state[:, HEADING_OFFSET], np.zeros(len(state)))
+        moved = np.einsum("kab,kb->ka", rotation, _since(scaled_m, first))
+        F = np.broadcast_to(np.eye(N_STATES), (len(state), N_STATES, N_STATES)).copy()
+        F[:, _POSITION, HEADING_OFFSET] = moved @ TURN.T
+        by_scale = _since((self.decay * self.is_measured)[:, None] * scaled_m, first)
+        F[:, _POSITION, LOG_SCALE] = np.einsum("kab,kb->ka", rotation, by_scale)
+        after = np.append(self.decay[1:], 0.0)
+        last = self.nodes[1:] - 1
+        after[last] = self.total_decay
+        F[:, LOG_SCALE, LOG_SCALE] = after
+        state[:, _POSITION] += moved
+        state[:, LOG_SCALE] *= after
+        return state, F
+
+    def ends_from(self, start: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the states (n, 4) at the ends of the intervals from those at their starts, and their derivatives."""
+        state, F = self.steps_from(start)
+        last = self.nodes[1:] - 1
+        return state[last], F[last]
+
+
+def _since(values: FloatArray, first: IntArray) -> FloatArray:
+    """Return the sums of values (K, ...) of the steps from the step `first` (K,) to each step."""
+    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+    return total[1:] - total[first]
+
 
 def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     """Return the steps summed between anchors, in time proportional to the number of steps.
 
-    D is the sum of all steps of an interval, and D_i the sum of its first i steps. C_i is the covariance of step i, and
-    q_i and r_i are the drift variances of heading offset and log scale. J is the rotation by a right angle. The
-    position covariance is Q_pp = sum C_i + sum q_i J b_i (J b_i)' + sum r_i d_i d_i', with b_i = D - D_{i-1} and d_i =
-    D - D_i. The other blocks are similar (docs/methods/smoothing.md). The sums over i are differences of cumulative
-    sums, for all steps at once. ValueError unless `nodes`, the numbers of steps before the anchors, increase from 0 to
-    the number of steps.
+    The covariance is that of the filter, P_k = F P_{k-1} F' + Q (`motion_model.advance`), which starts at zero in each
+    interval. The drift of the heading before the first step of an interval belongs to the previous interval. ValueError
+    unless `nodes`, the numbers of steps before the anchors, increase from 0 to the number of steps.
     """
     if len(nodes) < 2 or nodes[0] != 0 or nodes[-1] != len(steps) or (np.diff(nodes) < 1).any():
         raise ValueError(f"anchors must increase from 0 to the number of steps, {len(steps)}, got {nodes}")
-    count = np.diff(nodes)
+    count, n = np.diff(nodes), len(steps)
     index = np.repeat(np.arange(len(count)), count)
-    first = nodes[:-1][index]
+    first, last = nodes[:-1][index], nodes[1:] - 1
 
-    def within(values: FloatArray) -> FloatArray:
-        """Return the sums from the start of each step's interval to the step itself."""
-        total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
-        return total[1:] - total[first]
+    certain = np.linalg.eigvalsh(steps.cov_m2)[:, 0] < _MIN_POSITION_VAR_M2
+    noise = np.zeros((n, N_STATES, N_STATES))
+    noise[:, _POSITION, _POSITION] = steps.cov_m2 + certain[:, None, None] * _MIN_POSITION_VAR_M2 * np.eye(2)
+    noise[:, LOG_SCALE, LOG_SCALE] = np.maximum(steps.scale_drift_var, MIN_STATE_VAR)
+    drift_var = np.where(np.arange(n) == first, MIN_STATE_VAR, np.maximum(steps.drift_var_rad2, MIN_STATE_VAR))
+    F = np.broadcast_to(np.eye(N_STATES), (n, N_STATES, N_STATES)).copy()
+    is_measured = steps.unknown_var_rad2 == 0
+    F[:, _POSITION, HEADING_OFFSET] = steps.displacement_m @ TURN.T
+    F[:, _POSITION, LOG_SCALE] = is_measured[:, None] * steps.displacement_m
+    F[:, LOG_SCALE, LOG_SCALE] = steps.scale_memory
+    decay, Q, to_end = np.ones(n), np.zeros_like(F), np.broadcast_to(np.eye(N_STATES), F.shape).copy()
+    ranks = [nodes[:-1][count > j] + j for j in range(count.max())]  # the steps with number j of all intervals
+    for k in ranks:
+        inside = k > first[k]
+        before = np.where(inside[:, None, None], Q[k - 1], 0.0)
+        before[:, HEADING_OFFSET, HEADING_OFFSET] += drift_var[k]
+        Q[k] = predict_cov(before, F[k], noise[k])
+        decay[k] = np.where(inside, decay[k - 1] * steps.scale_memory[k - 1], 1.0)
+    for k in ranks[:0:-1]:
+        to_end[k - 1] = to_end[k] @ F[k]
 
-    displacement, cov = _moments(steps, first)
-    certain = np.linalg.eigvalsh(cov)[:, 0] < _MIN_POSITION_VAR_M2
-    cov = np.where(certain[:, None, None], cov + _MIN_POSITION_VAR_M2 * np.eye(2), cov)
-    D = within(displacement)
-    Q = np.zeros((len(steps), N_STATES, N_STATES))
-    Q[:, _POSITION, _POSITION] = within(cov)
-    # A drift rotates or scales the path from the drift to the end of the interval, which is D minus the sum at the
-    # drift. The heading drifts before its step, the scale after it. The drift before the first step belongs to the
-    # previous interval.
-    heading_var = np.where(np.arange(len(steps)) == first, 0.0, steps.drift_var_rad2)
-    for state, variance, lever, at in (
-        (HEADING_OFFSET, heading_var, D @ TURN.T, (D - displacement) @ TURN.T),
-        (LOG_SCALE, steps.scale_drift_var, D, D),
-    ):
-        v = np.maximum(variance, MIN_STATE_VAR)
-        s0, s1 = within(v), within(v[:, None] * at)
-        s2 = within(v[:, None, None] * at[:, :, None] * at[:, None, :])
-        cross = lever[:, :, None] * s1[:, None, :]
-        Q[:, _POSITION, _POSITION] += s0[:, None, None] * lever[:, :, None] * lever[:, None, :] + s2
-        Q[:, _POSITION, _POSITION] -= cross + cross.swapaxes(-1, -2)
-        Q[:, _POSITION, state] = s0[:, None] * lever - s1
-        Q[:, state, _POSITION] = Q[:, _POSITION, state]
-        Q[:, state, state] = s0
-
-    last = nodes[1:] - 1
     end = np.zeros((len(count), N_STATES, N_STATES))
     inner = nodes[1:-1]  # events before a step belong to the interval that ends there
     end[:-1, _POSITION, _POSITION] = steps.gap_var_m2[inner][:, None, None] * np.eye(2)
-    end[:-1, HEADING_OFFSET, HEADING_OFFSET] = steps.jump_var_rad2[inner] + steps.drift_var_rad2[inner]
-    end[:-1, HEADING_OFFSET, HEADING_OFFSET] += steps.unknown_var_rad2[inner]
-    # without angular rate, `_moments` shortens the path to the end, and the offset at the end is free
-    unknown_var = np.where(np.arange(len(steps)) == first, 0.0, steps.unknown_var_rad2)
-    end[:, HEADING_OFFSET, HEADING_OFFSET] += within(unknown_var)[last]
-    turned = end[:, HEADING_OFFSET, HEADING_OFFSET]
-    end[:, HEADING_OFFSET, HEADING_OFFSET] = np.minimum(turned, MAX_HEADING_VARIANCE)
-    total_cov = Q[last] + end
-    return Intervals(nodes, index, D, Q, D[last], total_cov, read_only(np.linalg.inv(np.linalg.cholesky(total_cov))))
-
-
-def _moments(steps: Increments, first: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Return the mean (K, 2) and covariance (K, 2, 2) of the displacement of each step.
-
-    Both are conditional on the heading at the start of the step's interval. `first` (K,) is the first step of that
-    interval. Without a measured angular rate, the heading has a variance V that grows from step to step. The mean
-    displacement of a step d is then shortened to exp(-V / 2) d. Let S be the sum of the displacements from the start of
-    the interval to a step, with E |S|^2 = sum_ij d_i . d_j exp(-|V_i - V_j| / 2). The variance of S is the difference
-    of E |S|^2 and |E S|^2. The increase of this variance by a step is added to the covariance of the step, half on each
-    axis.
-    """
-    if not steps.unknown_var_rad2.any():
-        return steps.displacement_m, steps.cov_m2
-    displacement, cov = steps.displacement_m.copy(), steps.cov_m2.copy()
-    variance = 0.0
-    mean, ahead = np.zeros(2), np.zeros(2)  # E S, and E S relative to the current heading
-    square = 0.0  # E |S|^2
-    spread = 0.0
-    for k, (d, grown) in enumerate(zip(steps.displacement_m, steps.unknown_var_rad2, strict=True)):
-        if k == first[k]:
-            variance, square, spread = 0.0, 0.0, 0.0
-            mean, ahead = np.zeros(2), np.zeros(2)
-        else:
-            variance += grown
-            ahead = np.exp(-grown / 2) * ahead
-        displacement[k] = np.exp(-variance / 2) * d
-        mean = mean + displacement[k]
-        square += float(d @ d + 2 * ahead @ d)
-        ahead = ahead + d
-        grown_spread = max(square - float(mean @ mean), spread)
-        cov[k] += 0.5 * (grown_spread - spread) * np.eye(2)
-        spread = grown_spread
-    return displacement, cov
+    turned = steps.jump_var_rad2[inner] + steps.drift_var_rad2[inner] + steps.unknown_var_rad2[inner]
+    end[:-1, HEADING_OFFSET, HEADING_OFFSET] = np.minimum(turned, MAX_HEADING_VARIANCE)
+    D, total_cov = _since(steps.displacement_m, first), Q[last] + end
+    return Intervals(
+        nodes=nodes,
+        index=index,
+        step_m=steps.displacement_m,
+        decay=decay,
+        is_measured=is_measured,
+        sum_m=D,
+        cov=Q,
+        to_end=to_end,
+        total_m=D[last],
+        total_decay=decay[last] * steps.scale_memory[last],
+        total_cov=total_cov,
+        whiten=read_only(np.linalg.inv(np.linalg.cholesky(total_cov))),
+    )
 
 
 def scaled_rotation(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
     """Return the matrices e^s R(theta), (..., 2, 2), with heading offset theta, log scale s and rotation matrix R."""
     c, s = np.exp(log_scale) * np.cos(heading_rad), np.exp(log_scale) * np.sin(heading_rad)
     return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
-
-
-def end_states(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the states (n, 4) at the end of n intervals, and their derivatives F (n, 4, 4) by the start states.
-
-    Each interval starts at an anchor with state x_a and ends at the next one with state x_b, so F = d x_b / d x_a.
-    `sum_m` (n, 2) is the sum D of its steps in m, before rotation and scaling. With J the rotation by a right angle, R
-    that by the heading offset and s the log scale, the end position has the derivative J e^s R D by the heading offset
-    and e^s R D by the log scale.
-    """
-    rotation = scaled_rotation(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
-    moved = np.einsum("nab,nb->na", rotation, sum_m)
-    ahead = start.copy()
-    ahead[:, _POSITION] += moved
-    F = np.broadcast_to(np.eye(N_STATES), (len(start), N_STATES, N_STATES)).copy()
-    F[:, _POSITION, HEADING_OFFSET] = moved @ TURN.T
-    F[:, _POSITION, LOG_SCALE] = moved
-    return ahead, F
 
 
 def state_transform(start: FloatArray) -> FloatArray:
@@ -343,13 +356,13 @@ def step_states(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArr
     """
     i = intervals.index
     start = node_mean[:-1]
-    ahead, F_ab = end_states(start, intervals.total_m)
-    f_k, F_ak = end_states(start[i], intervals.sum_m)
+    f_k, F_ak = intervals.steps_from(start)
+    ahead, F_ab = intervals.ends_from(start)
     T = state_transform(start)
+    back = np.linalg.inv(T)
     Q_ak = T[i] @ intervals.cov @ T[i].swapaxes(-1, -2)
-    whiten = intervals.whiten @ np.linalg.inv(T)
-    remaining = intervals.total_m[i] - intervals.sum_m
-    Phi = end_states(start[i], remaining)[1]
+    whiten = intervals.whiten @ back
+    Phi = T[i] @ intervals.to_end @ back[i]
     G = Q_ak @ Phi.swapaxes(-1, -2) @ (whiten.swapaxes(-1, -2) @ whiten)[i]
     mean = f_k + np.einsum("kab,kb->ka", G, (node_mean[1:] - ahead)[i])
     ends = np.concatenate([F_ak - G @ F_ab[i], G], axis=-1)

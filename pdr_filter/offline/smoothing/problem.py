@@ -279,13 +279,15 @@ def pose_problem(
     anchor_interval_s: float,
     states: ObservedStates = NO_STATES,
     measurements: Measurements | None = None,
+    shape_m: FloatArray | None = None,
 ) -> Problem:
     """Return the least-squares problem, with anchors at observations, changes of the heading offset and gaps.
 
     An anchor is a foot contact at which the smoother estimates a state. `anchor_interval_s` is about the largest time
     between two of them (`choose_nodes`). The positions of the problem are the fixes, the locations and the loop
     closures, in this order. Correlated fixes must be in order of time and at different contacts (`joined_at_contacts`).
-    `states` and `offsets` are given by the number of steps before them.
+    `states` and `offsets` are given by the number of steps before them. `shape_m` (K + 1, 2) are positions of the start
+    and of the steps that show the shape of the walk to the errors of locations (`errors_of`).
     """
     fixes = (*observed.positions, *observed.locations)
     is_location = np.arange(len(fixes)) >= len(observed.positions)
@@ -294,6 +296,7 @@ def pose_problem(
         [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures],
         [(nearest_contact(steps, h.start_s)[0], nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings],
     )
+    at = [i for i, _, _ in contacts.fixes]
     measured_at = [nearest_contact(steps, f.time_s) for f in measurements.fixes] if measurements else []
     wanted = [*contacts.steps(), *states.node.tolist(), *(i for i, _, _ in measured_at)]
     nodes = choose_nodes(steps, wanted, anchor_interval_s)
@@ -309,7 +312,7 @@ def pose_problem(
         _directions(contacts, numbers, steps, observed.known_headings),
         _at_anchors(steps, nodes, offsets),
         frame_std_rad,
-        errors_of(fixes, is_location, numbers([i for i, _, _ in contacts.fixes])),
+        errors_of(fixes, is_location, numbers(at), None if shape_m is None else shape_m[at]),
         replace(states, node=numbers(states.node.tolist())),
         NO_MEASUREMENTS if measurements is None else _measurements(measured_at, numbers, measurements),
     )
@@ -423,7 +426,7 @@ def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) ->
     before each change of the heading offset and each gap. More anchors in between keep the time between anchors at
     about `interval_s` or less.
     """
-    changed = np.flatnonzero((steps.jump_var_rad2 > 0) | (steps.gap_var_m2 > 0))
+    changed = np.flatnonzero(steps.is_turned)
     needed = np.unique(np.concatenate([[0, len(steps)], changed, np.asarray(wanted, dtype=np.int64)]).astype(np.int64))
     nodes: list[int] = [0]
     for a, b in pairwise(needed.tolist()):
@@ -452,7 +455,7 @@ def nearest_contact(steps: Increments, time_s: float) -> _Contact:
     if done <= 0.5:
         return k, done * steps.displacement_m[k], done**2 * step_var + gap_var
     left, after = 1.0 - done, k + 1
-    if after < len(steps) and (steps.jump_var_rad2[after] > 0 or steps.gap_var_m2[after] > 0):
+    if after < len(steps) and steps.is_turned[after]:
         # the anchor there is after the change and has no information on the heading of this step
         moved_var = left**2 * float(steps.displacement_m[k] @ steps.displacement_m[k])
         return after, np.zeros(2), moved_var + float(steps.gap_var_m2[after])

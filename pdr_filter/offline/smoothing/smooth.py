@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import compress
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -23,11 +24,13 @@ from pdr_filter.filter.imm.motion_model import (
     HEADING_OFFSET,
     LOG_SCALE,
     MAX_HEADING_VARIANCE,
-    Mode,
     MotionNoise,
+    bounded_position_cov,
+    reach_m,
     second_order_errors,
 )
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
+from pdr_filter.offline.smoothing.location_errors import turned_to
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -36,8 +39,15 @@ from pdr_filter.offline.smoothing.observations import (
     check_options,
 )
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
-from pdr_filter.offline.smoothing.preintegration import Increments, increments, scaled_rotation, step_states
-from pdr_filter.offline.smoothing.problem import Measurements, Problem, heading_offsets, pose_problem, start_covariance
+from pdr_filter.offline.smoothing.preintegration import TURN, Increments, increments, scaled_rotation, step_states
+from pdr_filter.offline.smoothing.problem import (
+    Measurements,
+    Problem,
+    heading_offsets,
+    nearest_contact,
+    pose_problem,
+    start_covariance,
+)
 from pdr_filter.offline.smoothing.smoothed import (
     KNOWN_STD_M,
     Smoothed,
@@ -83,6 +93,7 @@ from pdr_filter.values import (
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.serialisation import to_bytes
 from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement
+from pdr_filter.values.uncertainty import worst_std_m
 
 # Prior standard deviation of the start in the frame of the fixes: only the region is known.
 _REGION_STD_M = 1000.0
@@ -300,7 +311,6 @@ def smooth(
     else:
         key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
         config, track, sensing = memory.of(given, key, reckoned)
-    modes = config.model.modes
     track = _with_smoothed_modes(track, config)
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
@@ -315,9 +325,7 @@ def smooth(
         is_loop=closed is not None,
     )
     guess = _online_path(recording, config, run.fixes)
-    smoothed, walked_var_m2 = _smooth_track(
-        track, modes, config, observed, start_heading_std_rad, anchor_interval_s, guess
-    )
+    smoothed, walked_var_m2 = _smooth_track(track, config, observed, start_heading_std_rad, anchor_interval_s, guess)
     if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
         device = _observed_device(smoothed, config, sensing)
         smoothed = replace(smoothed, track=replace(smoothed.track, device=device))
@@ -341,8 +349,8 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     track = _with_smoothed_modes(track, config)
     nothing = Observations()
     inside = nothing.fixes_inside(0.0, 0.0)
-    _, used, problem = _problem(track, config.model.modes, config, nothing, inside, None, anchor_interval_s, None)
-    return track, used.device_rad, problem
+    posed = _problem(track, config, nothing, inside, None, anchor_interval_s, None, None)
+    return track, posed.used.device_rad, posed.problem
 
 
 def _dead_reckoned(
@@ -493,7 +501,6 @@ def _on_plan(found: SmoothedOnPlan, observed: Observations) -> Smoothed:
 
 def _smooth_track(
     track: Track,
-    modes: Sequence[Mode],
     config: Config,
     observed: Observations,
     start_heading_std_rad: float | None,
@@ -514,48 +521,65 @@ def _smooth_track(
         places = compress((*observed.fixes, *observed.locations), inside)
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return without_steps(track, observed, known), np.zeros(0)
-    steps, used, problem = _problem(
-        track, modes, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess
-    )
-    smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
+    posed_with = partial(_problem, track, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess)
+    posed = posed_with(None)
+    smoothed, walked_var_m2 = _smoothed(track, posed, solve(posed.problem), observed)
+    if len(posed.problem.errors):
+        # the shrinkage of the locations follows the shape of the walk, which the first solution knows best
+        posed = posed_with(np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale)
+        smoothed, walked_var_m2 = _smoothed(track, posed, solve(posed.problem), observed)
     length_fixes = LengthFixes()
     for fix, result in zip((*observed.fixes, *observed.locations), smoothed.track.fixes, strict=True):
         length_fixes = length_fixes.plus(fix) if result.accepted else length_fixes
-    # at the steps, the prior of the log scale is that of the start plus the drift of the steps so far
-    prior_var = float(problem.start_cov[LOG_SCALE, LOG_SCALE] + np.cumsum(steps.scale_drift_var).mean())
     estimate = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
-    session = session_of_scale(config.model, estimate, prior_var, length_fixes)
+    session = session_of_scale(config.model, estimate, config.model.noise.log_scale_std**2, length_fixes)
     if session is None:
         return smoothed, walked_var_m2
     person = (config.person or Person()).pooled(Person((session,)))
     return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
 
 
+class _Posed(NamedTuple):
+    """Increments of the steps, their errors (K, C, 2) by consider parameters, used observations, and the problem."""
+
+    steps: Increments
+    parameter_error_m: FloatArray
+    used: Used
+    problem: Problem
+
+
 def _problem(
     track: Track,
-    modes: Sequence[Mode],
     config: Config,
     observed: Observations,
     inside: BoolArray,
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
     guess: WalkedPath | None,
-) -> tuple[Increments, Used, Problem]:
-    """Return the increments of the steps, the used observations, and the least-squares problem of a track with steps.
+    shape_m: FloatArray | None,
+) -> _Posed:
+    """Return the least-squares problem of a track with steps.
 
-    `inside` is a mask of the fixes and locations within the recording.
+    `inside` is a mask of the fixes and locations within the recording. `shape_m` (K + 1, 2) are positions of the start
+    and of the steps that show the shape of the walk (`errors_of`), or None for dead reckoning.
     """
-    noise = config.model.noise
-    steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
+    noise, modes = config.model.noise, config.model.modes
+    steps, parameter_error_m = increments(
+        track.steps, track.mode_prob, config.model, track.gap_before_s, is_weighted=track.weighting != "imm"
+    )
     used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
+    if shape_m is None:
+        walk_m = np.vstack([np.zeros((1, 2)), track.position_m])
+        at = [nearest_contact(steps, fix.time_s)[0] for fix in used.observed.locations]
+        shape_m = turned_to(used.observed.locations, walk_m[at], walk_m)
     fixes = (*used.observed.positions, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
     if not fixes and guess is not None and used.has_places:
         centre = _measurements_on_path(used, guess).guess_m.mean(axis=0)
     start_std_m = _REGION_STD_M if used.has_places else KNOWN_STD_M
-    start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
+    start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2)
     before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]
     start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
     problem = pose_problem(
@@ -568,8 +592,9 @@ def _problem(
         anchor_interval_s=anchor_interval_s,
         states=used.states,
         measurements=None if guess is None else _measurements_on_path(used, guess),
+        shape_m=shape_m,
     )
-    return steps, used, problem
+    return _Posed(steps, parameter_error_m, used, problem)
 
 
 def _measurements_on_path(used: Used, guess: WalkedPath) -> Measurements:
@@ -596,31 +621,31 @@ def _start_directions(
     return (wide, wide) if is_oriented else (noise.initial_heading_offset_std_rad, _KNOWN_STD_RAD)
 
 
-def _smoothed(
-    track: Track,
-    steps: Increments,
-    problem: Problem,
-    found: Solution,
-    observed: Observations,
-    used: Used,
-) -> tuple[Smoothed, FloatArray]:
+def _smoothed(track: Track, posed: _Posed, found: Solution, observed: Observations) -> tuple[Smoothed, FloatArray]:
     """Return the result of a solved problem, and the variance (K,) in m2 of each position for a known heading.
 
     The variance is the part of the position variance that the heading offset does not explain, mean of both axes.
     """
+    steps, parameter_error_m, used, problem = posed
     mean, cov = step_states(problem.intervals, found.mean, found.joint_cov)
+    cov[:, HEADING_OFFSET, HEADING_OFFSET] = np.minimum(cov[:, HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
     position = mean[:, :2]
     before = np.vstack([found.mean[:1, :2], position[:-1]])
     moved = position - before
-    # across a gap, the positions give the displacement during the gap, not the step length
-    own = np.einsum("kab,kb->ka", scaled_rotation(mean[:, HEADING_OFFSET], mean[:, LOG_SCALE]), steps.displacement_m)
+    rotation = scaled_rotation(mean[:, HEADING_OFFSET], mean[:, LOG_SCALE])
+    own = np.einsum("kab,kb->ka", rotation, steps.displacement_m)
+    length = np.exp(mean[:, LOG_SCALE]) * steps.length_m
+    # across a gap, the positions give the displacement during the gap, not that of the step
     moved = np.where((steps.gap_var_m2 > 0)[:, None], own, moved)
-    length = np.hypot(*moved.T)
-    heading = np.where(length > 0.01, np.arctan2(moved[:, 0], moved[:, 1]), track.walking_heading_rad)
+    heading = np.where(np.hypot(*moved.T) > 0.01, np.arctan2(moved[:, 0], moved[:, 1]), track.walking_heading_rad)
     of_map = (found.weight[: len(problem.positions)] > 0) & (problem.positions.other < 0)
     anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
-    along = _second_order_error_m(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
-    position_cov = cov[:, :2, :2] + along[:, :, None] * along[:, None, :]
+    error_m = _consider_errors_m(own, cov, np.einsum("kab,kmb->kma", rotation, parameter_error_m))
+    position_cov = cov[:, :2, :2] + _since_fix_cov_m2(error_m, anchored)
+    way_m = np.cumsum(np.append(0.0, length + np.sqrt(steps.gap_var_m2)))
+    start_std_m = worst_std_m(found.joint_cov[0, :2, :2]) if used.has_places else 0.0
+    std_m = np.append(start_std_m, worst_std_m(position_cov))
+    position_cov = bounded_position_cov(position_cov, reach_m(way_m, std_m)[1:])
     observations = observation_table(observed, used.row, found)
     scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
     start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
@@ -656,18 +681,30 @@ def _smoothed(
     return result, np.array([walked_var(P) for P in cov])
 
 
-def _second_order_error_m(moved: FloatArray, heading_var_rad2: FloatArray, anchored: IntArray) -> FloatArray:
-    """Return the rms error vector (K, 2) in m of each position due to the nonlinearity of an uncertain heading.
+def _consider_errors_m(moved: FloatArray, cov: FloatArray, parameter_error_m: FloatArray) -> FloatArray:
+    """Return the error (K, 2 + C, 2) in m of each step for one standard deviation of each consider parameter.
 
-    The linear covariance neglects this error along the steps (`second_order_errors`). It is summed over the steps from
-    the last or to the next anchor with a used fix, whichever sum is shorter. `moved` (K, 2) are the displacements of
-    the steps, and `anchored` are the numbers of steps before these anchors. Without any, the sum begins at the start.
+    The parameters are those of the filter (`Estimates.consider_cov_m2`): the second-order errors along and across the
+    steps, and the C parameters of `increments` with the errors `parameter_error_m` (K, C, 2). `moved` (K, 2) are the
+    displacements of the steps and `cov` (K, 4, 4) the covariances of the states.
     """
-    share = np.array([second_order_errors(min(v, MAX_HEADING_VARIANCE), 0.0)[0] for v in heading_var_rad2.tolist()])
-    total = np.concatenate([np.zeros((1, 2)), np.cumsum(share[:, None] * moved, axis=0)])
+    variances = np.diagonal(cov, axis1=1, axis2=2)[:, HEADING_OFFSET:]
+    along, across = np.array([second_order_errors(*each) for each in variances.tolist()]).reshape(-1, 2).T
+    of_step = along[:, None] * moved, across[:, None] * moved @ TURN.T
+    return np.concatenate([np.stack(of_step, axis=1), parameter_error_m], axis=1)
+
+
+def _since_fix_cov_m2(error_m: FloatArray, anchored: IntArray) -> FloatArray:
+    """Return the covariance (K, 2, 2) in m2 of each position due to errors (K, C, 2) that all steps share.
+
+    Each error is summed over the steps from the last or to the next anchor with a used fix, whichever sum is shorter.
+    `anchored` are the numbers of steps before these anchors. Without any, the sum begins at the start.
+    """
+    total = np.concatenate([np.zeros_like(error_m[:1]), np.cumsum(error_m, axis=0)])
     fixed = anchored if len(anchored) else np.zeros(1, dtype=np.int64)
-    after = np.searchsorted(fixed, np.arange(1, len(moved) + 1))
+    after = np.searchsorted(fixed, np.arange(1, len(error_m) + 1))
     back = total[1:] - total[fixed[np.maximum(after - 1, 0)]]
     ahead = total[fixed[np.minimum(after, len(fixed) - 1)]] - total[1:]
-    nearer = (ahead**2).sum(axis=1) < (back**2).sum(axis=1)
-    return np.where(nearer[:, None], ahead, back)
+    nearer = (ahead**2).sum(axis=-1) < (back**2).sum(axis=-1)
+    nearest = np.where(nearer[..., None], ahead, back)
+    return np.einsum("kca,kcb->kab", nearest, nearest)

@@ -12,7 +12,7 @@ from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, 
 from pdr_filter.offline.robust_loss import GNC_FACTOR, truncated_start, truncated_weights
 from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminated, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS
-from pdr_filter.offline.smoothing.preintegration import TURN, end_states, scaled_rotation, state_transform
+from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, state_transform
 from pdr_filter.offline.smoothing.problem import (
     MIN_HEADING_LENGTH_M,
     ObservedDirections,
@@ -28,9 +28,14 @@ _OF_POSITION = np.eye(2, N_STATES)
 _MIN_ANCHORS_APART = 30
 # Assumed standard deviation of the first estimate of a measurement's position, and the factor on the gate there.
 _GUESS_STD_M, _ROUGH_LIMIT = 2.0, 4.0
-# A solution has converged if its last step changed no state (m, rad, log scale) by more than this. In the slowest cases
-# each change is 0.9 times the one before, so that the remaining changes sum to ten times the last one: 1 cm.
-_CONVERGED = 1e-3
+# The iteration ends if a step changes no state (m, rad, log scale) by more than the first value. It has converged if
+# its last step changed none by more than the second one. In the slowest cases each change is 0.9 times the one before,
+# so that the remaining changes sum to ten times the last one: 1 cm.
+_SMALLEST_CHANGE, _CONVERGED = 1e-7, 1e-3
+# It has also converged if the last step changed the sum of squares, which has the unit of chi-square, by less than
+# this: a change of a state by its standard deviation increases the sum from its minimum by 1.
+_NO_GAIN = 0.01
+_MOST_HALVINGS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,23 +196,36 @@ def _gauss_newton(
     """Return the states (N, 6), the rotation of the frame, and True if the Gauss-Newton iteration converged.
 
     It starts at `mean` and `frame_rad`, has the fixed weights `weight` of the observations, and ends after 60 steps. It
-    has converged if the last step changed no state by more than `_CONVERGED`.
+    has converged if the last step changed no state by more than `_CONVERGED`, or hardly changed the sum of squares. A
+    step is limited to the range of the
+    linearisation, and halved while it increases the sum of squares: without a measured heading, a turn of one step and
+    the opposite one of the next step would alternate. The last steps are not halved, because the covariance of an
+    interval turns with its start and changes the sum, too.
     """
-    largest = 0.0
-    for iteration in range(60):
-        change, turn = _solved(graph_of(linearised(problem, mean, frame_rad, weight)), problem)
+    largest, squares, rows = 0.0, 0.0, linearised(problem, mean, frame_rad, weight)
+    for _ in range(60):
+        change, turn = _solved(graph_of(rows), problem)
         at_anchors = np.abs(change[: problem.n_nodes])
         largest_turn = max(float(at_anchors[:, HEADING_OFFSET].max()), abs(turn))
         largest_scale = float(at_anchors[:, LOG_SCALE].max())
-        # limits the change to the range of the linearisation, and shortens it further where the iteration does not
-        # converge
         share = min(1.0, 0.7 / max(largest_turn, 1e-9), 0.3 / max(largest_scale, 1e-9))
-        share *= 1.0 if iteration < 20 else 0.5
+        squares = _sum_of_squares(rows)
+        for _ in range(_MOST_HALVINGS):
+            rows = linearised(problem, mean + share * change, frame_rad + share * turn, weight)
+            largest = share * float(np.abs(change).max())
+            if largest < _CONVERGED or _sum_of_squares(rows) <= squares:
+                break
+            share *= 0.5
         mean, frame_rad = mean + share * change, frame_rad + share * turn
-        largest = share * float(np.abs(change).max())
-        if largest < 1e-9 * (1 + float(np.abs(mean).max())):
+        if largest < _SMALLEST_CHANGE:
             break
-    return mean, frame_rad, largest < _CONVERGED
+    return mean, frame_rad, largest < _CONVERGED or abs(squares - _sum_of_squares(rows)) < _NO_GAIN
+
+
+def _sum_of_squares(rows: Sequence[Rows]) -> float:
+    """Return the weighted sum of the squared right-hand sides of linearised equations."""
+    squares = ((of.rhs**2).sum(axis=1) * (of.weight if len(of.weight) else 1.0) for of in rows)
+    return float(sum(square.sum() for square in squares))
 
 
 def _next_weights(weight: FloatArray, excess: FloatArray, possible: FloatArray, node: IntArray) -> list[FloatArray]:
@@ -325,7 +343,7 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
 
     n = problem.n_nodes - 1
     start, end = mean[:n, :N_STATES], mean[1 : n + 1, :N_STATES]
-    ahead, F = end_states(start, problem.intervals.total_m)
+    ahead, F = problem.intervals.ends_from(start)
     whiten = problem.intervals.whiten @ np.linalg.inv(state_transform(start))
     residual = np.einsum("nab,nb->na", whiten, end - ahead)
     rows.append(Rows(np.arange(n), -whiten @ F, -residual, np.arange(1, n + 1), whiten))

@@ -43,6 +43,7 @@ _ROUNDING_S = 1e-6
 # Resolution below which equal values of some seconds show a stuck sensor: 0.25 m, twice the standard deviation of
 # draughts in a second. The longest equal stretch of the phones of ipin2023 and ipin21 lasts 0.5 s.
 _FINE_HPA = 0.03
+_COARSE_HPA, _DIGITS = (1.0, 0.1), 1e-4  # resolutions of whole numbers and of one decimal, and rounding errors
 # Samples in a row, in order, that lie behind the last time and show a backward clock jump instead of late samples.
 _CLOCK_RESET_SAMPLES = 10
 
@@ -187,6 +188,8 @@ class ClimbRate:
                     continue
                 first = len(times)
             n_behind, behind_s = 0, -np.inf
+            if math.isinf(quantum_hpa):  # a value that has never changed shows its resolution by its decimals
+                quantum_hpa = next((q for q in _COARSE_HPA if abs(p / q - round(p / q)) < _DIGITS), math.inf)
             if len(times) == first or t - times[-1] > self.max_gap_s:
                 first, due_s, changed_s = len(times), t + self.window_s, t
                 times.append(t)

@@ -413,7 +413,8 @@ def test_ranges_that_a_track_has_used_do_not_place_it_again(monkeypatch: pytest.
     counted, outcomes = searches(monkeypatch), list[str]()
     state = replace(state, pedestrian=known)
     for k in range(4):
-        state, outcome, _ = tracker.on_fix(state, pdr.RangeFix(time_s + 0.01 * k, np.array(ANCHORS[k % 3]), 9.0, 0.3))
+        fix = pdr.RangeFix(time_s + 0.01 * k, np.array(ANCHORS[k % 3]), 9.0 + 0.01 * k, 0.3)
+        state, outcome, _ = tracker.on_fix(state, fix)
         outcomes.append(outcome)
     assert outcomes[:3] == ["waiting"] * 3
     assert counted == [4]

@@ -177,11 +177,40 @@ def test_locations_share_a_constant_error_and_other_correlated_fixes_do_not() ->
     np.testing.assert_allclose(np.linalg.norm(others.by[0], axis=1) ** 2, 0.99 * 25.0)
 
 
-def test_smoothed_locations_of_a_phone_do_not_shorten_the_steps() -> None:
-    time_s = located().location.time_s
-    truth = truth_m(bare(), time_s)
-    smaller = pdr.smooth(located(-0.25 * (truth - truth.mean(axis=0)), accuracy_m=5.0))
-    assert smaller.scale > 0.93 * pdr.smooth(bare()).scale
+@pytest.mark.parametrize("size", [0.6, 0.75, 1.25])
+def test_locations_of_a_small_area_do_not_change_the_step_length(size: float) -> None:
+    truth = truth_m(bare(), located().location.time_s)
+    resized = pdr.smooth(located((size - 1.0) * (truth - truth.mean(axis=0)), accuracy_m=5.0))
+    assert resized.scale == pytest.approx(pdr.smooth(bare()).scale, rel=0.03)
+    assert resized.track.person is None
+
+
+@pytest.mark.parametrize(("size", "is_right"), [(1.1, True), (0.75, False)])
+def test_locations_determine_the_step_length_on_a_long_way_unless_they_are_drawn_together(
+    size: float, is_right: bool
+) -> None:
+    time_s = np.arange(0.0, 240.0, 10.0)
+    corner_m = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
+    walk_m = np.column_stack([np.interp(time_s, [0.0, 80.0, 160.0, 240.0], column) for column in corner_m.T])
+    fixes = [PositionFix(t, size * p, 9.0 * np.eye(2), correlation_s=20.0) for t, p in zip(time_s, walk_m, strict=True)]
+    node = np.arange(len(fixes))
+    shrunk = np.linalg.norm(errors_of(fixes, np.full(len(fixes), True), node, walk_m).by[:, :, 4], axis=1)
+    middle = 12  # the location whose window is the whole walk
+    half_m = 0.5 * np.linalg.norm(walk_m - walk_m.mean(axis=0), axis=1)
+    expected = np.minimum(half_m, 1.5 * 3.0) if is_right else half_m
+    np.testing.assert_allclose(shrunk[middle], expected[middle])
+
+
+def test_an_outlier_does_not_hide_that_the_extent_of_locations_is_right() -> None:
+    time_s = np.arange(0.0, 230.0, 10.0)
+    walk_m = np.column_stack([time_s, np.abs(time_s - 100.0)])
+    off_m = np.zeros_like(walk_m)
+    off_m[4] = 60.0
+    fixes = [
+        PositionFix(t, p, 4.0 * np.eye(2), correlation_s=20.0) for t, p in zip(time_s, walk_m + off_m, strict=True)
+    ]
+    shrunk = errors_of(fixes, np.full(len(fixes), True), np.arange(len(fixes)), walk_m).by[:, :, 4]
+    assert np.linalg.norm(shrunk, axis=1)[11] == pytest.approx(3.0)
 
 
 def test_location_variances_are_moved_towards_the_median() -> None:

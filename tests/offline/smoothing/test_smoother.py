@@ -58,7 +58,7 @@ def rms_m(walk: Walk, mean: np.ndarray) -> float:
     return float(np.sqrt(np.square(mean[:, :2] - walk.position_m[1:]).sum(axis=1).mean()))
 
 
-@pytest.mark.parametrize(("last_m", "converged"), [(5e-4, True), (5e-3, False)])
+@pytest.mark.parametrize(("last_m", "converged"), [(5e-4, True), (0.1, False)])
 def test_a_slow_solution_has_converged_if_its_last_step_is_below_a_millimetre(
     monkeypatch: pytest.MonkeyPatch, last_m: float, converged: bool
 ) -> None:
@@ -69,12 +69,12 @@ def test_a_slow_solution_has_converged_if_its_last_step_is_below_a_millimetre(
 
     def slow(graph: object, of: Problem) -> tuple[np.ndarray, float]:
         state, turn = exact(graph, of)
-        return np.full_like(state, 2.0 * last_m), turn  # from the 20th step on, half of the change is made
+        return np.full_like(state, last_m), turn
 
     monkeypatch.setattr(solve_module, "_solved", slow)
     start = np.zeros((problem.n_states, 6))
     found = solve_module._gauss_newton(problem, start, 0.0, problem.possible)
-    assert found[2] is converged
+    assert bool(found[2]) == converged
 
 
 # --- exactness ------------------------------------------------------------------------------------------------------

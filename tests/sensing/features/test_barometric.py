@@ -57,7 +57,7 @@ def test_one_hectopascal_is_eight_metres() -> None:
 @pytest.mark.parametrize("slope_hpa_per_s", [0.0, -0.0325, 0.03, 0.3])
 def test_pressure_on_a_line_gives_its_slope_exactly_and_the_noise_of_the_sensor(slope_hpa_per_s: float) -> None:
     time_s, _ = climbing(0.0, seed=3)
-    hpa = 990.0 + slope_hpa_per_s * (time_s - 15)
+    hpa = 990.03 + slope_hpa_per_s * (time_s - 15)
     for climb in run(STAGE, time_s, hpa):
         inside = (time_s >= climb.time_s - 4) & (time_s <= climb.time_s)
         metres_per_hpa = STAGE.scale_height_m / hpa[inside].mean()
@@ -109,11 +109,11 @@ def test_the_standard_deviation_is_that_of_many_simulated_windows(rate_hz: float
 
 def test_noise_below_that_of_the_sensor_does_not_reduce_the_standard_deviation() -> None:
     time_s = np.arange(0.0, 10.0)
-    (first, *_) = run(STAGE, time_s, np.full(10, 1000.0))  # a coarse sensor repeats itself
+    (first, *_) = run(STAGE, time_s, np.full(10, 1000.03))  # a coarse sensor repeats itself
     assert first.climb_rate_mps == 0.0
     assert first.n_samples == 5
     assert first.std_mps == pytest.approx(8.4347 * 0.01 / np.sqrt(10), rel=1e-4)
-    (twice, *_) = run(ClimbRate(noise_hpa=0.02), time_s, np.full(10, 1000.0))
+    (twice, *_) = run(ClimbRate(noise_hpa=0.02), time_s, np.full(10, 1000.03))
     assert twice.std_mps == pytest.approx(2 * first.std_mps)
 
 

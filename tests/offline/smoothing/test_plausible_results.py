@@ -1,0 +1,91 @@
+"""Distances and uncertainties of online and smoothed tracks that are possible, without the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values.uncertainty import worst_std_m
+
+WALK = simulate([Leg("walking", distance_m=25.0, turn_rad=1.2), Leg("walking", distance_m=20.0, turn_rad=-1.0)], seed=3)
+# The shortest recording of each of these data sets, with and without its gyroscope.
+FOLDERS = (
+    *("difronzo", "humolire", "ipin2023", "motionsense", "ms_indoor", "oxford"),
+    *("oxiod", "pyshoe", "terrain", "tyrex", "ubicomp13"),
+)
+
+
+def without_gyroscope(walk: pdr.Recording, begin_s: float, end_s: float) -> pdr.Recording:
+    gyroscope = walk.gyroscope
+    assert gyroscope is not None
+    has = (gyroscope.time_s < begin_s) | (gyroscope.time_s > end_s)
+    samples = pdr.Samples(gyroscope.time_s[has], gyroscope.values[has]) if has.any() else None
+    return replace(walk, gyroscope=samples)
+
+
+LESS = {"all": (0.0, np.inf), "middle": (12.0, 26.0), "end": (15.0, np.inf), "none": (1e9, 1e9)}
+
+
+def path_of(walk: pdr.Recording, config: pdr.Config) -> tuple[np.ndarray, np.ndarray]:
+    """Return the standard deviation of each step of the walked path, and the way along it until the step."""
+    online, samples = pdr.OnlineFilter(config), pdr.merge_streams(walk)
+    online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps)
+    path = online.path()
+    return path.position_std_m, np.cumsum(np.hypot(*np.diff(path.position_m, axis=0, prepend=np.zeros((1, 2))).T))
+
+
+def check_possible(online: pdr.Track, smoothed: pdr.Track) -> None:
+    assert smoothed.distance_m == pytest.approx(online.distance_m, rel=0.02)
+    for track in (online, smoothed):
+        assert (worst_std_m(track.position_cov_m2) <= track.walked_m + 0.01).all()
+    scatter = [np.std(np.diff(track.step_length_m)) for track in (smoothed, online)]
+    assert scatter[0] < 1.1 * scatter[1] + 0.01
+    moved_m = np.hypot(*np.diff(smoothed.position_m, axis=0).T)
+    assert moved_m.sum() == pytest.approx(smoothed.step_length_m[1:].sum(), rel=0.05)
+
+
+@pytest.mark.parametrize("weighting", ["imm", "hc", "wc"])
+@pytest.mark.parametrize("missing", LESS)
+def test_without_fixes_smoothing_keeps_the_distance_and_no_position_is_less_certain_than_the_way(
+    missing: str, weighting: str
+) -> None:
+    walk = without_gyroscope(WALK, *LESS[missing])
+    check_possible(pdr.track(walk, weighting=weighting), pdr.smooth(walk, weighting=weighting).track)
+    std_m, way_m = path_of(walk, pdr.recipes.default(walk.subject).with_weighting(weighting))
+    assert (std_m <= way_m + 0.01).all()
+
+
+@pytest.mark.parametrize("missing", ["all", "middle"])
+def test_with_fixes_no_position_is_less_certain_than_the_way_from_the_last_fix(missing: str) -> None:
+    walk, truth = without_gyroscope(WALK, *LESS[missing]), WALK.truth.position
+    time_s = np.arange(4.0, float(truth.time_s[-1]), 12.0)
+    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")])
+    fixes = [pdr.PositionFix(float(t), p, np.eye(2)) for t, p in zip(time_s, place_m, strict=True)]
+    result, online = pdr.smooth(walk, fixes), pdr.track(walk, fixes=fixes)
+    assert len(result.rejected) == 0 and not [note for note in result.notes if "did not converge" in note]
+    assert result.track.distance_m == pytest.approx(online.distance_m, rel=0.05)
+    for track in (result.track, online):
+        last = np.searchsorted(time_s, track.time_s, side="right") - 1
+        walked_m = track.walked_m - np.interp(time_s[np.maximum(last, 0)], track.time_s, track.walked_m)
+        # online, a fix is used after the steps that were detected before it arrived
+        is_after = (last >= 0) & (track.time_s - time_s[np.maximum(last, 0)] > 2.0)
+        assert (worst_std_m(track.position_cov_m2)[is_after] <= walked_m[is_after] + 2.0).all()
+
+
+@pytest.mark.parametrize("folder", FOLDERS)
+@pytest.mark.parametrize("is_blind", [False, True])
+def test_recordings_of_all_kinds_are_smoothed_to_possible_walks(data_dir: Path, folder: str, is_blind: bool) -> None:
+    walk = pdr.read(min((data_dir / folder).glob("*.zip"), key=lambda path: path.stat().st_size))
+    if is_blind:
+        walk = replace(walk, gyroscope=None, magnetometer=None)
+    online, smoothed = pdr.track(walk, gnss="off"), pdr.smooth(walk, gnss="off").track
+    for track in (online, smoothed):
+        if track.n_steps:
+            assert np.isfinite(track.position_m).all()
+            assert (worst_std_m(track.position_cov_m2) <= track.walked_m + track.gap_before_s.cumsum() + 0.01).all()
+    assert smoothed.distance_m == pytest.approx(online.distance_m, rel=0.05)
