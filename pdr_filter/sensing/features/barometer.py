@@ -130,8 +130,9 @@ class ClimbRate:
         Time of equal values after which a sensor is stuck, s.
     noise_hpa : float
         Lower limit of the standard deviation of a sample, hPa, which is otherwise estimated from the samples of the
-        window. It is needed because a few samples can lie on a line by chance, and a coarse sensor repeats its values. The default of 0.01 hPa (0.08 m) is the noise of the ST LPS25HB.
-        The Bosch BMP280 has 0.005 hPa in the setting that its data sheet suggests for Android.
+        window. It is needed because a few samples can lie on a line by chance, and a coarse sensor repeats its values.
+        The default of 0.01 hPa (0.08 m) is the noise of the ST LPS25HB. The Bosch BMP280 has 0.005 hPa in the setting
+        that its data sheet suggests for Android.
     temperature_c : float
         Temperature of the air, degrees Celsius. An increase of 10 degrees increases the rate by 3.5 %.
     """
