@@ -1,6 +1,6 @@
 """Sensors that are missing, stop, stick, are late, noisy or rounded: errors of the track, and its notes.
 
-usage: python -m tests.benchmarks.sensor_faults [simulated] [recordings] [--walks 6] [--data ../shared/data] [--print]
+usage: python -m tests.benchmarks.sensor_faults [simulated] [recordings] [--walks 4] [--data ../shared/data] [--print]
 
 simulated: walks over three storeys, of people whose step lengths and cadences vary more than the filter expects, in
 four carrying modes. recordings: real walks with surveyed points.
@@ -13,7 +13,9 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +28,7 @@ from pdr_filter.simulate.gait import STOREY_HEIGHT_M
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray, Samples
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.rigid_fit import rigid_fit
 from tests.benchmarks.common import Tables, run
 
 CARRYING_MODES = ("texting", "pocket", "swinging", "calling")
@@ -35,6 +38,19 @@ LOCATION_STD_M, LOCATION_EVERY_S = 3.0, 5.0
 # Locations: metres of noise and degrees of resolution, 11 m.
 NOISE = {"accelerometer": 0.07, "gyroscope": 0.005, "magnetometer": 5.0, "barometer": 0.2, "location": 30.0}
 RESOLUTION = {"accelerometer": 0.5, "gyroscope": 0.05, "magnetometer": 5.0, "barometer": 1.0, "location": 1e-4}
+# Words of a note that show that it is about the sensor.
+WORDS = {
+    "accelerometer": ("accelerometer",),
+    "gyroscope": ("gyroscope", "angular rate"),
+    "magnetometer": ("magnet",),
+    "barometer": ("barometer", "pressure"),
+    "location": ("location", "fix"),
+}
+REAL = (
+    "ipin2023/ipin2023_anon_trial51_rep02.zip",
+    "ipin2023/ipin2023_anon_trial02_rep01.zip",
+    "humolire/humolire_user1_3r.zip",
+)
 UNIT = {"accelerometer": "m/s2", "gyroscope": "rad/s", "magnetometer": "uT", "barometer": "hPa", "location": "degrees"}
 
 
@@ -106,16 +122,20 @@ def name_of(sensor: str, fault: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A recording with its true positions, in the frame of the start or of `HERE`."""
+    """A recording with its true positions and heights."""
 
     recording: Recording
     time_s: FloatArray  # (N,)
     place_m: FloatArray  # (N, 2) from the start
     height_m: FloatArray  # (N,) above the start
     floor: FloatArray  # (N,) from the start, NaN on stairs
-    distance_m: float
-    start_m: FloatArray  # (2,) from `HERE`
+    distance_m: float  # NaN if it is not known
     start_heading_rad: float | None = None
+
+    @property
+    def is_exact(self) -> bool:
+        """True if the truth is known at all times: surveyed points are too few for distances and directions."""
+        return self.start_heading_rad is not None
 
     def options(self, sensor: str) -> dict[str, Any]:
         """Return the arguments of `track` with which a sensor is judged."""
@@ -175,7 +195,6 @@ def simulated_walk(seed: int, carrying_mode: str | None = None, legs: Sequence[L
         truth.up_m,
         np.where(np.abs(storeys - np.round(storeys)) < 0.02, np.round(storeys), np.nan),
         float(walk.truth.segments.distance_m.sum()),
-        np.zeros(2),
         heading_rad,
     )
 
@@ -194,8 +213,7 @@ def real_walk(path: Path) -> Walk:
         place_m - place_m[0],
         height_m - height_m[0],
         floor - floor[0],
-        float(np.linalg.norm(np.diff(place_m, axis=0), axis=1).sum()),
-        place_m[0],
+        np.nan,
     )
 
 
@@ -223,24 +241,26 @@ def figures(walk: Walk, track: Track, without: Track, sensor: str) -> Figures:
         return Figures(-100.0, *(6 * [np.nan]), track.notes)
 
     def at_points(of: Track) -> FloatArray:
-        time_s, place_m = np.append(of.start_time_s, of.time_s), np.vstack([of.start_position_m, of.position_m])
-        order = np.argsort(time_s, kind="stable")
-        return evaluate.positions_at(time_s[order], place_m[order], walk.time_s)
+        place_m = evaluate.positions_at(of.time_s, of.position_m, walk.time_s, of.start_position_m)
+        if sensor != "location" or of.origin is None:
+            return place_m
+        return place_m + HERE.east_north_m(of.origin.latitude_deg, of.origin.longitude_deg)
 
     found_m, true_m, cov = at_points(track), walk.place_m, track.position_cov_m2[-1]
-    if sensor == "location" and track.origin is not None:
-        found_m = found_m + HERE.east_north_m(track.origin.latitude_deg, track.origin.longitude_deg) - walk.start_m
-    elif walk.start_heading_rad is None:  # the frame of the start has no known north
-        rotation, shift_m = evaluate.rigid_fit(at_points(without), walk.place_m)
+    if not walk.is_exact:  # neither north nor the origin of the points is known
+        rotation, shift_m = rigid_fit(at_points(without), true_m)
         found_m, cov = found_m @ rotation.T + shift_m, rotation @ cov @ rotation.T
     error_m = found_m[-1] - true_m[-1]
     late = walk.time_s[1:] > walk.time_s.mean()
-    moved, truly = (np.diff(m, axis=0)[late] @ [1, 1j] for m in (found_m, true_m))
+    compared_m, distance_m = true_m, walk.distance_m
+    if not walk.is_exact:
+        compared_m, distance_m = at_points(without) @ rotation.T + shift_m, without.distance_m
+    moved, truly = (np.diff(m, axis=0)[late] @ [1, 1j] for m in (found_m, compared_m))
     k = np.clip(np.searchsorted(track.time_s, walk.time_s, side="right") - 1, 0, track.n_steps - 1)
     level = np.isfinite(walk.floor)
-    off = 0 if walk.start_heading_rad is not None else track.floor[k[0]]
+    off = 0 if walk.is_exact else track.floor[k[0]]
     return Figures(
-        100 * (track.distance_m / walk.distance_m - 1),
+        100 * (track.distance_m / distance_m - 1),
         float(np.linalg.norm(error_m)),
         float(track.position_std_m[-1]),
         float(np.degrees(np.angle(np.vdot(truly, moved)))),
@@ -252,13 +272,105 @@ def figures(walk: Walk, track: Track, without: Track, sensor: str) -> Figures:
     )
 
 
-def judged(walk: Walk, sensor: str, fault: str) -> tuple[Figures, Figures] | str:
-    """Return the figures of the online and of the smoothed track, or the refusal."""
-    recording, options = with_fault(walk.recording, sensor, fault), walk.options(sensor)
-    both: list[Figures] = []
-    for of in (pdr.track, lambda r, **o: pdr.smooth(r, **o).track):
-        try:
-            both.append(figures(walk, of(recording, **options), of(walk.recording, **options), sensor))
-        except ValueError as error:
-            return str(error)
-    return both[0], both[1]
+def smoothed(recording: Recording, **options: Any) -> Track:
+    """Return the smoothed track."""
+    return pdr.smooth(recording, **options).track
+
+
+def cells(walks: Sequence[Walk], sensor: str, fault: str) -> list[object]:
+    """Return the cells of a row: medians over the walks, and the note of the first walk that has one on the fault."""
+    online: list[Figures] = []
+    later: list[Figures] = []
+    refusal = ""
+    for walk in walks:
+        recording = walk.recording if fault == "no fault" else with_fault(walk.recording, sensor, fault)
+        for of, found in ((pdr.track, online), (smoothed, later)):
+            try:
+                found.append(figures(walk, of(recording, **walk.options(sensor)), without(walk, sensor, of), sensor))
+            except ValueError as error:
+                refusal = str(error)
+    if refusal:
+        return [*(8 * ["-"]), f"refused: {refusal}"]
+
+    def median(found: Sequence[Figures], name: str, digits: int = 1) -> str:
+        return f"{np.nanmedian([abs(getattr(f, name)) for f in found]):.{digits}f}"
+
+    def end(found: Sequence[Figures]) -> str:
+        outside = sum(not f.nees < 11.8 for f in found)  # 99.7 % quantile of chi-square with two degrees of freedom
+        return f"{median(found, 'end_m')} ({median(found, 'end_std_m')})" + (f", {outside} outside" if outside else "")
+
+    too_high = sum(not abs(f.height_m) < 3.0 * f.height_std_m for f in online)
+    height = f"{median(online, 'height_m')} ({median(online, 'height_std_m')})"
+    height += f", {too_high} outside" if too_high else ""
+    new = [note for f in online for note in f.notes]
+    notes = [note for note in new if any(word in note for word in WORDS[sensor])] or new
+    n_named = sum(bool(f.notes) for f in online)
+    note = f"{notes[0][:80]}... ({n_named} of {len(walks)})" if notes else "-"
+    return [
+        median(online, "distance_percent"),
+        median(later, "distance_percent"),
+        end(online),
+        end(later),
+        median(online, "direction_deg", 0),
+        median(later, "direction_deg", 0),
+        height,
+        f"{100 * np.mean([f.floor_right for f in online]):.0f}",
+        note,
+    ]
+
+
+_without: dict[tuple[int, str, bool], Track] = {}
+
+
+def without(walk: Walk, sensor: str, of: Callable[..., Track]) -> Track:
+    """Return the track of a walk without a fault."""
+    key = id(walk), str(walk.options(sensor)), of is smoothed
+    if key not in _without:
+        _without[key] = of(walk.recording, **walk.options(sensor))
+    return _without[key]
+
+
+COLUMNS = [
+    "sensor and fault",
+    "distance, %",
+    "smoothed",
+    "end, m (stated)",
+    "smoothed",
+    "direction, degrees",
+    "smoothed",
+    "height, m (stated)",
+    "storey right, %",
+    "first note on it",
+]
+
+
+def rows_of_sensor(walks: Sequence[Walk], sensor: str) -> list[list[object]]:
+    """Return the rows of one sensor."""
+    having = [walk for walk in walks if sensor in walk.recording.streams]
+    # no recording is without an accelerometer
+    faults = [f for f in ("no fault", *FAULTS) if (sensor, f) != ("accelerometer", "missing")]
+    return [[name_of(sensor, fault), *cells(having, sensor, fault)] for fault in faults]
+
+
+def rows_of(walks: Sequence[Walk]) -> list[list[object]]:
+    """Return the rows of all sensors and faults, computed by a process for each sensor."""
+    with ProcessPoolExecutor(len(NOISE)) as pool:
+        return [row for rows in pool.map(rows_of_sensor, repeat(walks), NOISE) for row in rows]
+
+
+def simulated(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Table of simulated walks."""
+    rows = rows_of([simulated_walk(seed) for seed in range(arguments.walks)])
+    about = f"{arguments.walks} simulated walks: medians of absolute errors; outside are more than three deviations."
+    tables.write("sensor_faults_simulated", COLUMNS, rows, about)
+
+
+def recordings(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Table of real walks."""
+    rows = rows_of([real_walk(arguments.data / name) for name in REAL])
+    about = f"{len(REAL)} real walks; distances and directions are compared with the track without the fault."
+    tables.write("sensor_faults_recordings", COLUMNS, rows, about)
+
+
+if __name__ == "__main__":
+    run(__doc__, simulated, recordings, walks=4)
