@@ -195,8 +195,8 @@ def present_place(config: Config, state: State) -> Present:
 
     Without extrapolation the phone may still move. The pedestrian may then walk with steps that are not known yet, or
     push the phone on a trolley. The covariance then grows as in a gap of the samples, by the time of motion that no
-    step explains (`VehicleVibration.stepless_s`). It is that of the steps again when they are accepted. A time for which
-    the accelerometer is silent or stuck while time goes on counts as such motion.
+    step explains (`VehicleVibration.stepless_s`). It is that of the steps again when they are accepted. Time for which
+    the accelerometer is silent or stuck counts as such motion.
     """
     last, steps = _with_candidates(config, state)
     place = _place_after(state, last, bool(steps))
