@@ -45,6 +45,8 @@ _LIMITS = np.repeat([np.inf, MAX_FORCE_MPS2, MAX_RATE_RADPS, MAX_FIELD_UT], [1, 
 _ROWS_AT_ONCE = 4000
 # A note is written when this many rows in a row are rejected, or when this many arrive and no uniform sample results.
 _MIN_REJECTED_ROWS = 200
+# Time without angular rate from which a note is written: the heading is then uncertain by 0.5 rad (`HeadingDrift`).
+_MISSING_RATE_S = 0.25
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -219,7 +221,7 @@ class IntakeReport:
         missing_s = self.n_without_rate / self.rate_hz
         if not self.has_gyroscope:
             found.append("no gyroscope: the heading is unknown; only steps, contexts and distance can be trusted")
-        elif missing_s > 1.0:
+        elif missing_s > _MISSING_RATE_S:
             found.append(f"no angular rate for {missing_s:.1f} s: the heading is unknown during that time")
         return tuple(found)
 

@@ -148,6 +148,8 @@ class Now:
         }
 
 
+# Delay of a sample after the wait for other sensors, s: reordering, bunching, uniform sampling and hops have 0.4 s.
+_DELAY_S = 1.0
 # Errors of the distance extrapolated beyond the last known contact, along and across, as shares of that distance (root
 # mean squares): the pedestrian may have stopped or turned. Chosen, with `_QUIET_MPS2`, on every other walk of the 34 of
 # ms_indoor. The held-out walks have 0.39 and 0.17, humolire 0.21 and 0.07 (tests/benchmarks/provisional.py).
@@ -193,17 +195,18 @@ def present_place(config: Config, state: State) -> Present:
 
     Without extrapolation the phone may still move. The pedestrian may then walk with steps that are not known yet, or
     push the phone on a trolley. The covariance then grows as in a gap of the samples, by the time of motion that no
-    step explains (`VehicleVibration.stepless_s`). It is that of the steps again when they are accepted.
+    step explains (`VehicleVibration.stepless_s`). It is that of the steps again when they are accepted. Time for which
+    the accelerometer is silent or stuck counts as such motion.
     """
     last, steps = _with_candidates(config, state)
     place = _place_after(state, last, bool(steps))
-    speed_mps, speed_std_mps, extrapolated_m = 0.0, math.nan, 0.0
-    if last is not None and not state.finished and _is_walking(config, state, last, bool(steps)):
+    speed_mps, speed_std_mps, extrapolated_m, silent_s = 0.0, math.nan, 0.0, _silent_s(config, state)
+    if last is not None and not state.finished and not silent_s and _is_walking(config, state, last, bool(steps)):
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
         extrapolated_m = speed_mps * max(_newest_accelerometer_s(state) - last.step.time_s, 0.0)
         place = _extrapolated(place, extrapolated_m, _turned_since(state, last))
     else:
-        stepless_s = _stepless_s(config, state, last)
+        stepless_s = _stepless_s(config, state, last) + silent_s
         place = replace(place, cov_m2=place.cov_m2 + config.model.noise.gap_var_m2(stepless_s) * EYE)
     return Present(_newest_s(state), place, steps, extrapolated_m, speed_mps, speed_std_mps)
 
@@ -363,6 +366,20 @@ def _stepless_s(config: Config, state: State, last: StepUpdate | None) -> float:
     if newest_s - last.step.time_s <= last.step.duration_s:
         return 0.0
     return config.sensing.stepless_s(state.sensing, last.step.time_s, newest_s)
+
+
+def _silent_s(config: Config, state: State) -> float:
+    """Return the time since the last usable sample of the accelerometer; 0 if the filter alone may have delayed it.
+
+    A sensor that was ahead of the accelerometer from its first sample on has another clock, or began later.
+    """
+    ahead_s = 0.0
+    if state.merger.is_used:
+        force = state.merger.stream("accelerometer")
+        others = (s for s in state.merger.streams if s.n_received)
+        ahead_s = max(s.last_s - force.last_s - max(s.first_s - force.first_s, 0.0) for s in others)
+    silent_s = ahead_s + _newest_accelerometer_s(state) - state.sensing.processed_s
+    return silent_s if config.merger.wait_s + _DELAY_S < silent_s < math.inf else 0.0
 
 
 def _newest_s(state: State) -> float:

@@ -15,7 +15,7 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.fixes.alignment import Place
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.tracking.extrapolation import _ACROSS_SHARE, _ALONG_SHARE, _extrapolated, _on_plan
+from pdr_filter.tracking.extrapolation import _ACROSS_SHARE, _ALONG_SHARE, _extrapolated, _on_plan, _silent_s
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, OnPlan, PositionFix
 
 LEGS = [Leg("stationary", duration_s=4.0), Leg("walking", distance_m=25.0), Leg("stationary", duration_s=6.0)]
@@ -112,9 +112,31 @@ def test_a_gyroscope_on_another_clock_does_not_move_the_position_and_the_note_na
         ahead_m.append(float(np.linalg.norm(now.position_m - online.position_m)))
     assert now.n_steps > 10
     assert 0.5 < max(ahead_m) < 10.0
+    assert _silent_s(online.config, online.state) == 0.0
     assert any(
         "accelerometer: no samples since" in note and "put all sensors on one clock" in note for note in online.notes
     )
+
+
+@pytest.mark.parametrize("is_stuck", [False, True])
+def test_an_accelerometer_that_fails_in_mid_walk_leaves_the_position_uncertain(is_stuck: bool) -> None:
+    """It fails at 10 s, and the person walks on. After the usual delays of seconds, the deviation covers the way."""
+    online, std_m = pdr.OnlineFilter(), list[float]()
+    force, rate = WALK.accelerometer, WALK.streams["gyroscope"]
+    for second in range(22):
+        part = slice(*np.searchsorted(force.time_s, [second, second + 1]))
+        if second < 10 or is_stuck:
+            values = force.values[part] if second < 10 else np.tile(force.values[1000], (part.stop - part.start, 1))
+            online.push_accelerometer(force.time_s[part], values)
+        part = slice(*np.searchsorted(rate.time_s, [second, second + 1]))
+        online.push_gyroscope(rate.time_s[part], rate.values[part])
+        std_m.append(online.now().position_std_m)
+    now, truth = online.now(), WALK.truth.position
+    true_m = [np.interp(22.0, truth.time_s, truth[name]) for name in ("east_m", "north_m")]
+    assert np.linalg.norm(now.position_m - true_m) < 3.0 * now.position_std_m
+    assert std_m[9] < 3.0 and now.position_std_m > 8.0
+    assert now.walking_speed_mps == 0.0
+    assert any("accelerometer" in note for note in now.notes)
 
 
 def test_now_before_any_sample_is_empty() -> None:

@@ -473,7 +473,9 @@ def _after_pressure(second: PressureSecond, model: PedestrianModel) -> HeightEst
     level = known_level(floors, climb.time_s)
     if level is not None:
         variance = level.std_m**2 + LEVEL_STD_M**2
-        if (level.climbed_m - now.climbed_m) ** 2 < _LEVEL_GATE * (now.climbed_var_m2 + variance):
+        # After a time without pressure the storey may be another one, whose level would pass the gate as well.
+        is_same = not is_floor_unknown(np.array(_std(now.climbed_var_m2)))
+        if is_same and (level.climbed_m - now.climbed_m) ** 2 < _LEVEL_GATE * (now.climbed_var_m2 + variance):
             moments = vertical.at_level(moments, level.climbed_m, variance)
             now = vertical.combined(moments)
             level = Level(level.floor, now.climbed_m, _std(now.climbed_var_m2))

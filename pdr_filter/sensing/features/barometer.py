@@ -129,9 +129,10 @@ class ClimbRate:
     stuck_after_s : float
         Time of equal values after which a sensor is stuck, s.
     noise_hpa : float
-        Lower limit of the standard deviation of a sample, hPa. It is needed because a few samples can lie on a line by
-        chance, and a coarse sensor repeats its values. The default of 0.01 hPa (0.08 m) is the noise of the ST LPS25HB.
-        The Bosch BMP280 has 0.005 hPa in the setting that its data sheet suggests for Android.
+        Lower limit of the standard deviation of a sample, hPa, which is otherwise estimated from the samples of the
+        window. It is needed because a few samples can lie on a line by chance, and a coarse sensor repeats its values.
+        The default of 0.01 hPa (0.08 m) is the noise of the ST LPS25HB. The Bosch BMP280 has 0.005 hPa in the setting
+        that its data sheet suggests for Android.
     temperature_c : float
         Temperature of the air, degrees Celsius. An increase of 10 degrees increases the rate by 3.5 %.
     """
@@ -243,10 +244,15 @@ class ClimbRate:
         last_hpa = np.add.reduceat(samples[1, _ranges(lasts, n_last)], np.cumsum(n_last) - n_last) / n_last
         # Noise averages out over the samples. Rounding does not, because it is the same in all equal values.
         rounding_m = metres_per_hpa * np.where(np.isfinite(quantum_hpa), quantum_hpa, 0.0) / math.sqrt(12)
+        # A constant climb has no second differences. Those of white noise have six times its variance.
+        second_m = np.diff(height_m, 2, prepend=0.0, append=0.0)
+        second_m[np.concatenate([each, each + n - 1])] = 0.0  # those that span two windows
+        own_var_m2 = sums(second_m * second_m) / (6.0 * (n - 2)) - rounding_m**2
+        sensor_m = np.sqrt(np.maximum(own_var_m2, noise_m**2))
         # A rate of repeated values is the difference of two rounded ones.
         std_mps = np.sqrt(rate_var + 2.0 * (np.where(equal_s > 0, rounding_m, 0.0) / self.window_s) ** 2)
         end_m = -self.scale_height_m * np.log(last_hpa / STANDARD_PRESSURE_HPA)
-        end_std_m = np.hypot(noise_m / np.sqrt(n_last), rounding_m * np.sqrt(np.maximum(equal_s / self.hop_s, 1.0)))
+        end_std_m = np.hypot(sensor_m / np.sqrt(n_last), rounding_m * np.sqrt(np.maximum(equal_s / self.hop_s, 1.0)))
         columns = (samples[0, ends - 1], rate_mps, std_mps, n, end_m, end_std_m)
         return [Climb(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
 

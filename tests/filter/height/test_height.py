@@ -321,6 +321,18 @@ def test_the_deviation_holds_the_storeys_that_were_climbed_with_the_phone_in_the
         assert track.known_floor[-1] is None
 
 
+def test_a_barometer_that_begins_after_unseen_stairs_does_not_tell_the_storey() -> None:
+    """The person then climbs and descends a storey, and is on the first storey, not at the start."""
+    up, down = storey("upstairs"), storey("downstairs")
+    recording = walk(*AROUND, *up, *AROUND, *up, *AROUND, *down, *AROUND)
+    truth = recording.truth.position
+    first_s = truth.time_s[np.argmax(truth.up_m > 3.0)] + 5.0
+    track = pdr.track(with_pressure(recording, lambda time_s, hpa: (time_s[time_s > first_s], hpa[time_s > first_s])))
+    assert (np.abs(error_m(track, recording)) < 3.0 * track.height_std_m).all()
+    assert track.known_floor[-1] is None
+    assert any(str(note).startswith("height and storey are unknown") for note in track.notes)
+
+
 @pytest.mark.parametrize(("fault", "words"), FAULTS.values(), ids=FAULTS.keys())
 def test_the_deviation_on_a_real_walk_holds_what_a_faulty_barometer_does_not_show(
     fault: Change | None, words: str, data_dir: Path

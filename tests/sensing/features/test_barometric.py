@@ -117,6 +117,17 @@ def test_noise_below_that_of_the_sensor_does_not_reduce_the_standard_deviation()
     assert twice.std_mps == pytest.approx(2 * first.std_mps)
 
 
+def test_the_deviation_of_the_height_is_that_of_the_noise_of_the_samples_at_any_rate_of_climb() -> None:
+    for rate_hz, rate_mps, noise_hpa in ((10.0, 0.01, 0.2), (10.0, 2.5, 0.2), (5.0, -0.3, 0.05), (1.0, 0.3, 0.1)):
+        time_s, hpa = climbing(rate_mps, rate_hz, duration_s=400.0)
+        noisy = hpa + np.random.default_rng(0).normal(scale=noise_hpa, size=len(hpa))
+        exact, found = run(STAGE, time_s, hpa), run(STAGE, time_s, noisy)
+        error_m = np.array([a.height_m - b.height_m for a, b in zip(found, exact, strict=True)])
+        variance = np.array([climb.height_std_m**2 for climb in found])
+        # an error of 400 seconds is known to 1 / sqrt(200), and the variance of a window of five samples is rough
+        assert (error_m**2).mean() / variance.mean() == pytest.approx(1.0, abs=0.25)
+
+
 def test_a_fine_barometer_that_repeats_its_value_for_five_seconds_gives_no_climbs_until_it_changes() -> None:
     time_s, hpa = climbing(0.2, duration_s=60.0)
     hpa[(time_s >= 20.0) & (time_s < 40.0)] = hpa[200]
