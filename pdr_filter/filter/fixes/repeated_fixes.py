@@ -55,12 +55,15 @@ class SeenPlace:
         Distance of all steps until then.
     is_frozen : bool
         True if fixes repeated the position while steps continued.
+    floor : int or None
+        Storey of the fix. The same position on another storey is not a repetition.
     """
 
     position_m: FloatArray
     track_m: FloatArray
     walked_m: float
     is_frozen: bool = False
+    floor: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +120,8 @@ def seen_after(previous: SeenPlace | None, fix: PositionFix, track_m: FloatArray
     person can have returned: dead reckoning has moved by at most 30 % of the distance, which is long enough for a way
     out of that radius and back. Any other repetition leaves `previous` unchanged.
     """
-    new = SeenPlace(fix.position_m, read_only(track_m), walked_m)
-    if previous is None or not np.array_equal(fix.position_m, previous.position_m):
+    new = SeenPlace(fix.position_m, read_only(track_m), walked_m, floor=fix.floor)
+    if previous is None or fix.floor != previous.floor or not np.array_equal(fix.position_m, previous.position_m):
         return new
     moved_m, since_m = float(np.linalg.norm(track_m - previous.track_m)), walked_m - previous.walked_m
     radius_m, share_m = max(_MIN_MOVED_M, fix.var_m2**0.5), _MOVED_SHARE * since_m
