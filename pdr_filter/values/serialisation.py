@@ -87,10 +87,6 @@ def _packed(value: Any) -> bytes:
     return zlib.compress(content, 1)
 
 
-class _UnknownClassError(ValueError):
-    """A class of the bytes is neither in this package nor in the first state."""
-
-
 def from_bytes(blob: object, first: object = None) -> Any:
     """Return the value from the bytes of `to_bytes`. ValueError for any other bytes.
 
@@ -109,8 +105,6 @@ def from_bytes(blob: object, first: object = None) -> Any:
         if content["sha256"] != _checksum(text.decode().partition(_VALUE)[2][:-1]):
             raise ValueError("the checksum does not match, so that the bytes are damaged")
         return _decode(content["value"], _classes_in(first))
-    except _UnknownClassError:
-        raise
     except Exception as error:  # damaged bytes can raise any exception
         raise ValueError(
             f"these {len(blob)} bytes cannot be loaded as a saved value of this version of {_PACKAGE} ({error}): "
@@ -186,10 +180,9 @@ def _decode(value: Any, own: Mapping[str, type[Any]]) -> Any:
     content = {field: _decode(v, own) for field, v in node["fields"].items()}
     if name.partition(":")[0].partition(".")[0] != _PACKAGE:
         if name not in own:
-            raise _UnknownClassError(
-                f"the saved state has a {name.rpartition(':')[2][:60]}, which is neither a class of {_PACKAGE} nor in "
-                "the first state of the given configuration: give the configuration that was saved, "
-                "OnlineFilter.load(blob, config=config)"
+            raise ValueError(
+                f"refused to load {name[:60]!r}, because neither {_PACKAGE} nor the first state of the configuration "
+                "has it: give the configuration that was saved, OnlineFilter.load(blob, config=config)"
             )
         return own[name](**content)
     cls = _dataclass(name)
