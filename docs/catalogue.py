@@ -161,12 +161,6 @@ def refusal_lists() -> str:
     )
 
 
-def moved_modules() -> str:
-    """Markdown table of former and present names of modules."""
-    rows = (line.split() for line in (PACKAGE / "former_modules.txt").read_text("utf-8").splitlines())
-    return "\n".join(["| former | present |", "|---|---|", *(f"| `{old}` | `{new}` |" for old, new in rows)])
-
-
 def module_texts() -> str:
     """Markdown headings and docstrings of all modules to which a page links, so that the links have targets."""
     pages = [page for page in sorted(DOCS.glob("**/*.md")) if not {"_build", "tables"} & set(page.parts)]

@@ -1,7 +1,6 @@
 """Sphinx configuration.
 
-Tables of models, lists of messages and the table of moved modules are made from model cards and source code when the
-documentation is built.
+Tables of models and lists of messages are made from model cards and source code when the documentation is built.
 """
 
 from __future__ import annotations
@@ -112,7 +111,6 @@ myst_substitutions = {
     "model_cards": "\n\n".join(map(model_card, descriptions)),
     "model_table": model_table(descriptions),
     "refusals": catalogue.refusal_lists(),
-    "moved_modules": catalogue.moved_modules(),
     "module_texts": catalogue.module_texts(),
     **{f"notes_{subject.replace(' ', '_')}": notes for subject, notes in catalogue.note_lists().items()},
 }

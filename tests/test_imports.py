@@ -199,6 +199,11 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     assert graph == {}
 
 
+def test_the_package_does_not_import_the_training_of_its_models() -> None:
+    imports = [node for tree in trees().values() for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    assert [node.module for node in imports if (node.module or "").startswith("models")] == []
+
+
 def test_the_package_has_no_assert() -> None:
     asserts = [
         f"{path.relative_to(PACKAGE)}:{node.lineno}"

@@ -106,13 +106,13 @@ def _person_of(path: Path, folder: Path) -> str:
 
 def _estimate_transitions(sequences: Path, out: Path) -> None:
     """Estimate transitions and exponents for the shipped model from recordings, and write them to the folder `out`."""
-    from pdr_filter.io.folders import recordings_in
-    from pdr_filter.offline.training.train_all import train as train_all
+    from pdr_filter.offline.training import transition_training as training
 
     with console.one_line_errors(), console.progress("training") as show:
-        cards = train_all(None, out, lambda what, fraction: show(fraction, what), recordings_in(sequences))
-    for card in cards:
-        typer.echo(out / card.get("file", f"{card['name']}.npz"))
-        for what in ("transition_prob", "exponents"):
-            if what in card:
-                console.stderr().print(f"{what}: {escape(card[what])}")
+        changing = training.changing_recordings(console.recordings_of([sequences]))
+        card = training.train_evidence(
+            changing, out, training.shipped_model_without, lambda what, fraction: show(fraction, what)
+        )
+    typer.echo(out / "transitions.json")
+    for what in ("transition_prob", "exponents"):
+        console.stderr().print(f"{what}: {escape(card[what])}")

@@ -595,7 +595,7 @@ def _transitions(
 def _warn_of_state(part: Any) -> None:
     """Warn if the first state of a part cannot be saved, because `OnlineFilter.save` would fail only after a walk."""
     try:
-        to_bytes(part.init(), foreign=True)
+        to_bytes(part.init(), part.init())
     except TypeError as error:
         warnings.warn(f"OnlineFilter.save will refuse the state of {type(part).__name__}: {error}", stacklevel=3)
 

@@ -588,8 +588,8 @@ class OnlineFilter:
         """Serialise the filter, so that `load` continues with identical results.
 
         The bytes contain the state, the configuration and its models, but no code. A configuration with parts of
-        classes outside of pdr_filter is not included: `load` then needs it as an argument. Waiting measurements of such
-        classes are omitted with a UserWarning.
+        classes outside of pdr_filter is not included: `load` then needs it as an argument, with classes of the same
+        names and modules. Waiting measurements of such classes are omitted with a UserWarning.
 
         Returns
         -------
@@ -614,8 +614,9 @@ class OnlineFilter:
         except TypeError:  # classes of other packages in the configuration or in the state of a part
             pass
         try:
-            blob = serialise.to_bytes({"config": None, "state": state, **late}, foreign=True)
-            serialise.check_classes(serialise.restored(serialise.from_bytes(blob)["state"], init(self.config)), state)
+            first = init(self.config)
+            blob = serialise.to_bytes({"config": None, "state": state, **late}, first)
+            serialise.from_bytes(blob, first)
         except (TypeError, ValueError) as error:  # found when it is saved, not when it is loaded
             raise ValueError(
                 f"the filter cannot be saved because of the state of one of your own parts: {error}"
@@ -645,7 +646,7 @@ class OnlineFilter:
         ValueError
             If the bytes are damaged, come from another version, contain no filter, or do not fit `config`.
         """
-        content = serialise.from_bytes(blob)
+        content = serialise.from_bytes(blob, None if config is None else init(config))
         whole = isinstance(content, dict) and {"config", "state"} <= content.keys()
         late = content.get("late", ()) if whole else ()
         is_late = isinstance(late, tuple) and all(isinstance(update, StepUpdate) for update in late)
@@ -658,29 +659,26 @@ class OnlineFilter:
                 "give the same configuration again, OnlineFilter.load(blob, config=config)"
             )
         loaded = cls(config or content["config"])
-        loaded.state = content["state"] if config is None else _state_for_config(config, content["state"], loaded.state)
+        if config is not None:
+            _check_state(config, content["state"], loaded.state)
+        loaded.state = content["state"]
         loaded._late = list(late)
         return loaded
 
 
-def _state_for_config(config: Config, state: State, first: State) -> State:
-    """Return a loaded state with parts of the configured classes.
-
-    `first` is the initial state of the configuration. ValueError if the state does not fit the configuration.
-    """
+def _check_state(config: Config, state: State, first: State) -> None:
+    """Raise ValueError if a loaded state does not fit the configuration, whose initial state is `first`."""
     try:
-        state = serialise.restored(state, first)
         saved, expected = (
             f"{type(s.tracker).__name__} with {len(s.tracker.pedestrian.estimates.prob)} modes" for s in (state, first)
         )
         if type(state.tracker) is not type(first.tracker) or saved != expected:
             raise ValueError(f"it has {saved} instead of {expected}")
-    except Exception as error:  # forged bytes can raise any exception in the classes of a caller
+    except Exception as error:  # a forged state can have any parts
         raise ValueError(
             f"the filter was saved with another configuration than {config.name!r} ({error}): give the configuration "
             "with which the filter was created"
         ) from error
-    return state
 
 
 def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[FloatArray, FloatArray]:

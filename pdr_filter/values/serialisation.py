@@ -1,9 +1,9 @@
 """Serialisation of configurations and states as plain values: no code in the bytes is executed.
 
 The bytes are zlib-compressed JSON with a version and a checksum. Arrays are stored as their exact bytes, and
-dataclasses by the name of a dataclass of this package. All other types are refused when saving and when loading. The
-checksum detects damage, and the declared types of fields are checked as well. Bytes with a forged checksum can produce
-a filter with wrong values, but cannot execute code.
+dataclasses by name. Only dataclasses of this package, and of the first state that the caller gives, are loaded. All
+other types are refused when saving and when loading. The checksum detects damage, and the declared types of fields are
+checked as well. Bytes with a forged checksum can produce a filter with wrong values, but cannot execute code.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import json
 import sys
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
-from functools import cache
+from dataclasses import fields, is_dataclass
 from typing import Any, cast, get_args, get_type_hints
 
 import numpy as np
@@ -35,110 +34,50 @@ _MAX_VALUES = 2_000_000
 _PACKAGES = ("values", "classifiers", "sensing", "filter", "recipes", "tracking", "maps")
 
 
-@dataclass(frozen=True, slots=True)
-class ForeignFields:
-    """Saved fields of a dataclass of another package.
-
-    The bytes do not name its class (see `restored`).
-    """
-
-    fields: dict[str, Any]
-
-
-def to_bytes(value: object, foreign: bool = False) -> bytes:
+def to_bytes(value: object, first: object = None) -> bytes:
     """Return a value of arrays, numbers, strings, None, tuples, dicts and dataclasses of this package as bytes.
 
-    With `foreign`, dataclasses of other packages are saved as well. They are loaded as `ForeignFields`. TypeError for
-    any other class.
+    Dataclasses of other packages are saved if they are in `first`, the first state of the part that made the value, or
+    in the declared types of the fields of dataclasses in it. TypeError for any other class.
     """
-    return _packed(_encode(value, foreign))
+    return _packed(_encode(value, _classes_in(first)))
 
 
-def restored(value: Any, like: Any, declared: Any = Any) -> Any:
-    """Return a loaded value in which each `ForeignFields` is replaced by an object of its class.
+def _classes_in(first: object) -> dict[str, type[Any]]:
+    """Return the dataclasses of a value, of its parts, and of the declared types of their fields, by name.
 
-    `like` is a value of the same structure: the first state of the part that made the saved value. The class is that of
-    the object at the same position in `like`. If `like` has no dataclass with these fields there, it is the dataclass
-    in the declared type of the field, such as `Bout | None` or `tuple[Bout, ...]`. `declared` is the declared type of
-    `value`. Raises ValueError if neither gives exactly one class.
+    Raise TypeError for two of one name, such as classes of a function that is called twice.
     """
-    if isinstance(value, ForeignFields):
-        cls = _class_of(value, like, declared)
-        of_like, types = _parts(like) if type(like) is cls else {}, _declared(cls)
-        return cls(**{n: restored(each, of_like.get(n), types.get(n, Any)) for n, each in value.fields.items()})
-    of_like = _parts(like) if type(like) is type(value) else {}
-    of_items = declared if isinstance(value, tuple | list | dict) else Any
-    changed = {
-        key: new
-        for key, part in _parts(value).items()
-        if (new := restored(part, of_like.get(key), of_items)) is not part
-    }
-    if not changed:
-        return value
-    if isinstance(value, tuple | list):
-        return type(value)(changed.get(i, part) for i, part in enumerate(cast(list[Any], value)))
-    return {**value, **changed} if isinstance(value, dict) else replace(value, **changed)
+    found: dict[str, type[Any]] = {}
+    open_parts: list[Any] = [first]
+    while open_parts:
+        part = open_parts.pop()
+        open_parts += get_args(part)  # of a declared type, such as `tuple[Bout, ...] | None`
+        if isinstance(part, tuple | list | dict):
+            items = cast(dict[Any, Any] | list[Any], part)
+            open_parts += items.values() if isinstance(items, dict) else items
+        elif is_dataclass(part):
+            cls = part if isinstance(part, type) else type(part)
+            if found.get(_name(cls), cls) is not cls:
+                raise TypeError(f"two dataclasses are named {_name(cls)}: give one of them another name")
+            if _name(cls) not in found:
+                found[_name(cls)] = cls
+                open_parts += _declared(cls)
+            if cls is not part:
+                open_parts += (getattr(part, f.name) for f in fields(part) if f.init)
+    return found
 
 
-def check_classes(loaded: Any, saved: Any) -> None:
-    """Raise ValueError if a loaded value has another class than the saved value at the same position."""
-    if is_dataclass(saved) and type(loaded) is not type(saved):
-        raise ValueError(
-            f"a {type(saved).__name__} would be loaded as a {type(loaded).__name__}, which has the same fields and is "
-            "in the first state: give one of them a field of another name, because saved states do not name classes"
-        )
-    of_saved = _parts(saved)
-    for key, part in _parts(loaded).items():
-        check_classes(part, of_saved.get(key))
+def _name(cls: type[Any]) -> str:
+    return f"{cls.__module__}:{cls.__qualname__}"
 
 
-def _class_of(value: ForeignFields, like: Any, declared: Any) -> type[Any]:
-    """Return the class of saved fields: that of `like`, or else the dataclass in the declared type."""
-    if is_dataclass(like) and _parts(like).keys() == value.fields.keys():
-        return type(like)
-    found = [cls for cls in _dataclasses_in(declared) if {f.name for f in fields(cls) if f.init} == value.fields.keys()]
-    if len(found) == 1:
-        return found[0]
-    names = ", ".join(value.fields)
-    if is_dataclass(like):
-        raise ValueError(
-            f"a saved state has a dataclass with other fields, {names}, than {type(like).__name__}: give the part that "
-            "made it"
-        )
-    raise ValueError(
-        f"a saved state has a dataclass with the fields {names} where the first state has a {type(like).__name__}: let "
-        "init() put a value of that class there, declare its class as the type of a field of a dataclass, or use "
-        "arrays, numbers and tuples"
-    )
-
-
-def _dataclasses_in(declared: Any) -> set[type[Any]]:
-    """Return the dataclasses of a declared type, such as that of `tuple[Bout, ...] | None`."""
-    own = {declared} if isinstance(declared, type) and is_dataclass(declared) else set[type[Any]]()
-    return own.union(*map(_dataclasses_in, get_args(declared)))
-
-
-@cache
-def _declared(cls: type[Any]) -> Mapping[str, Any]:
-    """Return the declared types of the fields of a dataclass by name, or nothing if a name in them is not defined."""
+def _declared(cls: type[Any]) -> list[Any]:
+    """Return the declared types of the fields of a dataclass, or nothing if a name in them is not defined."""
     try:
-        return get_type_hints(cls)
+        return list(get_type_hints(cls).values())
     except (NameError, TypeError):  # classes of a function, or names imported for type checkers only
-        return {}
-
-
-def _parts(value: Any) -> dict[Any, Any]:
-    """Return the items of a dictionary, tuple or list by key or index, or the fields of a dataclass by name.
-
-    The result is empty for any other value.
-    """
-    if isinstance(value, dict):
-        return cast(dict[Any, Any], value)
-    if isinstance(value, tuple | list):
-        return dict(enumerate(cast(list[Any], value)))
-    if is_dataclass(value) and not isinstance(value, type):
-        return {f.name: getattr(value, f.name) for f in fields(value) if f.init}
-    return {}
+        return []
 
 
 def _packed(value: Any) -> bytes:
@@ -148,8 +87,11 @@ def _packed(value: Any) -> bytes:
     return zlib.compress(content, 1)
 
 
-def from_bytes(blob: object) -> Any:
-    """Return the value from the bytes of `to_bytes`. ValueError for any other bytes."""
+def from_bytes(blob: object, first: object = None) -> Any:
+    """Return the value from the bytes of `to_bytes`. ValueError for any other bytes.
+
+    Dataclasses of other packages are those in `first`, as in `to_bytes`. Bytes never import their modules.
+    """
     if not isinstance(blob, bytes):
         raise ValueError(f"a saved filter must be bytes, got {type(blob).__name__}: give what save returned")
     try:
@@ -162,7 +104,7 @@ def from_bytes(blob: object) -> Any:
             )
         if content["sha256"] != _checksum(text.decode().partition(_VALUE)[2][:-1]):
             raise ValueError("the checksum does not match, so that the bytes are damaged")
-        return _decode(content["value"])
+        return _decode(content["value"], _classes_in(first))
     except Exception as error:  # damaged bytes can raise any exception
         raise ValueError(
             f"these {len(blob)} bytes cannot be loaded as a saved value of this version of {_PACKAGE} ({error}): "
@@ -191,7 +133,7 @@ def _inflate(blob: bytes) -> bytes:
     return content
 
 
-def _encode(value: Any, foreign: bool = False) -> Any:
+def _encode(value: Any, own: Mapping[str, type[Any]]) -> Any:
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, np.generic):
@@ -204,36 +146,46 @@ def _encode(value: Any, foreign: bool = False) -> Any:
         return {"array": data, "dtype": array.dtype.str, "shape": list(array.shape)}
     if isinstance(value, (tuple, list)):
         items = cast(tuple[Any, ...], value)
-        return {"tuple" if isinstance(value, tuple) else "list": [_encode(v, foreign) for v in items]}
+        return {"tuple" if isinstance(value, tuple) else "list": [_encode(v, own) for v in items]}
     if isinstance(value, Mapping):
         mapping = cast(Mapping[Any, Any], value)
         if not all(isinstance(key, str) for key in mapping):
             raise TypeError("only mappings with text keys can be saved: JSON turns others into text")
-        return {"dict": {key: _encode(v, foreign) for key, v in mapping.items()}}
-    if is_dataclass(value) and type(value).__module__.partition(".")[0] == _PACKAGE:
-        content = {f.name: _encode(getattr(value, f.name), foreign) for f in fields(value) if f.init}
-        return {"dataclass": f"{type(value).__module__}:{type(value).__qualname__}", "fields": content}
-    if foreign and is_dataclass(value) and not isinstance(value, type):
-        return {"foreign": {f.name: _encode(getattr(value, f.name), foreign) for f in fields(value) if f.init}}
-    raise TypeError(f"a {type(value).__qualname__} cannot be saved: keep states to arrays, numbers and dataclasses")
+        return {"dict": {key: _encode(v, own) for key, v in mapping.items()}}
+    cls = cast(type[Any], type(value))
+    if is_dataclass(value) and (cls.__module__.partition(".")[0] == _PACKAGE or own.get(_name(cls)) is cls):
+        content = {f.name: _encode(getattr(value, f.name), own) for f in fields(value) if f.init}
+        return {"dataclass": _name(cls), "fields": content}
+    if is_dataclass(value) and not isinstance(value, type):
+        raise TypeError(
+            f"a {cls.__qualname__} cannot be saved, because the first state has none: let init() put a value of this "
+            "class there, declare it as the type of a field of a dataclass, or use arrays, numbers and tuples"
+        )
+    raise TypeError(f"a {cls.__qualname__} cannot be saved: keep states to arrays, numbers and dataclasses")
 
 
-def _decode(value: Any) -> Any:
+def _decode(value: Any, own: Mapping[str, type[Any]]) -> Any:
     if not isinstance(value, dict):
         return value
     node = cast(dict[str, Any], value)
     if "array" in node:
         return _array(node)
     if "tuple" in node:
-        return tuple(_decode(v) for v in _of_type(node["tuple"], list, "the items of a tuple"))
+        return tuple(_decode(v, own) for v in _of_type(node["tuple"], list, "the items of a tuple"))
     if "list" in node:
-        return [_decode(v) for v in _of_type(node["list"], list, "the items of a list")]
+        return [_decode(v, own) for v in _of_type(node["list"], list, "the items of a list")]
     if "dict" in node:
-        return {key: _decode(v) for key, v in node["dict"].items()}
-    if "foreign" in node:
-        return ForeignFields({key: _decode(v) for key, v in node["foreign"].items()})
-    cls = _dataclass(_of_type(node["dataclass"], str, "the class of a dataclass"))
-    content = {name: _decode(v) for name, v in node["fields"].items()}
+        return {key: _decode(v, own) for key, v in node["dict"].items()}
+    name = _of_type(node["dataclass"], str, "the class of a dataclass")
+    content = {field: _decode(v, own) for field, v in node["fields"].items()}
+    if name.partition(":")[0].partition(".")[0] != _PACKAGE:
+        if name not in own:
+            raise ValueError(
+                f"refused to load {name[:60]!r}, because neither {_PACKAGE} nor the first state of the configuration "
+                "has it: give the configuration that was saved, OnlineFilter.load(blob, config=config)"
+            )
+        return own[name](**content)
+    cls = _dataclass(name)
     check_declared(cls, content)
     return cls(**content)
 
@@ -258,8 +210,8 @@ def _array(node: Mapping[str, Any]) -> np.ndarray[Any, Any]:
 
 def _dataclass(name: str) -> type[Any]:
     module_name, _, class_name = name.partition(":")
-    package, _, rest = module_name.partition(".")
-    if package != _PACKAGE or (module_name not in sys.modules and rest.partition(".")[0] not in _PACKAGES):
+    rest = module_name.partition(".")[2]
+    if module_name not in sys.modules and rest.partition(".")[0] not in _PACKAGES:
         raise ValueError(f"refused to load {name!r}, because only the classes of a filter are loaded")
     cls = getattr(importlib.import_module(module_name), class_name)
     if not (isinstance(cls, type) and is_dataclass(cls)):

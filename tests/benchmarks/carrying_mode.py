@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 import pdr_filter as pdr
+from models.training.carrying_training import FEATURE_NAMES, MODES, PLANS, RawSignals, features_of
 from pdr_filter.classifiers.context_model import ContextModel, load_model
-from pdr_filter.offline.training.carrying_training import FEATURE_NAMES, MODES, PLANS, RawSignals, features_of
 from pdr_filter.sensing.features import invariant
 from pdr_filter.sensing.features.feature_windows import FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows

@@ -22,10 +22,7 @@ import numpy as np
 from joblib import Parallel, delayed
 from matplotlib.figure import Figure
 
-from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.classifiers.probability_calibration import reliability
-from pdr_filter.offline.training.classifier_choice import fit_blend, fit_forest, fit_relevance_vectors, fit_softmax
-from pdr_filter.offline.training.context_training import (
+from models.training.context_training import (
     FEATURE_SETS,
     PLANS,
     ContextPlan,
@@ -33,7 +30,11 @@ from pdr_filter.offline.training.context_training import (
     cross_calibrated,
     labelled_windows,
 )
-from pdr_filter.offline.training.cross_validation import LabelledWindows, recordings_of, score
+from models.training.data_sets import recordings_of
+from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.classifiers.probability_calibration import reliability
+from pdr_filter.offline.training.classifier_choice import fit_blend, fit_forest, fit_relevance_vectors, fit_softmax
+from pdr_filter.offline.training.cross_validation import LabelledWindows, score
 from pdr_filter.recipes.martinelli2018 import features as martinelli
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray
 from tests.benchmarks.common import Tables, run

@@ -19,9 +19,9 @@ import numpy as np
 from scipy.stats import chi2
 
 import pdr_filter as pdr
+from models.training.simulated_people import random_person
 from pdr_filter.filter.fixes.gnss import CORRELATION_S, RADIUS_68
 from pdr_filter.simulate import Leg, SensorErrors, simulate
-from pdr_filter.simulate.population import random_person
 from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import DATA, Tables, median_and, run
 

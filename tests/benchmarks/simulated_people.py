@@ -22,14 +22,15 @@ from sklearn.model_selection import GroupKFold
 from sklearn.tree import DecisionTreeClassifier
 
 import pdr_filter as pdr
-from pdr_filter.offline.training.context_training import PLANS, labelled_windows
-from pdr_filter.offline.training.cross_validation import LabelledWindows, label_of, recordings_of
+from models.training.context_training import PLANS, labelled_windows
+from models.training.data_sets import label_of, recordings_of
+from models.training.simulated_people import random_person
+from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.learned_contexts import shipped_model
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.simulate.population import random_person
 from pdr_filter.values import BoolArray
 from tests.benchmarks.common import Tables, run
 

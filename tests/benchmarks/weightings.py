@@ -36,15 +36,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
+from models.training import context_training as contexts
+from models.training.context_training import PLANS, labelled_windows
+from models.training.data_sets import DOUBTFUL, label_of, recordings_of
 from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.imm.tracker import Tracker
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
-from pdr_filter.offline.training import context_training as contexts
 from pdr_filter.offline.training.context_sequences import UNKNOWN
-from pdr_filter.offline.training.context_training import PLANS, labelled_windows
-from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, label_of, recordings_of
+from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.offline.training.transition_training import contexts_at
 from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recipes.config import Config

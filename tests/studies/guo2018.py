@@ -16,11 +16,12 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
+from models.training import guo2018_training as train_guo
+from models.training.data_sets import recordings_of
 from pdr_filter.evaluate.classification import accuracy, confusion_matrix, kappa, macro_recall, precision
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.filter.step_length.models import StepLengthFit
-from pdr_filter.offline.training import guo2018_training as train_guo
-from pdr_filter.offline.training.cross_validation import predict_held_out, recordings_of
+from pdr_filter.offline.training.cross_validation import predict_held_out
 from pdr_filter.recipes import for_recording
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.guo2018.recipe import chen_fit

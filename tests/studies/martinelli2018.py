@@ -23,6 +23,8 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from models.training.context_training import PLANS
+from models.training.data_sets import DUPLICATES, label_of
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
 from pdr_filter.evaluate.classification import accuracy, confusion_matrix, macro_recall, recall
@@ -30,8 +32,7 @@ from pdr_filter.evaluate.distance import distance_scores, percent_error, walked_
 from pdr_filter.evaluate.runs import epoch_distances
 from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.imm.weighting import HC, weighted_distances
-from pdr_filter.offline.training.context_training import PLANS
-from pdr_filter.offline.training.cross_validation import DUPLICATES, LabelledWindows, label_of
+from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.martinelli2018.features import TABLE_II, WITHOUT_MAGNETOMETER

@@ -1,9 +1,9 @@
-"""Classifiers of the shipped models: each function fits one, and returns it with its classes."""
+"""Classifiers of context models: each function fits one, and returns it with its classes."""
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
@@ -49,7 +49,7 @@ def fit_blend(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine,
     linear, classes = fit_softmax(Z, y, weight)
     options: Any = {"max_iter": 100, "max_leaf_nodes": 15, "max_features": 0.2, "min_samples_leaf": 50}
     boosting = HistGradientBoostingClassifier(**options, early_stopping=cast(Any, False), random_state=0)
-    boosting.fit(_in_float32(Z), y, sample_weight=weight)
+    boosting.fit(in_float32(Z), y, sample_weight=weight)
     return Blend(linear, BoostedTrees.from_sklearn(boosting)), classes
 
 
@@ -144,33 +144,7 @@ def machine_fit_of(classifier: object) -> tuple[MachineFit, str]:
     )
 
 
-def fit_pose_forest(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Forest, Classes]:
-    """Return a random forest of 30 trees for the poses of Guo et al. 2018, and its classes.
-
-    Each split sees one random feature. With the usual three, nearly all pockets of the held-out oxford data were
-    missed; with one, half of them. Leaves have at least 60 windows. Leaves of 20 windows double the size of the file
-    and are no better on held-out people.
-    """
-    options: Any = {"max_features": 1, "min_samples_leaf": 60, "random_state": 0, "n_jobs": 1}
-    fitted = RandomForestClassifier(30, **options).fit(_in_float32(Z), y, sample_weight=weight)
-    return _compact(Forest.from_sklearn(fitted)), _names(fitted.classes_)
-
-
-def _compact(forest: Forest) -> Forest:
-    """Return the forest with leaf probabilities in steps of about 1/100, so that its file compresses well.
-
-    Thresholds are rounded to float32, without a change of any decision about float32 numbers.
-    """
-    trees = forest.trees
-    counts = np.round(100 * forest.probability)
-    probability = np.where(trees.is_leaf[:, None], counts / np.maximum(counts.sum(axis=1), 1)[:, None], 0.0)
-    threshold = _in_float32(trees.threshold)
-    down = np.nextafter(threshold.astype(np.float32), np.float32(-np.inf)).astype(np.float64)
-    threshold = np.where(threshold > trees.threshold, down, threshold)  # same decisions as before for float32 numbers
-    return Forest(replace(trees, threshold=threshold), probability)
-
-
-def _in_float32(values: FloatArray) -> FloatArray:
+def in_float32(values: FloatArray) -> FloatArray:
     """Return values rounded to float32.
 
     The stored trees compare float32 numbers. Trained on such numbers, they decide exactly as the trees of scikit-learn.

@@ -1,6 +1,6 @@
 """Fitting of context models on labelled recordings with any people and labels.
 
-The shipped models use the same parts (`context_training`), with data sets and options of their own.
+The shipped models use the same protocol (`cross_validation`), with data sets and options of their own.
 """
 
 from __future__ import annotations
@@ -14,15 +14,16 @@ import numpy as np
 from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.classifiers.familiarity import unknown_share
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
-from pdr_filter.offline.training import carrying_training, context_training
 from pdr_filter.offline.training.classifier_choice import machine_fit_of
 from pdr_filter.offline.training.context_sequences import UNKNOWN, LabelledProbabilities
-from pdr_filter.offline.training.context_training import calibrated, calibration, cross_calibrated
 from pdr_filter.offline.training.cross_validation import (
     HeldOut,
     LabelledWindows,
     TextArray,
     TrainingPlan,
+    calibrated,
+    calibration,
+    cross_calibrated,
     in_window_order,
     label_row,
     score,
@@ -40,6 +41,7 @@ from pdr_filter.offline.training.transition_training import (
 )
 from pdr_filter.recipes import default
 from pdr_filter.sensing.conditioning import merge_streams
+from pdr_filter.sensing.contexts.learned_contexts import shipped_model
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.values import (
@@ -59,6 +61,8 @@ from pdr_filter.values.recording import Recording
 
 Head = Literal["context", "carrying_mode"]
 
+# Shipped models whose features an own model uses by default, without a suffix for phones without a gyroscope.
+_SHIPPED: dict[Head, str] = {"context": "context", "carrying_mode": "carrying"}
 UNNAMED = "unnamed"  # person of recordings without a subject id
 # Places in the format of recordings (docs/conventions.md) for which the filter has no carrying mode.
 _OTHER_PLACES = ("waist", "foot", "chest")
@@ -163,8 +167,9 @@ def fit_contexts(
     labels = _labels_of(windows, head)
     unit, what = _held_out_units(windows, labelled.sequence, head)
     _check_units(windows.label(head), unit, what)
-    plans = (context_training if head == "context" else carrying_training).PLANS
-    names = plans[0 if labelled.has_gyroscope else 1].feature_names if features is None else feature_set.names
+    names = feature_set.names
+    if features is None:
+        names = shipped_model(f"{_SHIPPED[head]}{'' if labelled.has_gyroscope else '_accelerometer'}").feature_names
     columns = [feature_set.names.index(each) for each in names]
     sequences = None if head != "context" else _step_labels(given, labelled, labels, done)
     once = [c for c in labels if len(np.unique(unit[windows.label(head) == c])) == 1]
@@ -175,7 +180,6 @@ def fit_contexts(
         head=head,
         feature_set=feature_set.name,
         feature_names=names,
-        datasets=tuple(str(d) for d in np.unique(windows.dataset)),
         machine_fit=machine_fit,
         description=f"{kind} on {how_many(len(names), 'feature')} ({feature_set.name})",
         use="Windows like those of the recordings that the model learnt from.",
@@ -412,8 +416,6 @@ class FittingPlan(TrainingPlan):
     ----------
     own_labels : tuple of str
         Labels of the recordings.
-    command : str
-        Command that fits the model, for the card.
     n_recordings : int
         Number of recordings.
     step_labels : _StepLabels or None
@@ -429,7 +431,6 @@ class FittingPlan(TrainingPlan):
     """
 
     own_labels: tuple[str, ...]
-    command: str
     n_recordings: int
     step_labels: _StepLabels | None
     at_middle: TextArray
@@ -482,12 +483,10 @@ class FittingPlan(TrainingPlan):
         card: dict[str, Any] = {
             **self.card(used, scores, {}),
             "placements": sorted({str(mode) for mode in used.carrying_mode} - {""}),
-            "leave_one_subject_out": scores,
             "n_recordings": self.n_recordings,
             "gyroscope": self.has_gyroscope,
             "temperature": round(temperature, 4),
             "slip": round(slip, 6),
-            "command": self.command,
         }
         estimated: dict[str, Any] = {}
         if found is not None:

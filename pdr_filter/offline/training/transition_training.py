@@ -27,7 +27,6 @@ from pdr_filter.offline.training.context_sequences import (
     fit_tempering,
     log_loss_by_person,
 )
-from pdr_filter.offline.training.context_training import DEFAULT_MODEL
 from pdr_filter.offline.training.cross_validation import (
     Progress,
     TextArray,
@@ -43,6 +42,7 @@ from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step
 from pdr_filter.values.recording import Recording
 
+DEFAULT_MODEL = "context"  # model of the default recipe, for which transitions and exponents are estimated
 MIN_CHANGES = 10  # n changes give a rate with a relative error of 1 / sqrt(n): with ten, a third
 # Smallest number of people for a choice of exponents, which must be good for people who had no part in it. The
 # calibration of the models needs as many.
@@ -124,7 +124,7 @@ def shipped_model_without(people: Sequence[str]) -> ContextModel:
     if seen:
         raise ValueError(
             f"the shipped model {DEFAULT_MODEL!r} was trained on the data sets of {', '.join(seen)}, who must be held "
-            "out; train the models again without them: python -m pdr_filter.offline.training.train_all"
+            "out; train the models again without them, in a clone: python -m models.training.train_all"
         )
     return model
 

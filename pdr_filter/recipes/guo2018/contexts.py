@@ -54,7 +54,7 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
     - Left and right are not distinguished, because no licensed recording labels the side. The paper also has seven
       classes with sides.
     - The training has 16 people of five public data sets, their windows mirrored, turned over and turned to the ear,
-      and simulated people (`pdr_filter.offline.training.guo2018_training`). The 101 people of the paper are not public,
+      and simulated people (`models.training.guo2018_training`). The 101 people of the paper are not public,
       and the recordings alone do not teach calling. Without a gyroscope, the recall of a swinging hand varies much
       between trainings.
     - The trees are not grown to full depth, because deep trees memorise people. There are 30 trees, with one feature at
@@ -82,8 +82,8 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
         if self.model.head != "carrying_mode" or self.model.feature_names != WITHOUT_LIGHT_AND_PROXIMITY:
             raise ValueError(
                 f"model {self.model.name!r} does not classify carrying modes from the 12 features of pitch and roll: "
-                'pass ContextModel.load("guo_pose"), or train one with `python -m '
-                "pdr_filter.offline.training.guo2018_training`"
+                'pass ContextModel.load("guo_pose"), or train one in a clone with '
+                "`python -m models.training.guo2018_training`"
             )
 
     @property

@@ -20,10 +20,9 @@ class StepDetector(Protocol[S]):
     depend on how samples are cut into blocks. Samples are numbered from 0 after each gap.
 
     The state must consist of arrays, numbers, strings, None, tuples and dictionaries, or be a dataclass of such values,
-    so that a filter can be saved. Saved bytes name no class outside of pdr_filter: a loaded state gets the classes of
-    the state of `init`. A field of a dataclass that is None or empty there needs a declared type that names the class,
-    such as `last: Bout | None = None` or `bouts: tuple[Bout, ...] = ()`. `config.with_steps` warns if the first state
-    cannot be saved.
+    so that a filter can be saved. Classes outside of pdr_filter are saved by name, and only those in the state of
+    `init` are loaded. A field of a dataclass that is None or empty there needs a declared type that names the class,
+    such as `Bout | None` or `tuple[Bout, ...]`. `config.with_steps` warns if the first state cannot be saved.
 
     The class `pdr_filter.sensing.steps.step_log.StepLog` computes the `Step` that a contact ends. A
     detector class with `uses_contexts = False` ignores the contexts, so that `pdr_filter.detect_steps` computes none.

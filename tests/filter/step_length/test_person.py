@@ -12,6 +12,7 @@ from helpers import cut_randomly, pushed
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
+from models.training.simulated_people import random_person
 from pdr_filter import recipes
 from pdr_filter.cli.app import app
 from pdr_filter.filter.fixes.gnss import RADIUS_68, fixes_of
@@ -21,7 +22,6 @@ from pdr_filter.filter.step_length.models import RECORDING_STD, TYPICAL_STEP, le
 from pdr_filter.filter.step_length.person import LengthFixes, Session, session_of, session_of_scale
 from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.simulate.population import random_person
 from pdr_filter.values.recording import Recording, Subject
 
 HERE = pdr.Origin(48.137, 11.575)

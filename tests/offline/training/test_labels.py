@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pdr_filter.offline.training.context_training import PLANS, cross_calibrated
-from pdr_filter.offline.training.cross_validation import DOUBTFUL, LabelledWindows, label_of
+from models.training.context_training import PLANS, cross_calibrated
+from models.training.data_sets import DOUBTFUL, label_of
+from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CONTEXTS, table
 from pdr_filter.values.recording import Recording

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pdr_filter.classifiers.context_model import load_model
-from pdr_filter.io.files.own_format import write_recording
-from pdr_filter.offline.training.carrying_training import (
+from models.training.carrying_training import (
     FEATURE_NAMES,
     PLANS,
     balanced_weight,
     carrying_windows,
     train_carrying,
 )
+from models.training.simulated_people import MODES, simulated_person
+from pdr_filter.classifiers.context_model import load_model
+from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.sensing.features import carrying
-from pdr_filter.simulate.population import MODES, simulated_person
 from pdr_filter.values import CARRYING_MODES
 
 

@@ -15,13 +15,15 @@ from joblib import parallel_config
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
+from models.training import carrying_training as train_carrying
+from models.training import context_training as training
+from models.training import guo2018_training as train_guo
+from models.training.context_training import PLANS, labelled_windows, model_without
+from models.training.train_all import train
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.classifiers.transition_files import Transitions, load_transitions
 from pdr_filter.cli.app import app
 from pdr_filter.io.files.own_format import write_recording
-from pdr_filter.offline.training import carrying_training as train_carrying
-from pdr_filter.offline.training import context_training as training
-from pdr_filter.offline.training import guo2018_training as train_guo
 from pdr_filter.offline.training.classifier_choice import fit_softmax
 from pdr_filter.offline.training.context_sequences import (
     UNKNOWN,
@@ -31,9 +33,7 @@ from pdr_filter.offline.training.context_sequences import (
     fit_tempering,
     log_loss_by_person,
 )
-from pdr_filter.offline.training.context_training import PLANS, labelled_windows, model_without
 from pdr_filter.offline.training.cross_validation import train_one
-from pdr_filter.offline.training.train_all import train
 from pdr_filter.offline.training.transition_training import (
     MIN_CHANGES,
     MIN_PEOPLE,
@@ -497,11 +497,14 @@ def test_train_estimates_transitions_with_models_trained_without_the_people(
     assert told == sorted(told) and told[-1] == pytest.approx(1.0)
 
 
-def test_without_data_sets_or_sequences_there_is_nothing_to_train_on(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="nothing to train on"):
-        train(None, tmp_path)
-    with pytest.raises(ValueError, match="the folder of sequences has no recordings"):
-        train(None, tmp_path, sequences=[])
+def test_a_folder_without_the_data_sets_is_refused_with_their_names(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"has none of the data sets \['difronzo', .*give the folder"):
+        train(tmp_path, tmp_path)
+
+
+def test_the_command_refuses_a_folder_without_sequences(tmp_path: Path) -> None:
+    result = CliRunner().invoke(app, ["train", "--sequences", str(tmp_path), "--out", str(tmp_path)])
+    assert result.exit_code == 2 and "no recordings in this folder" in " ".join(result.stderr.split())
 
 
 def test_the_command_estimates_from_own_recordings_and_track_uses_the_file(mine: Path, tmp_path: Path) -> None:

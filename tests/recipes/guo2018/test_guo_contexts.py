@@ -10,17 +10,17 @@ import pytest
 from helpers import cut_uniform, uniform_block
 from scipy.spatial.transform import Rotation
 
+from models.training.data_sets import recordings_of
+from models.training.guo2018_training import DATASETS, kappa, train_guo, walk_threshold
+from models.training.simulated_people import MODES, simulated_person
 from pdr_filter.classifiers.context_model import load_model
 from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.io.formats import read
-from pdr_filter.offline.training.cross_validation import recordings_of
-from pdr_filter.offline.training.guo2018_training import DATASETS, kappa, train_guo, walk_threshold
 from pdr_filter.recipes.guo2018.contexts import PoseContext
 from pdr_filter.recipes.guo2018.features import MotionLevel
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.simulate.population import MODES, simulated_person
 from pdr_filter.values import CARRYING_MODES, CONTEXTS
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Recording

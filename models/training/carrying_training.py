@@ -21,40 +21,38 @@ from zlib import crc32
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.classifiers.probability_calibration import fit_temperature, tempered
-from pdr_filter.offline.training.classifier_choice import fit_softmax
-from pdr_filter.offline.training.cross_validation import (
-    SCORED_DATASET,
-    Columns,
-    HeldOut,
-    LabelledWindows,
-    Progress,
-    TextArray,
-    TrainingPlan,
-    in_window_order,
-    label_of,
-    part_progress,
-    score,
-    silent,
-    train_one,
-    with_familiarity,
-    worst_person_accuracy,
-)
-from pdr_filter.offline.training.synthetic_windows import (
+from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of, part_progress
+from models.training.simulated_people import MODES
+from models.training.synthetic_windows import (
     SIMULATED,
     TURNED,
     balanced_weight,
     ear_rotations,
     from_sources,
     synthetic_card,
+    windows_of_one,
+)
+from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.classifiers.probability_calibration import fit_temperature, tempered
+from pdr_filter.offline.training.classifier_choice import fit_softmax
+from pdr_filter.offline.training.cross_validation import (
+    Columns,
+    HeldOut,
+    LabelledWindows,
+    Progress,
+    TextArray,
+    in_window_order,
+    score,
+    silent,
+    train_one,
+    with_familiarity,
+    worst_person_accuracy,
 )
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.context_stage import CARRYING_EXPONENT, CARRYING_STAY_PROB, follow_mode
 from pdr_filter.sensing.features import carrying, invariant
 from pdr_filter.sensing.features.feature_windows import N_MAGNITUDES, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
-from pdr_filter.simulate.population import MODES
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray
 from pdr_filter.values.recording import Recording
 
@@ -69,7 +67,7 @@ _SHAKING_NAMES: tuple[str, ...] = tuple(n for n in invariant.WITHOUT_GYROSCOPE i
 
 
 @dataclass(frozen=True, kw_only=True)
-class CarryingPlan(TrainingPlan):
+class CarryingPlan(ShippedPlan):
     """Plan of one model of the carrying mode.
 
     `source_weight` has the total weight of the synthetic windows of each kind, relative to one for the windows of a
@@ -266,7 +264,7 @@ def _labelled(plan: CarryingPlan, signals: _Signals, person: str, source: str, n
     """
     with threadpool_limits(1):
         features = features_of(signals.samples)[:, [FEATURE_NAMES.index(name) for name in plan.feature_names]]
-    return LabelledWindows.of_one(features, signals.context, signals.mode, person, source, name, signals.has_gyroscope)
+    return windows_of_one(features, signals.context, signals.mode, person, source, name, signals.has_gyroscope)
 
 
 # Rows of `invariant.SIGNALS`: signals in the world frame, and three vectors in the sensor frame.

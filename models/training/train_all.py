@@ -1,7 +1,6 @@
 """Training of all shipped models, followed by the estimation of transitions and exponents.
 
-Run it with `python -m pdr_filter.offline.training.train_all DATA_DIR OUT_DIR`. `fit_contexts` fits models on other
-data.
+Run it with `python -m models.training.train_all DATA_DIR OUT_DIR`. `fit_contexts` fits models on other data.
 """
 
 from __future__ import annotations
@@ -14,42 +13,32 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from models.training import carrying_training as carrying
+from models.training import context_training as contexts
+from models.training import guo2018_training as guo2018
+from models.training.data_sets import part_progress, recordings_of
 from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.offline.training import (
-    carrying_training as carrying,
+from pdr_filter.offline.training.cross_validation import Progress, silent, train_one
+from pdr_filter.offline.training.transition_training import (
+    DEFAULT_MODEL,
+    changing_recordings,
+    shipped_model_without,
+    train_evidence,
 )
-from pdr_filter.offline.training import (
-    context_training as contexts,
-)
-from pdr_filter.offline.training import (
-    guo2018_training as guo2018,
-)
-from pdr_filter.offline.training.cross_validation import Progress, part_progress, recordings_of, silent, train_one
-from pdr_filter.offline.training.transition_training import changing_recordings, shipped_model_without, train_evidence
 
 
-def train(
-    data_dir: Path | None, out_dir: Path, progress: Progress = silent, sequences: Sequence[Path] | None = None
-) -> list[dict[str, Any]]:
+def train(data_dir: Path, out_dir: Path, progress: Progress = silent) -> list[dict[str, Any]]:
     """Train the models, save them to `out_dir`, and return their cards.
 
-    `data_dir` has one folder per data set. Without it no model is trained, and transitions and exponents are estimated
-    with the shipped models. `sequences` are further labelled recordings in which the context changes, for transitions
-    and exponents only. The files are `<name>.npz`, `<name>.json` and `transitions.json`. ValueError if there are no
-    recordings to train on.
+    `data_dir` has one folder per data set. The files are `<name>.npz`, `<name>.json` and `transitions.json`. ValueError
+    if there are no recordings to train on.
     """
-    if sequences is not None and not sequences:
-        raise ValueError("the folder of sequences has no recordings; give a folder of recordings with truth_labels.csv")
-    if data_dir is None:
-        if sequences is None:
-            raise ValueError("nothing to train on: give the folder of the data sets, or a folder of labelled sequences")
-        return [train_evidence(changing_recordings(sequences), out_dir, shipped_model_without, progress)]
     wanted = sorted({d for plan in contexts.PLANS for d in plan.datasets})
     paths = recordings_of(data_dir, wanted)
     if not paths:
         raise ValueError(f"{data_dir} has none of the data sets {wanted}; give the folder that contains their folders")
     # before the models are trained, so that an unreadable recording raises its error at once
-    changing = changing_recordings([*paths, *(sequences or ())])
+    changing = changing_recordings(paths)
     cards, default_without = _train_contexts(paths, out_dir, part_progress(progress, 0.0, 0.85))
     with threadpool_limits(1):
         cards += carrying.train_carrying(paths, out_dir, part_progress(progress, 0.85, 0.1))
@@ -76,12 +65,12 @@ def _train_contexts(
             model = train_one(plan, own, part_progress(progress, start_of_own, 0.8 * share))
             model.save(out_dir)
             cards.append(model.card)
-            if plan.name == contexts.DEFAULT_MODEL:
+            if plan.name == DEFAULT_MODEL:
                 default_without = partial(contexts.model_without, model, plan, own)
     return cards, default_without
 
 
 if __name__ == "__main__":
-    from pdr_filter.offline.training import train_all  # by its name, because other processes cannot import __main__
+    from models.training import train_all  # by its name, because other processes cannot import __main__
 
     train_all.train(Path(sys.argv[1]), Path(sys.argv[2]), lambda what, done: print(f"{100 * done:5.1f} %  {what}"))

@@ -18,21 +18,19 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of
 from pdr_filter.classifiers.context_model import ContextModel, blend_stairs_with_prior
 from pdr_filter.classifiers.familiarity import unknown_share
-from pdr_filter.classifiers.probability_calibration import fit_calibration, slipped, tempered
 from pdr_filter.offline.training.classifier_choice import fit_blend, fit_forest, fit_relevance_vectors
 from pdr_filter.offline.training.cross_validation import (
-    SCORED_DATASET,
     STAIRS,
     STAIRS_SHARPNESS,
     HeldOut,
     LabelledWindows,
     Progress,
-    TextArray,
-    TrainingPlan,
+    calibration,
+    cross_calibrated,
     in_window_order,
-    label_of,
     read_recording,
     score,
     silent,
@@ -49,7 +47,6 @@ from pdr_filter.values import CONTEXTS, BoolArray, FloatArray
 
 FEATURE_SETS: dict[str, FeatureSet] = {s.name: s for s in (martinelli.TABLE_II, ATTITUDE_FREE)}
 
-DEFAULT_MODEL = "context"  # model of the default recipe, for which transitions and exponents are estimated
 # Data sets whose people are held out, one at a time. If the only person of a site were held out too, the calibration
 # would be that of new sites, and the model would be uncertain about all people. `Familiarity` handles new sites
 # instead.
@@ -59,7 +56,7 @@ _STAIRS_QUANTILE = 0.98
 
 
 @dataclass(frozen=True, kw_only=True)
-class ContextPlan(TrainingPlan):
+class ContextPlan(ShippedPlan):
     """Plan of one model of the context.
 
     `recording_weight` has the weights of windows whose recording's name contains a word; all others have weight one.
@@ -130,43 +127,6 @@ class ContextPlan(TrainingPlan):
         y, prob, person = windows.context[own], prob[own], windows.person[own]
         worst = worst_person_accuracy(y, prob, person, self.labels)
         return {**score(y, prob, self.labels), "worst_person_accuracy": worst}
-
-
-def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, model: ContextModel) -> FloatArray:
-    """Return the probabilities (W, C) of held-out people, each person's calibrated on all other people."""
-    result = np.zeros_like(prob)
-    for name in np.unique(person):
-        own = person == name
-        result[own] = calibrated(prob[own], model, *calibration(prob[~own], context[~own], model))
-    return result
-
-
-def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tuple[float, float]:
-    """Return the temperature and the slip probability that calibrate the probabilities (W, C) of held-out people.
-
-    The slip probability e is the probability that a window has any class at random, so p becomes (1 - e) p + e / K for
-    K classes (`slipped`).
-
-    It is at least 1 / (W + 2), by Laplace's rule of succession. W windows without an error do not exclude an error. A
-    single label with probability zero would have an infinite log loss. Without windows, the results are 1 and 0.
-    """
-    if not len(context):
-        return 1.0, 0.0
-    label = np.array([model.classes.index(c) for c in context])
-    temperature, slip = fit_calibration(prob[:, _columns(model)], label)
-    return temperature, max(slip, 1.0 / (len(label) + 2))
-
-
-def calibrated(prob: FloatArray, model: ContextModel, temperature: float, slip: float) -> FloatArray:
-    """Return calibrated probabilities (W, C), which are zero for classes that `model` does not have."""
-    result = np.zeros_like(prob)
-    result[:, _columns(model)] = slipped(tempered(prob[:, _columns(model)], temperature), slip)
-    return result
-
-
-def _columns(model: ContextModel) -> list[int]:
-    """Return the columns of the model's classes among its labels."""
-    return [model.labels.index(c) for c in model.classes]
 
 
 def _walking_scores(prob: FloatArray) -> dict[str, Any]:

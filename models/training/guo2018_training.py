@@ -1,6 +1,6 @@
 """Training of the pose forest of Guo et al. 2018 and of the thresholds of its walk detection, on licensed recordings.
 
-Run it with `python -m pdr_filter.offline.training.guo2018_training DATA_DIR OUT_DIR` (two minutes). The recordings
+Run it with `python -m models.training.guo2018_training DATA_DIR OUT_DIR` (two minutes). The recordings
 contain calling of one person and swinging of two. Trained on them alone, the forest recognises none of the calling and
 half of the swinging of a held-out person. Synthetic windows are therefore added (`synthetic_windows`): **mirrored**
 (the other side of the body), turned **over** (in the pocket, in all combinations), **turned** to the ear from in front
@@ -17,37 +17,36 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from sklearn.ensemble import RandomForestClassifier
 
-from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.offline.training.classifier_choice import fit_pose_forest
-from pdr_filter.offline.training.cross_validation import (
-    SCORED_DATASET,
-    Columns,
-    HeldOut,
-    LabelledWindows,
-    Progress,
-    TextArray,
-    TrainingPlan,
-    label_of,
-    part_progress,
-    predicted,
-    recordings_of,
-    score,
-    silent,
-    train_one,
-)
-from pdr_filter.offline.training.synthetic_windows import (
+from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of, part_progress, recordings_of
+from models.training.simulated_people import MODES
+from models.training.synthetic_windows import (
     SIMULATED,
     TURNED,
     balanced_weight,
     ear_rotations,
     from_sources,
     synthetic_card,
+    windows_of_one,
+)
+from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.classifiers.forest import Forest
+from pdr_filter.offline.training.classifier_choice import in_float32
+from pdr_filter.offline.training.cross_validation import (
+    Columns,
+    HeldOut,
+    LabelledWindows,
+    Progress,
+    TextArray,
+    predicted,
+    score,
+    silent,
+    train_one,
 )
 from pdr_filter.recipes.guo2018.features import WITHOUT_LIGHT_AND_PROXIMITY, MotionLevel, pitch_and_roll, pose_features
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
-from pdr_filter.simulate.population import MODES
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray
 from pdr_filter.values.recording import Recording
 
@@ -65,11 +64,12 @@ _WINDOW_SAMPLES, _RATE_HZ = 60, 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class PosePlan(TrainingPlan):
+class PosePlan(ShippedPlan):
     """Plan of the pose forest, with pitch and roll not standardised and the same weight for all poses."""
 
     head: str = "carrying_mode"
     feature_limit: float = np.inf
+    command: str = "python -m models.training.guo2018_training DATA_DIR models"
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
         """Return weights (W,) with the same total for every pose, that is, carrying mode.
@@ -126,9 +126,34 @@ class PosePlan(TrainingPlan):
             "scored": "People and sites that the scored forest has not seen, nor anything made of them; the scenarios "
             "with magnets are of a person whom it has seen. What is made and the size of the leaves were chosen, out "
             "of fifteen ways, on the same people left out.",
-            "command": "python -m pdr_filter.offline.training.guo2018_training DATA_DIR models",
         }
         return replace(model, card=card)
+
+
+def fit_pose_forest(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Forest, tuple[str, ...]]:
+    """Return a random forest of 30 trees for the poses of Guo et al. 2018, and its classes.
+
+    Each split sees one random feature. With the usual three, nearly all pockets of the held-out oxford data were
+    missed; with one, half of them. Leaves have at least 60 windows. Leaves of 20 windows double the size of the file
+    and are no better on held-out people.
+    """
+    options: Any = {"max_features": 1, "min_samples_leaf": 60, "random_state": 0, "n_jobs": 1}
+    fitted = RandomForestClassifier(30, **options).fit(in_float32(Z), y, sample_weight=weight)
+    return _compact(Forest.from_sklearn(fitted)), tuple(map(str, fitted.classes_))
+
+
+def _compact(forest: Forest) -> Forest:
+    """Return the forest with leaf probabilities in steps of about 1/100, so that its file compresses well.
+
+    Thresholds are rounded to float32, without a change of any decision about float32 numbers.
+    """
+    trees = forest.trees
+    counts = np.round(100 * forest.probability)
+    probability = np.where(trees.is_leaf[:, None], counts / np.maximum(counts.sum(axis=1), 1)[:, None], 0.0)
+    threshold = in_float32(trees.threshold)
+    down = np.nextafter(threshold.astype(np.float32), np.float32(-np.inf)).astype(np.float64)
+    threshold = np.where(threshold > trees.threshold, down, threshold)  # same decisions as before for float32 numbers
+    return Forest(replace(trees, threshold=threshold), probability)
 
 
 def _is_scored(name: str) -> bool:
@@ -296,7 +321,7 @@ def _labelled(ups: _UpDirections, source: str, person: str, name: str) -> Labell
     `source` is their data set or kind of synthetic windows, and `name` the recording.
     """
     features = np.array([pose_features(np.stack(pitch_and_roll(up))) for up in ups.up_sensor])
-    return LabelledWindows.of_one(features, ups.context, ups.mode, person, source, name, ups.has_rate)
+    return windows_of_one(features, ups.context, ups.mode, person, source, name, ups.has_rate)
 
 
 def pose_scores(truth: TextArray, prob: FloatArray) -> dict[str, Any]:
@@ -376,9 +401,7 @@ def walk_card(walks: WalkWindows) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    from pdr_filter.offline.training import (
-        guo2018_training as guo2018,  # by its name: other processes cannot import __main__
-    )
+    from models.training import guo2018_training as guo2018  # by its name: other processes cannot import __main__
 
     guo2018.train_guo(
         recordings_of(Path(sys.argv[1]), DATASETS),

@@ -15,9 +15,16 @@ from zlib import crc32
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.offline.training.cross_validation import Progress, TextArray, in_parallel, read_recording, source_of
-from pdr_filter.simulate.population import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
-from pdr_filter.values import FloatArray
+from models.training.simulated_people import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
+from pdr_filter.offline.training.cross_validation import (
+    LabelledWindows,
+    Progress,
+    TextArray,
+    in_parallel,
+    read_recording,
+    source_of,
+)
+from pdr_filter.values import BoolArray, FloatArray
 from pdr_filter.values.recording import Recording
 
 R = TypeVar("R")
@@ -88,3 +95,17 @@ def synthetic_card(source: TextArray, source_weight: Mapping[str, float]) -> dic
     """
     n_windows = {str(name): int((source == name).sum()) for name in np.unique(source)}
     return {"made_windows": n_windows, "source_weight": dict(source_weight)}
+
+
+def windows_of_one(
+    features: FloatArray,
+    context: TextArray,
+    carrying_mode: TextArray,
+    person: str,
+    dataset: str,
+    recording: str,
+    has_gyroscope: BoolArray,
+) -> LabelledWindows:
+    """Return the windows of a single recording, or synthetic windows made from it."""
+    people, source, name = (np.full(len(features), text) for text in (person, dataset, recording))
+    return LabelledWindows(features, context, carrying_mode, people, source, name, has_gyroscope)
