@@ -107,14 +107,17 @@ def test_columns_that_say_their_sensor_count_more_than_the_name_of_their_file(tm
 
 
 @pytest.mark.parametrize("unknown", ["", "NA", "N/A", "#N/A", "NaN", "null", "None", "-", "--"])
-def test_what_programs_write_for_no_value_is_an_unknown_value(tmp_path: Path, unknown: str) -> None:
-    columns = {"t": np.arange(len(TIME_S)) / 50} | axes("acc%", FORCE) | axes("gyro%", RATE)
+@pytest.mark.parametrize("copies", [1, 30])  # the larger one is parsed by pyarrow, if that is installed
+def test_what_programs_write_for_no_value_is_an_unknown_value(tmp_path: Path, unknown: str, copies: int) -> None:
+    time_s = np.arange(copies * len(TIME_S)) / 50
+    columns = {"t": time_s} | axes("acc%", np.tile(FORCE, (copies, 1))) | axes("gyro%", np.tile(RATE, (copies, 1)))
     names, *rows = table_text(columns).splitlines()
     rows[0::7] = [row.rsplit(",", 3)[0] + f",{unknown},{unknown},{unknown}" for row in rows[0::7]]
     recording = read(write_text(tmp_path / "walk.csv", "\n".join([names, *rows]) + "\n"))
     assert recording.gyroscope is not None
-    np.testing.assert_array_equal(recording.gyroscope.values, RATE[np.arange(len(TIME_S)) % 7 != 0])
-    np.testing.assert_array_equal(recording.accelerometer.values, FORCE)
+    known = np.arange(len(time_s)) % 7 != 0
+    np.testing.assert_array_equal(recording.gyroscope.values, np.tile(RATE, (copies, 1))[known])
+    np.testing.assert_array_equal(recording.accelerometer.values, np.tile(FORCE, (copies, 1)))
 
 
 @pytest.mark.parametrize("name", ["linear_a%", "lin_a%", "user_a%", "lin_acc_%", "LinearAcceleration%", "user_acc_%"])

@@ -20,6 +20,7 @@ from pdr_filter.values import FloatArray, IntArray, limits
 
 SEPARATORS = (",", ";", "\t")
 UNKNOWN = ("null", "None", "NA", "N/A", "#N/A", "-", "--")  # missing values of programs, besides "" and NaN
+LARGE_BYTES = 1024**2  # of a block; below, loading pyarrow takes longer than it saves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -194,29 +195,11 @@ def refuse_far_times(whole: IntArray, where: str) -> None:
         )
 
 
-def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], line: int) -> NumberTable:
-    text = decode(block, where, line)
-    # A last line without line feed may be cut off in the middle of a number: only row by row it is looked at closely.
-    is_whole = block.endswith(b"\n")
-    # A decimal mark that is also the separator stands in quotation marks, which only a look at each row tells.
-    if layout.decimal != layout.separator:
-        text = text.replace(layout.decimal, ".")
-        if is_whole and not layout.texts:
-            with contextlib.suppress(ValueError):
-                return _parse_numbers(text, layout)
-            with contextlib.suppress(ValueError):  # with empty fields filled: five times faster than row by row
-                if layout.whole is None:
-                    return _parse_numbers(_filled(text, layout.separator), layout)
-    return _parse_rows(text, layout, where, notes, line, is_whole)
-
-
-def _parse_numbers(text: str, layout: Layout) -> NumberTable:
+def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
     """Parse lines that have a number in every picked field. ValueError if a field is not a number."""
     columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
     kinds = [(f"f{i}", np.int64 if column == layout.whole and i == 0 else float) for i, column in enumerate(columns)]
-    rows = np.loadtxt(
-        text.split("\n"), np.dtype(kinds), None, layout.separator, usecols=columns, ndmin=1, quotechar='"'
-    )
+    rows = np.loadtxt(lines, np.dtype(kinds), None, layout.separator, usecols=columns, ndmin=1, quotechar='"')
     values = np.empty((len(rows), len(layout.picked)), order="F")
     for i in range(len(layout.picked)):
         values[:, i] = rows[f"f{len(columns) - len(layout.picked) + i}"]
@@ -224,11 +207,71 @@ def _parse_numbers(text: str, layout: Layout) -> NumberTable:
     return NumberTable(whole, values)
 
 
+def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], line: int) -> NumberTable:
+    if (found := _by_arrow(block, layout)) is not None:
+        return found
+    text = decode(block, where, line)
+    if layout.decimal == layout.separator:  # in quotation marks, which only a look at each row tells
+        return _parse_rows(text, layout, where, notes, line, block.endswith(b"\n"))
+    if layout.decimal != ".":
+        text = text.replace(layout.decimal, ".")
+    # A last line without line feed may be cut off in the middle of a number: only row by row it is looked at closely.
+    is_whole = block.endswith(b"\n")
+    if is_whole and not layout.texts:
+        with contextlib.suppress(ValueError):
+            return parse_lines(text.split("\n"), layout)
+        with contextlib.suppress(ValueError):  # with empty fields filled: five times faster than row by row
+            if layout.whole is None:
+                return parse_lines(_filled(text, layout.separator).split("\n"), layout)
+    return _parse_rows(text, layout, where, notes, line, is_whole)
+
+
+def _by_arrow(block: bytes, layout: Layout) -> NumberTable | None:
+    """Parse a large block of rows with pyarrow, which gives the same bits in a third of the time.
+
+    None if pyarrow is not installed, or if anything in the block is unusual. The caller then parses it row by row.
+    """
+    is_plain = block.endswith(b"\n") and not layout.texts and layout.decimal != layout.separator
+    if len(block) < LARGE_BYTES or not is_plain or not block.isascii() or b'"' in block:
+        return None
+    try:
+        import pyarrow as pa
+        from pyarrow import csv as arrow_csv
+    except ImportError:
+        return None
+    columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
+    names = [f"f{column}" for column in columns]
+    kinds = {name: pa.int64() if i == 0 and layout.whole is not None else pa.float64() for i, name in enumerate(names)}
+    if len(kinds) < len(names):
+        return None
+    try:
+        rows = arrow_csv.read_csv(
+            pa.BufferReader(block),
+            arrow_csv.ReadOptions(use_threads=False, autogenerate_column_names=True, block_size=len(block)),
+            arrow_csv.ParseOptions(delimiter=layout.separator, quote_char=False),
+            arrow_csv.ConvertOptions(
+                include_columns=names,
+                column_types=kinds,
+                null_values=["", *UNKNOWN],
+                decimal_point=layout.decimal,
+            ),
+        )
+    except (pa.ArrowException, KeyError):
+        return None
+    if layout.whole is not None and rows.column(0).null_count:
+        return None
+    values = np.empty((len(rows), len(layout.picked)), order="F")
+    for i in range(len(layout.picked)):
+        values[:, i] = rows.column(len(names) - len(layout.picked) + i).to_numpy()
+    whole = np.zeros(len(rows), np.int64) if layout.whole is None else rows.column(0).to_numpy().copy()
+    return NumberTable(whole, values)
+
+
 def _filled(text: str, separator: str) -> str:
-    """Return lines in which empty fields and words for unknown values are "nan"."""
-    between, unknown = re.escape(separator), "|".join(map(re.escape, UNKNOWN))
-    text = re.sub(rf"{between}(?:{unknown})?(?={between}|\r?\n)", f"{separator}nan", text)
-    return re.sub(rf"(?m)^(?:{unknown})?(?={between})", "nan", text)
+    between = re.escape(separator)
+    return re.sub(
+        rf"(?m)^{between}", f"nan{separator}", re.sub(rf"{between}(?={between}|\n|$)", f"{separator}nan", text)
+    )
 
 
 def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: int, is_whole: bool) -> NumberTable:
