@@ -36,7 +36,9 @@ class Frame:
 
     A track begins in its start frame, with unknown position and north. Fixes determine the shift and the rotation. The
     frame is joined when the filter states are transformed into the frame of the fixes. A new frame with unknown
-    rotation begins where the heading is lost.
+    rotation begins where the heading is lost. In `START_FRAME` the fixes are relative to the start, so that it is joined
+    from the beginning. Its north is unknown until a heading fix determines it, or until position fixes confirm the
+    direction of the start.
 
     Attributes
     ----------
@@ -55,7 +57,8 @@ class Frame:
     compass : Compass or None
         Magnetic north, until the frame is joined.
     north_var_rad2 : float
-        Prior variance of the rotation before any position fix, or infinity if it is unknown.
+        Prior variance of the rotation before any position fix, or infinity if it is unknown. In a joined frame it is the
+        variance with which used fixes determine the rotation, 0 if the rotation was estimated.
     north_conflict : float
         Decrease of the misfit of the pairs (`disagreement`) if the prior with variance `north_var_rad2` is omitted.
     north : Alignment or None
@@ -118,12 +121,14 @@ class Frame:
     def name(self) -> str:
         """Name of the frame of the positions.
 
-        It is "fixes" for the frame of the fixes, "north" for the start frame rotated to true north by the compass, and
-        "start" for the start frame, also if a heading fix has rotated it.
+        It is "fixes" for the frame of the position fixes. The other names are of frames with the origin at the start:
+        "north" if the compass, "heading fixes" if a heading fix has rotated the track, and "start" otherwise.
         """
         if self.is_known:
             return "fixes"
-        return "start" if self.compass is None else "north"
+        if self.compass is not None:
+            return "north"
+        return "start" if self.north is None else "heading fixes"
 
     @cached_property
     def _density(self) -> RotationDensity | None:
@@ -271,11 +276,22 @@ class Frame:
 
     @property
     def is_open(self) -> bool:
-        """True if the frame is not joined and the rotation has no narrow prior.
+        """True if the rotation has no narrow prior and is not estimated yet, neither by positions nor by a heading fix.
 
-        Only positions and the magnetic field then determine the rotation.
+        A joined frame is open only if it is the start frame.
         """
-        return not self.is_joined and self.north_var_rad2 > MAX_ANGLE_STD_RAD**2
+        return (not self.is_joined or self.is_of_start) and self.north_var_rad2 > MAX_ANGLE_STD_RAD**2
+
+    def with_position(self, position_m: FloatArray, var_m2: float) -> Frame:
+        """Return the joined frame after a used position fix, which confirms the direction of the start frame.
+
+        The rotation about the start has the variance var / d^2 for a fix with the variance `var_m2` along each axis, at
+        the distance d from the start.
+        """
+        if not self.is_open:
+            return self
+        information = 1.0 / self.north_var_rad2 + float(position_m @ position_m) / var_m2
+        return replace(self, north_var_rad2=1.0 / information if information else math.inf)
 
     def joined(self, alignment: Alignment) -> Frame:
         """Return the frame after the filter states have been transformed by an alignment.
@@ -288,6 +304,7 @@ class Frame:
             alignment=self.alignment,
             later=self.later,
             north_conflict=self.north_conflict,
+            north_var_rad2=0.0,
         )
         if self.since == 0:
             return replace(frame, alignment=alignment)

@@ -77,7 +77,7 @@ class PedestrianModel:
     noise : MotionNoise
         Process noise and initial uncertainties.
     fix_gate_nis : float, default 13.8
-        Gate of position fixes. A fix whose normalised innovation squared is larger in every mode is rejected.
+        Gate of position fixes. A fix whose normalised innovation squared is larger is rejected.
     scalar_gate_nis : float, default 10.8
         Gate of one-dimensional measurements, such as headings, speeds and ranges.
     frame : Frame, default `START_FRAME`

@@ -136,11 +136,14 @@ class StepUpdate:
         -------
         StepUpdate
             Update with position, covariance and heading in that frame. The update itself is returned if its rotation
-            was already settled.
+            was already settled, or if it is in the frame of a floor plan.
         """
-        if self.of_start is None:
+        is_settled = self.of_start is None and frame.north is None
+        if is_settled or self.on_plan is not None:
             return self
-        place = frame.world(self.of_start)
+        # a heading fix also rotates the earlier steps of a track in the start frame
+        own = Place(self.position_m, self.position_cov_m2, self.walking_heading_rad, self.index)
+        place = frame.world(self.of_start or own)
         return replace_unchecked(
             self,
             position_m=read_only(place.position_m),

@@ -638,7 +638,7 @@ def _smoothed(
         notes=notes,
         start_position_m=start_m,
         is_smoothed=True,
-        frame="fixes" if used.has_places else "north" if used.knows_north else track.frame,
+        frame=used.frame or track.frame,
         fixes=fix_results(observed, observations, used, track.start_time_s + track.duration_s),
     )
     result = Smoothed(

@@ -82,8 +82,17 @@ class Used:
 
         Positions, locations, ranges, known headings, heading fixes and magnetic north count.
         """
-        headings = len(self.states.state) and (self.states.state == HEADING_OFFSET).any()
-        return bool(self.has_places or self.observed.known_headings or headings)
+        return bool(self.frame)
+
+    @property
+    def frame(self) -> str:
+        """Name of the frame that the observations define (`Track.frame`), or an empty string for the start frame."""
+        if self.has_places:
+            return "fixes"
+        given = self.states.state[: len(self.states.state) - self.n_north]
+        if self.observed.known_headings or (given == HEADING_OFFSET).any():
+            return "heading fixes"
+        return "north" if self.knows_north else ""
 
 
 def usable(
