@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -266,6 +266,32 @@ def with_heading(
     return replace_unchecked(
         state, estimates=replace_unchecked(estimates, mean=mean, cov=cov), heading_zero=zero
     ), drifted_cov
+
+
+def on_standstill_step(
+    model: PedestrianModel, state: PedestrianState, step: Step, free_prob: FloatArray
+) -> tuple[PedestrianState, float]:
+    """Return the state that has counted a step as evidence against a stated standstill, and the new contradicting steps.
+
+    `state` is the state before the step, and `free_prob` (M,) are the mode probabilities of the step without the
+    standstill. The number of contradicting steps includes earlier ones that were not clear before this step.
+    """
+    since_s = step.duration_s if math.isnan(state.steps.last_s) else step.time_s - state.steps.last_s
+    before = state.fixes.standstill_steps
+    after = before.plus(step.time_s, since_s, float(free_prob @ model.moves), max(-model.step_log_odds_stationary, 0.0))
+    fixes = replace_unchecked(state.fixes, standstill_steps=after)
+    return replace_unchecked(state, fixes=fixes), after.n_contradicting - before.n_contradicting
+
+
+def with_withheld_length(model: PedestrianModel, walked: Walked, withheld_m: float) -> Walked:
+    """Return a step that a stated standstill leaves without the length `withheld_m`, with this length as uncertainty.
+
+    If the statement is wrong, all of its steps lack their lengths. The error is therefore one of the length parameter of
+    a mode without displacement, which all steps share.
+    """
+    std_m = walked.parameter_std_m.copy()
+    std_m[int(np.argmin(model.moves))] += max(withheld_m, 0.0)
+    return replace(walked, parameter_std_m=std_m)
 
 
 def with_step(

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import walked_var_m2 as walked_var
+from pdr_filter.filter.fixes.fix_history import StandstillSteps
 from pdr_filter.filter.fixes.frame import START_FRAME
 from pdr_filter.filter.fixes.gnss import LocationState, independent, locations_of
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
@@ -89,9 +90,9 @@ _REGION_STD_M = 1000.0
 _KNOWN_STD_RAD = 1e-3
 
 
-# Configuration, dead-reckoned track, and state of the sensing at its end. The state is None if the axes of a building
-# determine the gyroscope bias.
-_Reckoned = tuple[Config, Track, SensingState | None]
+# Configuration, dead-reckoned track, and state at its end. The sensing is None if the axes of a building determine the
+# gyroscope bias.
+_Reckoned = tuple[Config, Track, SensingState | None, StandstillSteps]
 
 
 @dataclass(slots=True, eq=False)
@@ -138,7 +139,7 @@ class SmoothingMemory:
         Returns
         -------
         tuple
-            Configuration, dead-reckoned track, and state of the sensing at its end.
+            Configuration, dead-reckoned track, state of the sensing at its end, and steps within standstills.
         """
         if self._found is None or self.recording is not recording or self._key != key:
             self.recording, self._key, self._found = recording, key, make()
@@ -296,10 +297,10 @@ def smooth(
         return _dead_reckoned(recording, asked, stood, (first_pass, second_pass), run.with_location)
 
     if memory is None:
-        config, track, sensing = reckoned()
+        config, track, sensing, stood_steps = reckoned()
     else:
         key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
-        config, track, sensing = memory.of(given, key, reckoned)
+        config, track, sensing, stood_steps = memory.of(given, key, reckoned)
     modes = config.model.modes
     track = _with_smoothed_modes(track, config)
     where, locations = LocationState(), ()
@@ -316,7 +317,7 @@ def smooth(
     )
     guess = _online_path(recording, config, run.fixes)
     smoothed, walked_var_m2 = _smooth_track(
-        track, modes, config, observed, start_heading_std_rad, anchor_interval_s, guess
+        track, modes, config, observed, start_heading_std_rad, anchor_interval_s, guess, stood_steps
     )
     if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
         device = _observed_device(smoothed, config, sensing)
@@ -335,7 +336,7 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     """
     north: NorthUse | None = "magnetic" if "magnetometer" in recording.streams else None
     run = prepared_run(recording, None, (), TrackPlacement(gnss="off", north=north))
-    config, track, _ = _dead_reckoned(run.recording, run.config, (), (None, None), with_hills=False)
+    config, track, *_ = _dead_reckoned(run.recording, run.config, (), (None, None), with_hills=False)
     if not track.n_steps:
         raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
     track = _with_smoothed_modes(track, config)
@@ -352,25 +353,27 @@ def _dead_reckoned(
     progress: tuple[Callable[[float], None] | None, Callable[[float], None] | None],
     with_hills: bool,
 ) -> _Reckoned:
-    """Return the configuration after a first pass, the track without fixes and locations, and the state of the sensing.
+    """Return the configuration after a first pass, the track without fixes and locations, and the state at its end.
 
-    The state is that at the end of the recording. It is None if the first pass determined the gyroscope bias from the
-    axes of a building. `stood` are the given standstills, which are used. `progress` has the callbacks of the first and
-    the second pass. With `with_hills`, locations distinguish hills from storeys.
+    The state consists of that of the sensing and of the steps within standstills. The sensing is None if the first pass
+    determined the gyroscope bias from the axes of a building. `stood` are the given standstills, which are used.
+    `progress` has the callbacks of the first and the second pass. With `with_hills`, locations distinguish hills from
+    storeys.
     """
     own, known_device = _with_first_pass(recording, config, progress[0])
     own = own.in_hindsight().with_model(frame=START_FRAME)
-    sensing: SensingState | None = None
+    end = init(own)
 
     def results() -> Iterator[tuple[State, Output]]:
-        nonlocal sensing
+        nonlocal end
         for state, output in outputs(recording, own, stood, progress[1], with_hills=with_hills):
-            sensing = state.sensing
+            end = state
             yield state, output
 
     found = collected(recording, own, results())
     track = with_arrivals(replace(found, device=known_device or found.device))
-    return own, track, sensing if known_device is None else None
+    stood_steps = end.tracker.pedestrian.fixes.standstill_steps
+    return own, track, end.sensing if known_device is None else None, stood_steps
 
 
 def _with_smoothed_modes(track: Track, config: Config) -> Track:
@@ -499,6 +502,7 @@ def _smooth_track(
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
     guess: WalkedPath | None,
+    stood: StandstillSteps,
 ) -> tuple[Smoothed, FloatArray]:
     """Return the smoothed result of a dead-reckoned track, and the variance (K,) in m2 of each position.
 
@@ -515,7 +519,7 @@ def _smooth_track(
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return without_steps(track, observed, known), np.zeros(0)
     steps, used, problem = _problem(
-        track, modes, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess
+        track, modes, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess, stood
     )
     smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
     length_fixes = LengthFixes()
@@ -540,6 +544,7 @@ def _problem(
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
     guess: WalkedPath | None,
+    stood: StandstillSteps = StandstillSteps(),
 ) -> tuple[Increments, Used, Problem]:
     """Return the increments of the steps, the used observations, and the least-squares problem of a track with steps.
 
@@ -547,6 +552,7 @@ def _problem(
     """
     noise = config.model.noise
     steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
+    steps = _with_withheld_steps(steps, track, config, stood)
     used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
@@ -570,6 +576,23 @@ def _problem(
         measurements=None if guess is None else _measurements_on_path(used, guess),
     )
     return steps, used, problem
+
+
+def _with_withheld_steps(steps: Increments, track: Track, config: Config, stood: StandstillSteps) -> Increments:
+    """Return the increments with the steps that contradict a stated standstill as uncertainty of the last one of them.
+
+    These steps have no displacement. If the statement is wrong, all of them lack theirs: the sum d of the displacements
+    adds d d' to the covariance.
+    """
+    inside = (track.time_s >= stood.first_s) & (track.time_s <= stood.last_s)
+    if not inside.any():
+        return steps
+    free_prob, noise = config.model.step_mode_prob(track.context_prob), config.model.noise
+    free, _ = increments(track.steps, free_prob, config.model.modes, noise, track.gap_before_s)
+    withheld_m = (free.displacement_m - steps.displacement_m)[inside].sum(axis=0)
+    cov = steps.cov_m2.copy()
+    cov[np.flatnonzero(inside)[-1]] += np.outer(withheld_m, withheld_m)
+    return replace(steps, cov_m2=cov)
 
 
 def _measurements_on_path(used: Used, guess: WalkedPath) -> Measurements:

@@ -55,7 +55,7 @@ def test_a_filter_that_is_cut_saved_and_resumed_places_the_track_by_the_same_hea
     assert frame.name == whole.frame == "heading fixes"
     np.testing.assert_array_equal([u.in_frame(frame).position_m for u in updates], whole.position_m)
     np.testing.assert_array_equal([u.in_frame(frame).position_cov_m2 for u in updates], whole.position_cov_m2)
-    np.testing.assert_allclose(online.path.position_m[-1], whole.position_m[-1], atol=1e-9)
+    np.testing.assert_allclose(online.path().position_m[-1], whole.position_m[-1], atol=1e-9)
 
 
 @dataclass(frozen=True)
