@@ -169,6 +169,8 @@ def notes_of_rides(rides: Rides, vertices: FloatArray | None) -> Iterator[Note]:
 
 
 def _fix_notes(state: State) -> Iterator[Note]:
+    if state.conflict.note:
+        yield Note("fixes", state.conflict.note)
     if state.n_rejected_fixes:
         words = f"fixes that do {criteria.REJECTED} were not used: {state.n_rejected_fixes}; check their accuracy, and "
         yield Note("fixes", words + "that fixes and samples have one clock")

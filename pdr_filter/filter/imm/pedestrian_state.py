@@ -499,6 +499,14 @@ def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
     return read_only(place.position_m), read_only(place.cov_m2)
 
 
+def past_position(state: PedestrianState, time_s: float) -> FloatArray | None:
+    """Return the position (2,) at a time, in the frame of `present_position`, or None if the steps are not stored."""
+    place, frame = state.steps.at(time_s), state.frame
+    if place is None or frame.is_joined:
+        return None if place is None else place[:2]
+    return frame.world(Place(place[:2], np.zeros((2, 2)), 0.0, state.steps.n_final)).position_m
+
+
 def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, length_m: float) -> float:
     """Return the length of the move of the position minus the step length, in m, at least 0.
 

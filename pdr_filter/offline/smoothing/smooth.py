@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import walked_var_m2 as walked_var
+from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.fixes.fix_history import StandstillSteps
 from pdr_filter.filter.fixes.frame import START_FRAME
 from pdr_filter.filter.fixes.gnss import LocationState, independent, locations_of
@@ -77,6 +78,7 @@ from pdr_filter.values import (
     RangeFix,
     Standstill,
     Step,
+    interpolated,
     read_only,
     step_table,
     wrap_angle,
@@ -645,11 +647,19 @@ def _smoothed(
     along = _second_order_error_m(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
     position_cov = cov[:, :2, :2] + along[:, :, None] * along[:, None, :]
     observations = observation_table(observed, used.row, found)
+    end_s = track.start_time_s + track.duration_s
+    results, conflict = fix_results(observed, observations, used, end_s), FixConflict()
+    for fix, result in zip((*observed.fixes, *observed.locations), results, strict=True):
+        if isinstance(fix, PositionFix) and np.isfinite(result.nis):
+            at_m = interpolated(fix.time_s, track.time_s, position)
+            conflict = conflict.plus(result.outcome, fix.position_m - at_m)
+    position_cov = position_cov + conflict.cov_m2
     scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
     start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
     heading_std_rad = np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])
     reckoned = notes_of_reckoning(track, found, heading_std_rad)
     notes = (*reckoned, *used.notes, *notes_of_solution(track, found, observations, observed, used, scale_std))
+    notes = (*notes, conflict.note) if conflict.note else notes
     smoothed = replace(
         track,
         position_m=read_only(position),
@@ -662,7 +672,7 @@ def _smoothed(
         start_position_m=start_m,
         is_smoothed=True,
         frame=used.frame or track.frame,
-        fixes=fix_results(observed, observations, used, track.start_time_s + track.duration_s),
+        fixes=results,
     )
     result = Smoothed(
         track=smoothed,
