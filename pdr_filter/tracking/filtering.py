@@ -144,7 +144,7 @@ class State:
     last_fixes: tuple[FixResult, ...] = ()
     last_update: StepUpdate | None = None
     rival: RivalTracker | None = None
-    conflict: FixConflict = FixConflict()
+    conflict: FixConflict = field(default_factory=FixConflict)
     finished: bool = False
 
     @property

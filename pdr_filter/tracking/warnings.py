@@ -175,10 +175,12 @@ def _fix_notes(state: State) -> Iterator[Note]:
         words = f"fixes that do {criteria.REJECTED} were not used: {state.n_rejected_fixes}; check their accuracy, and "
         yield Note("fixes", words + "that fixes and samples have one clock")
     fixes = state.tracker.pedestrian.fixes
-    if n_walked := round(fixes.standstill_steps.n_contradicting):
-        first_s, last_s = fixes.standstill_steps.first_s, fixes.standstill_steps.last_s
-        words = f"{n_walked} clear steps from {first_s:.0f} to {last_s:.0f} s contradict a stated standstill. They have no "
-        words += "length, and the position is uncertain by their lengths. The times of the standstill are probably "
+    stood = fixes.standstill_steps
+    if n_walked := round(stood.n_contradicting):
+        words = f"{n_walked} clear steps from {stood.first_s:.0f} to {stood.last_s:.0f} s contradict a stated "
+        words += (
+            "standstill. They have no length, and the position is uncertain by their lengths. Its times are probably "
+        )
         yield Note("fixes", words + "wrong: correct them, or leave the standstill out")
     if fixes.n_repeated:
         words = (

@@ -69,6 +69,6 @@ class FixConflict:
             return ""
         return (
             f"{self.n_rejected} of {self.n_used + self.n_rejected} position fixes contradict the walk, so that its "
-            "place and direction are doubtful. Their axes are probably mirrored or exchanged, or they are of another walk: "
-            "check that positions are (east, north) in m, and latitude before longitude"
+            "place and direction are doubtful. Their axes are probably mirrored or exchanged, or they are of another "
+            "walk: check that positions are (east, north) in m, and latitude before longitude"
         )

@@ -30,8 +30,8 @@ class UsedFix:
     track_m: FloatArray | None
 
 
-# Log evidence of a stated standstill against walking, about a hundred thousand to one. It must outweigh a window that is
-# certain of walking (a hundred to one, `PedestrianModel.evidence_floor`) and the detected step (seven to one).
+# Log evidence of a stated standstill against walking, about a hundred thousand to one. It must outweigh a window that
+# is certain of walking (a hundred to one, `PedestrianModel.evidence_floor`) and the detected step (seven to one).
 STANDSTILL_LOG_EVIDENCE = 12.0
 # Steps per second of walking: 110 per minute, as in `PedestrianModel.step_log_odds_stationary`.
 _WALKING_HZ = 110.0 / 60.0
@@ -70,8 +70,8 @@ class StandstillSteps:
     def plus(self, time_s: float, since_s: float, moving_prob: float, step_log_ratio: float) -> StandstillSteps:
         """Return the evidence after a further step at `time_s`, `since_s` after the last one.
 
-        `moving_prob` is the probability that the step displaces the pedestrian if nothing is stated. `step_log_ratio` is
-        the log ratio of the rates of detections in walking and in standing.
+        `moving_prob` is the probability that the step displaces the pedestrian if nothing is stated. `step_log_ratio`
+        is the log ratio of the rates of detections in walking and in standing.
         """
         before = max(self.log_ratio - _WALKING_HZ * (1.0 - math.exp(-step_log_ratio)) * since_s, 0.0)
         n_recent, recent_s = (self.n_recent, self.recent_s) if before > 0.0 else (0.0, time_s)

@@ -75,11 +75,11 @@ def use_fix(
     """Return the state after a fix, the outcome of the fix, and its normalised innovation squared (NIS).
 
     The NIS is that of the mixture of all filters (`gating.gated`), or NaN if no filter was compared with the fix. A fix
-    is rejected if its NIS exceeds the gate. A fix older than the stored steps is rejected with infinite NIS, except speed
-    fixes, grid fixes and standstills. A fix that repeats an earlier one is not used: it is "repeated", or "frozen" if
-    it is a position and steps continue. If the frame of the fixes is unknown, the first position fix places the track
-    in it, and later ones rotate it. A standstill is stored and changes no estimate.
-    `offset_rad` (F,) is the walking heading of each filter minus the heading that the body faces.
+    is rejected if its NIS exceeds the gate. A fix older than the stored steps is rejected with infinite NIS, except
+    speed fixes, grid fixes and standstills. A fix that repeats an earlier one is not used: it is "repeated", or
+    "frozen" if it is a position and steps continue. If the frame of the fixes is unknown, the first position fix places
+    the track in it, and later ones rotate it. A standstill is stored and changes no estimate. `offset_rad`
+    (F,) is the walking heading of each filter minus the heading that the body faces.
     """
     if isinstance(fix, Standstill):
         return replace(state, fixes=state.fixes.with_standstill(fix)), "used", np.nan

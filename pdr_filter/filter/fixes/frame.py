@@ -23,7 +23,7 @@ from pdr_filter.filter.fixes.frame_rotation import (
     thinned,
 )
 from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
-from pdr_filter.values import Origin, wrap_angle
+from pdr_filter.values import FloatArray, Origin, wrap_angle
 
 # One in twenty correct headings has a larger conflict with the positions. Above it the frame is not joined until more
 # positions are available.
@@ -36,9 +36,9 @@ class Frame:
 
     A track begins in its start frame, with unknown position and north. Fixes determine the shift and the rotation. The
     frame is joined when the filter states are transformed into the frame of the fixes. A new frame with unknown
-    rotation begins where the heading is lost. In `START_FRAME` the fixes are relative to the start, so that it is joined
-    from the beginning. Its north is unknown until a heading fix determines it, or until position fixes confirm the
-    direction of the start.
+    rotation begins where the heading is lost. In `START_FRAME` the fixes are relative to the start, so that it is
+    joined from the beginning. Its north is unknown until a heading fix determines it, or until position fixes confirm
+    the direction of the start.
 
     Attributes
     ----------
@@ -57,8 +57,8 @@ class Frame:
     compass : Compass or None
         Magnetic north, until the frame is joined.
     north_var_rad2 : float
-        Prior variance of the rotation before any position fix, or infinity if it is unknown. In a joined frame it is the
-        variance with which used fixes determine the rotation, 0 if the rotation was estimated.
+        Prior variance of the rotation before any position fix, or infinity if it is unknown. In a joined frame it is
+        the variance with which used fixes determine the rotation, 0 if the rotation was estimated.
     north_conflict : float
         Decrease of the misfit of the pairs (`disagreement`) if the prior with variance `north_var_rad2` is omitted.
     north : Alignment or None

@@ -28,6 +28,7 @@ from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace_unchecked
 
+
 @dataclass(frozen=True, eq=False)
 class ImmState:
     """State of an `ImmTracker`: estimates of all modes, and the windows that are their evidence."""

@@ -271,7 +271,7 @@ def with_heading(
 def on_standstill_step(
     model: PedestrianModel, state: PedestrianState, step: Step, free_prob: FloatArray
 ) -> tuple[PedestrianState, float]:
-    """Return the state that has counted a step as evidence against a stated standstill, and the new contradicting steps.
+    """Return the state after a step within a stated standstill, and the number of new steps that contradict it.
 
     `state` is the state before the step, and `free_prob` (M,) are the mode probabilities of the step without the
     standstill. The number of contradicting steps includes earlier ones that were not clear before this step.
@@ -286,8 +286,8 @@ def on_standstill_step(
 def with_withheld_length(model: PedestrianModel, walked: Walked, withheld_m: float) -> Walked:
     """Return a step that a stated standstill leaves without the length `withheld_m`, with this length as uncertainty.
 
-    If the statement is wrong, all of its steps lack their lengths. The error is therefore one of the length parameter of
-    a mode without displacement, which all steps share.
+    If the statement is wrong, all of its steps lack their lengths. The error is therefore one of the length parameter
+    of a mode without displacement, which all steps share.
     """
     std_m = walked.parameter_std_m.copy()
     std_m[int(np.argmin(model.moves))] += max(withheld_m, 0.0)

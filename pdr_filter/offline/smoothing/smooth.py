@@ -344,7 +344,9 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     track = _with_smoothed_modes(track, config)
     nothing = Observations()
     inside = nothing.fixes_inside(0.0, 0.0)
-    _, used, problem = _problem(track, config.model.modes, config, nothing, inside, None, anchor_interval_s, None)
+    _, used, problem = _problem(
+        track, config.model.modes, config, nothing, inside, None, anchor_interval_s, None, StandstillSteps()
+    )
     return track, used.device_rad, problem
 
 
@@ -546,11 +548,11 @@ def _problem(
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
     guess: WalkedPath | None,
-    stood: StandstillSteps = StandstillSteps(),
+    stood: StandstillSteps,
 ) -> tuple[Increments, Used, Problem]:
     """Return the increments of the steps, the used observations, and the least-squares problem of a track with steps.
 
-    `inside` is a mask of the fixes and locations within the recording.
+    `inside` is a mask of the fixes and locations within the recording. `stood` are the steps within standstills.
     """
     noise = config.model.noise
     steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)

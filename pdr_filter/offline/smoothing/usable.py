@@ -130,8 +130,8 @@ def usable(
     device_rad = np.asarray(track.steps.device_heading_rad) + mode_offsets(track, modes)
     state_fixes = [f for f in compress(fixes, inside) if isinstance(f, HeadingFix | SpeedFix)]
     of_states = _of_state_fixes(state_fixes, track, steps, device_rad, log_scale_std)
-    # Online the gate rejects such speeds. Here many of them would agree with each other and outweigh the prior. An error
-    # of the unit is one of all speeds, also of those that are too uncertain to show it.
+    # Online the gate rejects such speeds. Here many of them would agree with each other and outweigh the prior. An
+    # error of the unit is one of all speeds, also of those that are too uncertain to show it.
     is_speed = of_states.state == LOG_SCALE
     is_off = is_speed & (of_states.value**2 > agreement_limit(1) * (of_states.std**2 + log_scale_std**2))
     is_off = is_speed if 2 * is_off.sum() > is_speed.sum() else is_off
@@ -163,8 +163,8 @@ def usable(
         (
             "fix",
             off[:n_given],
-            f"the speed is {factor:.2g} times that of the steps, more than people differ; check its unit (a speed in km/h "
-            "is 3.6 times as large as in m/s)",
+            f"the speed is {factor:.2g} times that of the steps, more than people differ; check its unit (a speed in "
+            "km/h is 3.6 times as large as in m/s)",
         ),
         ("location", is_frozen[n_given:], "repeats the last position while steps continue"),
         ("loop closure", near, "the distance walked between its two times is within its uncertainty"),

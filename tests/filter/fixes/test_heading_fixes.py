@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from helpers import cut_randomly, pushed
 
 import pdr_filter as pdr
-from helpers import cut_randomly, pushed
 from pdr_filter import HeadingFix, PositionFix
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, FloatArray, wrap_angle
@@ -23,7 +23,7 @@ def walk() -> Recording:
 
 
 def headings(angle_rad: float) -> list[Fix]:
-    """Three headings on the first leg, in a frame whose north is `angle_rad` counter-clockwise from the first heading."""
+    """Three headings on the first leg, which leads to `angle_rad` clockwise from their north."""
     return [HeadingFix(t, angle_rad, 0.1) for t in (10.0, 15.0, 20.0)]
 
 
