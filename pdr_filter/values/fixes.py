@@ -331,7 +331,9 @@ class SpeedFix:
 
 @dataclass(frozen=True, slots=True)
 class Standstill:
-    """Period in which the pedestrian is known to stand: steps detected within it are not counted.
+    """Period in which the pedestrian is known to stand: steps detected within it have no length.
+
+    If their rate is that of walking, a note counts them, and the position is uncertain by the length that they lack.
 
     Attributes
     ----------

@@ -61,14 +61,3 @@ class FixConflict:
         """
         n = self.n_used + self.n_rejected
         return (self.square_m2 / n if self.is_majority and self.n_used else 0.0) * np.eye(2)
-
-    @property
-    def note(self) -> str:
-        """Note about a majority of rejected fixes, or an empty string."""
-        if not self.is_majority:
-            return ""
-        return (
-            f"{self.n_rejected} of {self.n_used + self.n_rejected} position fixes contradict the walk, so that its "
-            "place and direction are doubtful. Their axes are probably mirrored or exchanged, or they are of another "
-            "walk: check that positions are (east, north) in m, and latitude before longitude"
-        )

@@ -64,6 +64,7 @@ from pdr_filter.sensing.heading.walking_heading import WalkingHeadingState
 from pdr_filter.tracking.filtering import Output, State, init
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
+from pdr_filter.tracking.warnings import conflict_notes
 from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run, run_sensing
 from pdr_filter.values import (
     BoolArray,
@@ -661,7 +662,7 @@ def _smoothed(
     heading_std_rad = np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])
     reckoned = notes_of_reckoning(track, found, heading_std_rad)
     notes = (*reckoned, *used.notes, *notes_of_solution(track, found, observations, observed, used, scale_std))
-    notes = (*notes, conflict.note) if conflict.note else notes
+    notes = (*notes, *(note.text for note in conflict_notes(conflict)))
     smoothed = replace(
         track,
         position_m=read_only(position),
