@@ -190,9 +190,9 @@ def _fix_notes(state: State) -> Iterator[Note]:
     if n_walked := round(stood.n_contradicting):
         words = (
             f"{n_walked} clear steps from {stood.first_s:.0f} to {stood.last_s:.0f} s contradict a stated standstill. "
-            "They have no length, and the position is uncertain by their lengths. The times of the standstill are probably "
+            "They have no length, and the position is uncertain by their lengths. The times of the standstill are "
         )
-        yield Note("fixes", words + "wrong: correct them, or leave the standstill out")
+        yield Note("fixes", words + "probably wrong: correct them, or leave the standstill out")
     if fixes.n_repeated:
         words = (
             f"{how_many(fixes.n_repeated, 'fix', 'fixes')} not used, because they repeat an earlier fix: a receiver "
