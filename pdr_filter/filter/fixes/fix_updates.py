@@ -237,6 +237,11 @@ def _on_heading(
     innovation = fix.walking_heading_rad - device_heading_rad - state.estimates.mean[:, HEADING_OFFSET]
     innovation = wrap_angle(innovation - offset_rad)
     frame, var = state.frame, fix.std_rad**2
+    if frame.is_lost_before_north and state.fixes.n_errors == 0:
+        angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))
+        turn, whole = frame.turns_about_start(angle_rad, var, state.steps.n_final)
+        state = in_other_frame(replace(state, path=state.path.turned_until_loss(whole)), turn)
+        return replace(state, frame=state.frame.with_whole_north(whole, turn)), "used", np.nan
     if frame.is_open and (frame.north is None or frame.since):
         angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))
         share = 1.0 / (1.0 + var / frame.north_var_rad2)  # weight of the fix against the prior of the rotation

@@ -282,6 +282,29 @@ class Frame:
         """
         return (not self.is_joined or self.is_of_start) and self.north_var_rad2 > MAX_ANGLE_STD_RAD**2
 
+    @property
+    def is_lost_before_north(self) -> bool:
+        """True if the heading was lost in the start frame, before any fix since then and any heading fix at all."""
+        return self.since > 0 and self.is_of_start and len(self.pairs) == 1 and self.north is None and not self.later
+
+    def turns_about_start(self, angle_rad: float, var_rad2: float, n_steps: int) -> tuple[Alignment, Alignment]:
+        """Return the alignments of the steps since the heading was lost and of those before, for the first heading fix.
+
+        Both rotate about the start by one angle, to the north of the fix. `var_rad2` is the variance of the fix. The
+        variance of the lost heading is one of the earlier steps, and therefore of the position at the loss.
+        """
+        lost_rad2, lost_m = min(self.north_var_rad2, MAX_HEADING_VARIANCE), self.pairs[0].track_m
+        whole = Alignment(angle_rad, var_rad2 + lost_rad2, np.zeros(2), np.zeros(2), 0.0, self.since)
+        spread_m2 = 0.5 * lost_rad2 * float(lost_m @ lost_m)
+        turn = Alignment(angle_rad, var_rad2, lost_m, whole.positions(lost_m), spread_m2, n_steps, self.since)
+        return turn, whole
+
+    def with_whole_north(self, whole: Alignment, turn: Alignment) -> Frame:
+        """Return the frame after a heading fix has rotated it by the alignments `turns_about_start`."""
+        (lost,) = self.pairs
+        lost = replace(lost, world_m=turn.world_centre_m, var_m2=lost.var_m2 + turn.centre_var_m2)
+        return replace(self, north=whole, pairs=(lost,)).with_north(turn)
+
     def with_position(self, position_m: FloatArray, var_m2: float) -> Frame:
         """Return the joined frame after a used position fix, which confirms the direction of the start frame.
 

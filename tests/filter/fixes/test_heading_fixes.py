@@ -1,7 +1,7 @@
 """Heading fixes: the first one determines the north of a track, later ones correct it or are rejected."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -117,3 +117,39 @@ def test_a_heading_in_a_known_place_gives_true_north(walk: Recording) -> None:
     east_first = track.longitude_deg[track.time_s < 20.0][-1] > 11.0
     assert east_first
     assert pdr.track(walk, fixes=headings(1.0)).turned(0.1).frame == "north"
+
+
+def without_samples(walk: Recording, from_s: float, until_s: float) -> Recording:
+    """Walk whose samples are missing for so long that the heading is lost."""
+    kept = {}
+    for name in ("accelerometer", "gyroscope"):
+        samples = getattr(walk, name)
+        rows = (samples.time_s < from_s) | (samples.time_s > until_s)
+        kept[name] = pdr.Samples(samples.time_s[rows], samples.values[rows])
+    return replace(walk, magnetometer=None, **kept)
+
+
+def test_the_first_heading_fix_after_a_lost_heading_rotates_the_whole_track_online_and_smoothed() -> None:
+    legs = [Leg("walking", distance_m=60.0), Leg("walking", distance_m=60.0, turn_rad=np.pi / 2)]
+    walk = without_samples(simulate(legs, seed=3), 25.0, 60.0)
+    heading_rad = 2.6  # after the corner, so that the first leg leads to 1.03 rad if the phone is held alike
+    fix = HeadingFix(70.0, heading_rad, 0.1)
+    track, smoothed = pdr.track(walk, fixes=[fix]), pdr.smooth(walk, [fix]).track
+    for each in (track, smoothed):
+        assert (each.frame, each.fixes[0].outcome) == ("heading fixes", "used")
+        assert abs(wrap_angle(each.walking_heading_rad[each.time_s > 62.0] - heading_rad)).max() < 0.3
+    # the first leg is rotated by the same angle, and its direction is uncertain by the gap
+    alone = pdr.track(walk)
+    first_leg = track.time_s < 25.0
+    turned_rad = wrap_angle(track.walking_heading_rad - alone.walking_heading_rad)[first_leg]
+    np.testing.assert_allclose(turned_rad, turned_rad[0], atol=1e-9)
+    assert abs(wrap_angle(turned_rad[0] + alone.walking_heading_rad[-1] - heading_rad)) < 0.3
+    at_gap = np.flatnonzero(first_leg)[-1]
+    assert track.position_std_m[at_gap] > 0.7 * np.linalg.norm(track.position_m[at_gap])
+    online = pdr.OnlineFilter(pdr.recipes.default(walk.subject))
+    online.add_fix(fix)
+    online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 5), n_resumed=4)
+    frame = online.state.tracker.pedestrian.frame
+    np.testing.assert_array_equal([u.in_frame(frame).position_m for u in updates], track.position_m)
+    path = online.path()
+    np.testing.assert_allclose(path.position_m[: path.n_steps][first_leg], track.position_m[first_leg], atol=0.3)
