@@ -4,10 +4,10 @@ An event is a JSON object with `event`, its kind, and `id`, the session. A reade
 changes. A reader that is too slow loses events and then gets `track`, `path` and `now` again. After 15 s without an
 event, `/ws` sends an empty object and `/events` a comment.
 
-- `session`: `device`, `session`, `begun_unix_s`, `origin` (latitude and longitude, or null), `frame` ("start", "north"
-  or "fixes"), `has_location`, `force` (sensor and sign of the specific force), `waits` (reason why there is no track
-  yet), `refused` (reason why the session cannot be tracked), `has_ended`, `notes`, `n_lost_messages`,
-  `n_repeated_messages`.
+- `session`: `device`, `session`, `begun_unix_s`, `origin` (latitude and longitude, or null), `frame` ("start",
+  "heading fixes", "north" or "fixes"), `has_location`, `force` (sensor and sign of the specific force), `waits` (reason
+  why there is no track yet), `refused` (reason why the session cannot be tracked), `has_ended`, `notes`,
+  `n_lost_messages`, `n_repeated_messages`.
 - `track`: the fields of `session`, `silent_s` (time since the last message) and `path`: rows of time, east, north and
   the covariance ee, en, nn after each step. The path replaces all earlier rows. A new reader also gets `history`: time,
   contexts and walking speed of the last five minutes.

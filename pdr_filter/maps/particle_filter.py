@@ -512,6 +512,7 @@ class ParticleFilter:
             return state
         rng, state = self._random(state)
         ground = self.ground(floor)
+        is_turned = outcome == "turned" or (isinstance(fix, HeadingFix) and _turned_rad(pedestrian) != state.turned_rad)
         state, is_moved = _in_turned_frame(state, pedestrian), outcome == "moved"
         if self.start is None and (len(state.weight) == 0 or is_moved):
             return self._from_tracker(state, pedestrian, ground, rng, 0.0)
@@ -535,7 +536,7 @@ class ParticleFilter:
             state = replace(state, last_fix_s=fix.time_s)
         state = replace(state, parent=np.arange(len(state.weight)))
         n_effective = _n_effective(state)
-        if outcome == "turned" and self.start is None and n_effective < _MIN_SAMPLE_SHARE * len(state.weight):
+        if is_turned and self.start is None and n_effective < _MIN_SAMPLE_SHARE * len(state.weight):
             return self._from_tracker(state, pedestrian, ground, rng, 0.0)
         if n_effective < _LEAST_EFFECTIVE:
             return self._drawn_again(state, pedestrian, model, ground, rng, 0.0, fix.time_s)

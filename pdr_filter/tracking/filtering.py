@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.fixes.gnss import LocationState, good_places, place_at, position_fixes
 from pdr_filter.filter.fixes.range_placement import MIN_LOG_ODDS
 from pdr_filter.filter.fixes.rides import Rides
@@ -116,6 +117,8 @@ class State:
         Last step since the last gap, or None if there is none.
     rival : RivalTracker or None
         Second hypothesis while ranges fit two positions.
+    conflict : FixConflict
+        Position fixes that contradict the track.
     finished : bool
         True after `finish`.
     """
@@ -141,6 +144,7 @@ class State:
     last_fixes: tuple[FixResult, ...] = ()
     last_update: StepUpdate | None = None
     rival: RivalTracker | None = None
+    conflict: FixConflict = field(default_factory=FixConflict)
     finished: bool = False
 
     @property
@@ -328,13 +332,18 @@ def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArr
     With a floor plan they are the estimate of the particle filter, once it has started.
     """
     position_m, cov_m2 = pedestrian.present_position(state.tracker.pedestrian)
-    reckoned = position_m, _with_rival_spread(state, position_m, cov_m2)
+    reckoned = position_m, _with_spread(state, position_m, cov_m2)
     place = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
     return reckoned if place is None else (place.position_m, place.position_cov_m2)
 
 
-def _with_rival_spread(state: State, position_m: FloatArray, cov_m2: FloatArray) -> FloatArray:
-    """Return the covariance (2, 2) of a position, including the possibility that the rival hypothesis is true."""
+def _with_spread(state: State, position_m: FloatArray, cov_m2: FloatArray) -> FloatArray:
+    """Return the covariance (2, 2) of a position, including the possibility that another hypothesis is true.
+
+    The other hypothesis is the rival, or that most position fixes are right and the track is wrong.
+    """
+    if state.conflict.is_majority:
+        cov_m2 = read_only(cov_m2 + state.conflict.cov_m2)
     if state.rival is None:
         return cov_m2
     away_m = pedestrian.present_position(state.rival.tracker.pedestrian)[0] - position_m
@@ -533,8 +542,8 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
             state = _with_passages(config, state, passages, output)
         else:
             height_at_step = height_state.known
-        if state.rival is not None:
-            spread = _with_rival_spread(state, update.position_m, update.position_cov_m2)
+        if state.rival is not None or state.conflict.is_majority:
+            spread = _with_spread(state, update.position_m, update.position_cov_m2)
             update = replace_unchecked(update, position_cov_m2=spread)
         update = replace_unchecked(
             update,
@@ -596,7 +605,10 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = _after_fix_of_rival(config, replace_unchecked(state, tracker=tracker), fix, nis)
         if isinstance(fix, PositionFix):
-            state = replace_unchecked(state, rides=state.rides.plus(fix, tracker.pedestrian.steps.trail[:, TRAIL_TIME]))
+            rides = state.rides.plus(fix, tracker.pedestrian.steps.trail[:, TRAIL_TIME])
+            track_m = pedestrian.past_position(tracker.pedestrian, fix.time_s)
+            conflict = state.conflict.plus(outcome, None if track_m is None else fix.position_m - track_m)
+            state = replace_unchecked(state, rides=rides, conflict=conflict)
         if config.on_plan is not None:
             floor = state.height.known.floors.floor
             particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)

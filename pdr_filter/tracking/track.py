@@ -78,10 +78,10 @@ class Track(TrackRows):
         Changes of storey, in order of time.
     start_position_m : ndarray, shape (2,)
         Position before the first step, m.
-    frame : {"start", "north", "fixes", "plan"}
+    frame : {"start", "heading fixes", "north", "fixes", "plan"}
         Frame of positions and headings. "start": the origin is the start of the walk, and north is the first heading
-        of the phone. "north": the same frame, rotated to true north. "fixes": the frame of the position fixes. "plan":
-        the frame of the floor plan.
+        of the phone. "heading fixes": the same frame, rotated to the north of the heading fixes. "north": the same
+        frame, rotated to true north. "fixes": the frame of the position fixes. "plan": the frame of the floor plan.
     origin : Origin or None
         Geographic position of the origin of the frame. None if neither the caller nor a location defines it.
     plan : FloorPlan or None

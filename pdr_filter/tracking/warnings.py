@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.recipes.config import Config
@@ -168,11 +169,30 @@ def notes_of_rides(rides: Rides, vertices: FloatArray | None) -> Iterator[Note]:
         yield Note("fixes", words + "track the walks before and after the ride separately, each with a new filter")
 
 
+def conflict_notes(conflict: FixConflict) -> Iterator[Note]:
+    """Return a warning if most position fixes contradict the walk."""
+    if conflict.is_majority:
+        n = conflict.n_used + conflict.n_rejected
+        words = (
+            f"{conflict.n_rejected} of {n} position fixes contradict the walk, so that its place and direction are "
+            "doubtful. Their axes are probably mirrored or exchanged, or they are of another walk: "
+        )
+        yield Note("fixes", words + "check that positions are (east, north) in m, and latitude before longitude")
+
+
 def _fix_notes(state: State) -> Iterator[Note]:
+    yield from conflict_notes(state.conflict)
     if state.n_rejected_fixes:
         words = f"fixes that do {criteria.REJECTED} were not used: {state.n_rejected_fixes}; check their accuracy, and "
         yield Note("fixes", words + "that fixes and samples have one clock")
     fixes = state.tracker.pedestrian.fixes
+    stood = fixes.standstill_steps
+    if n_walked := round(stood.n_contradicting):
+        words = (
+            f"{n_walked} clear steps from {stood.first_s:.0f} to {stood.last_s:.0f} s contradict a stated standstill. "
+            "They have no length, and the position is uncertain by their lengths. The times of the standstill are "
+        )
+        yield Note("fixes", words + "probably wrong: correct them, or leave the standstill out")
     if fixes.n_repeated:
         words = (
             f"{how_many(fixes.n_repeated, 'fix', 'fixes')} not used, because they repeat an earlier fix: a receiver "

@@ -99,9 +99,9 @@ def track(
         highest context. The default is the weighting of the configuration ("imm" for the default recipe).
     fixes : iterable of PositionFix, HeadingFix, RangeFix, SpeedFix or Standstill, optional
         Known positions, headings, ranges, speeds and standstills, and with a plan also GridFix. Each is used at the
-        time at which it was received. Positions and headings are in the frame of the track, with the origin at its
-        start. With `config.in_world_frame()` they may be in any frame. The whole track is then in the frame of the
-        fixes, from the first position fix on (`Track.frame`).
+        time at which it was received. Positions are in the frame of the track, with the origin at its start. Its north
+        is the first heading, or that of the first heading fix. With `config.in_world_frame()` they may be in any frame.
+        The whole track is then in the frame of the fixes, from the first position fix on (`Track.frame`).
     progress : callable, optional
         Function that is called with the fraction of processed samples, 0 to 1.
     calibration : Calibration or path, optional

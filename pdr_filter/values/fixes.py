@@ -250,12 +250,16 @@ def repetition(fix: PositionFix | GridFix, last_s: float) -> float:
 class HeadingFix:
     """Walking direction from another source: a corridor, a trusted compass, or the course of a GNSS receiver.
 
+    While the north of the track is unknown, the first heading fix determines it: the whole track is rotated to the fix
+    (`Track.frame` is "heading fixes"). Later ones correct the heading, and those that contradict it are rejected.
+
     Attributes
     ----------
     time_s : float
         Time at which the heading was true, on the clock of the samples, s.
     walking_heading_rad : float
-        Walking direction, rad, clockwise from the north of the track. It need not be wrapped.
+        Walking direction, rad, clockwise from north. It need not be wrapped. All heading fixes, and position fixes, if
+        any, must have the same north, such as true north or that of a building.
     std_rad : float
         Standard deviation, rad.
     received_time_s : float, optional
@@ -327,7 +331,9 @@ class SpeedFix:
 
 @dataclass(frozen=True, slots=True)
 class Standstill:
-    """Period in which the pedestrian is known to stand: steps detected within it are not counted.
+    """Period in which the pedestrian is known to stand: steps detected within it have no length.
+
+    If their rate is that of walking, a note counts them, and the position is uncertain by the length that they lack.
 
     Attributes
     ----------
@@ -765,7 +771,7 @@ class FixResult:
         contains nothing new. "waiting": samples of its time, or ranges that determine a position together with it,
         are missing. "nothing to compare": there is no step or no known frame to which the fix applies.
     nis : float
-        Normalised innovation squared in the mode that explains the fix best. Infinite for a fix with a wrong time. NaN
+        Normalised innovation squared, over all modes by their probabilities. Infinite for a fix with a wrong time. NaN
         if there was nothing to compare with.
     anchor_m : tuple of float or None
         East and north of the anchor of a range, m. None for other fixes.

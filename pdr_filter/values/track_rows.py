@@ -160,7 +160,7 @@ class TrackRows:
     @property
     def knows_north(self) -> bool:
         """True if the north of the frame is true north."""
-        return self.frame == "north" or (self.frame in ("fixes", "plan") and self.origin is not None)
+        return self.frame == "north" or (self.frame != "start" and self.origin is not None)
 
     def turned(self, turn_rad: float, std_rad: float | None = None) -> Self:
         """Return a copy rotated clockwise about its origin, so that its north is true north.
@@ -263,8 +263,10 @@ class TrackRows:
             return f"East and north are metres from the first location{at}; true north is from the locations{sure}."
         if self.frame == "fixes":
             return f"East and north are metres in the frame of the fixes{at and f', whose origin is{at}'}."
-        words = f"East and north are metres from the start of the walk{at}; north is the direction of the first heading"
-        return f"{words}, because true north is unknown."
+        words = f"East and north are metres from the start of the walk{at}; north is"
+        if self.frame == "heading fixes":
+            return f"{words} that of the heading fixes."
+        return f"{words} the direction of the first heading, because true north is unknown."
 
     @property
     def estimate(self) -> str:

@@ -30,6 +30,65 @@ class UsedFix:
     track_m: FloatArray | None
 
 
+# Log evidence of a stated standstill against walking, about a hundred thousand to one. It must outweigh a window that
+# is certain of walking (a hundred to one, `PedestrianModel.evidence_floor`) and the detected step (seven to one).
+STANDSTILL_LOG_EVIDENCE = 12.0
+# Steps per second of walking: 110 per minute, as in `PedestrianModel.step_log_odds_stationary`.
+_WALKING_HZ = 110.0 / 60.0
+
+
+@dataclass(frozen=True)
+class StandstillSteps:
+    """Steps within stated standstills, as evidence of walking.
+
+    Detections are Poisson distributed, with the rate of walking or with that of false detections while standing. The
+    log-likelihood ratio of walking therefore grows with each step and decreases with time (E. S. Page, "Continuous
+    inspection schemes", Biometrika 41, 1954). Single false steps in a long standstill are no contradiction.
+
+    Attributes
+    ----------
+    log_ratio : float
+        Log-likelihood ratio of walking and standing for the last steps, 0 or more.
+    n_recent : float
+        Expected number of walking steps among these, as far as they are not in `n_contradicting`.
+    n_contradicting : float
+        Expected number of walking steps that contradict the standstills: those with a ratio above
+        `STANDSTILL_LOG_EVIDENCE`, including the steps that led to it.
+    recent_s : float
+        Time of the first of the last steps.
+    first_s, last_s : float
+        Times of the first and the last contradicting step.
+    """
+
+    log_ratio: float = 0.0
+    n_recent: float = 0.0
+    n_contradicting: float = 0.0
+    recent_s: float = math.nan
+    first_s: float = math.nan
+    last_s: float = math.nan
+
+    def plus(self, time_s: float, since_s: float, moving_prob: float, step_log_ratio: float) -> StandstillSteps:
+        """Return the evidence after a further step at `time_s`, `since_s` after the last one.
+
+        `moving_prob` is the probability that the step displaces the pedestrian if nothing is stated. `step_log_ratio`
+        is the log ratio of the rates of detections in walking and in standing.
+        """
+        before = max(self.log_ratio - _WALKING_HZ * (1.0 - math.exp(-step_log_ratio)) * since_s, 0.0)
+        n_recent, recent_s = (self.n_recent, self.recent_s) if before > 0.0 else (0.0, time_s)
+        # at most twice the limit, so that a few seconds of standing end a contradiction
+        log_ratio = min(before + moving_prob * step_log_ratio, 2.0 * STANDSTILL_LOG_EVIDENCE)
+        n_recent += moving_prob
+        if log_ratio <= STANDSTILL_LOG_EVIDENCE:
+            return replace_unchecked(self, log_ratio=log_ratio, n_recent=n_recent, recent_s=recent_s)
+        return StandstillSteps(
+            log_ratio,
+            n_contradicting=self.n_contradicting + n_recent,
+            recent_s=recent_s,
+            first_s=self.first_s if self.n_contradicting else recent_s,
+            last_s=time_s,
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class FixHistory:
     """Earlier fixes, stored for gating, for correlated errors and for repeated positions.
@@ -52,6 +111,8 @@ class FixHistory:
         Number of other fixes that repeated an earlier one.
     standstills : tuple of tuple of float
         Begin and end of the last standstills, s.
+    standstill_steps : StandstillSteps
+        Steps within the standstills.
     ranges : tuple of PairedRange
         Last range fixes, each with the track position at its time.
     searched_s : float
@@ -66,6 +127,7 @@ class FixHistory:
     n_frozen: int = 0
     n_repeated: int = 0
     standstills: tuple[tuple[float, float], ...] = ()
+    standstill_steps: StandstillSteps = StandstillSteps()
     ranges: tuple[PairedRange, ...] = ()
     searched_s: float = -math.inf
 

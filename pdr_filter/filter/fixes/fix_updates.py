@@ -74,12 +74,12 @@ def use_fix(
 ) -> Result:
     """Return the state after a fix, the outcome of the fix, and its normalised innovation squared (NIS).
 
-    The NIS is the smallest one of all filters, or NaN if no filter was compared with the fix. A fix is rejected if its
-    NIS exceeds the gate in all filters. A fix older than the stored steps is rejected with infinite NIS, except speed
-    fixes, grid fixes and standstills. A fix that repeats an earlier one is not used: it is "repeated", or "frozen" if
-    it is a position and steps continue. If the frame of the fixes is unknown, the first position fix places the track
-    in it, and later ones rotate it. A standstill is stored and changes no estimate.
-    `offset_rad` (F,) is the walking heading of each filter minus the heading that the body faces.
+    The NIS is that of the mixture of all filters (`gating.gated`), or NaN if no filter was compared with the fix. A fix
+    is rejected if its NIS exceeds the gate. A fix older than the stored steps is rejected with infinite NIS, except
+    speed fixes, grid fixes and standstills. A fix that repeats an earlier one is not used: it is "repeated", or
+    "frozen" if it is a position and steps continue. If the frame of the fixes is unknown, the first position fix places
+    the track in it, and later ones rotate it. A standstill is stored and changes no estimate. `offset_rad`
+    (F,) is the walking heading of each filter minus the heading that the body faces.
     """
     if isinstance(fix, Standstill):
         return replace(state, fixes=state.fixes.with_standstill(fix)), "used", np.nan
@@ -149,7 +149,8 @@ def _on_position(
         estimates = replace(updated.estimates, cov=larger * updated.estimates.cov, consider_error_m=no_error_m)
         fixes = updated.fixes.with_used(fix, _track_m(updated, fix.time_s))
         fixes = replace(fixes, relocation=fixes.relocation.with_used(), n_errors=n_errors, squares=squares)
-        updated = replace(updated, estimates=estimates, fixes=fixes)
+        frame = updated.frame.with_position(fix.position_m, fix.var_m2)
+        updated = replace(updated, estimates=estimates, fixes=fixes, frame=frame)
         path = updated.path.corrected(np.zeros(N_STATES), larger)
         updated = replace(updated, path=path)
     return updated if outcome == "used" else state, outcome, nis
@@ -227,8 +228,8 @@ def _on_heading(
     """Return the state after a heading fix z, the outcome of the fix, and its NIS.
 
     The measurement equation is z = device heading at the time of the fix + heading offset (state) + heading offset of
-    the mode's filter, in rad. If the frame is open (`Frame.is_open`), the fix rotates the frame and is not gated: the
-    NIS is NaN. Before the first step the outcome is "nothing to compare".
+    the mode's filter, in rad. If the frame is open (`Frame.is_open`), the first fix rotates the frame and is not gated:
+    the NIS is NaN. Before the first step the outcome is "nothing to compare".
     """
     if len(state.steps.trail) == 0:
         return state, "nothing to compare", np.nan
@@ -236,7 +237,12 @@ def _on_heading(
     innovation = fix.walking_heading_rad - device_heading_rad - state.estimates.mean[:, HEADING_OFFSET]
     innovation = wrap_angle(innovation - offset_rad)
     frame, var = state.frame, fix.std_rad**2
-    if frame.is_open:
+    if frame.is_lost_before_north and state.fixes.n_errors == 0:
+        angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))
+        turn, whole = frame.turns_about_start(angle_rad, var, state.steps.n_final)
+        state = in_other_frame(replace(state, path=state.path.turned_until_loss(whole)), turn)
+        return replace(state, frame=state.frame.with_whole_north(whole, turn)), "used", np.nan
+    if frame.is_open and (frame.north is None or frame.since):
         angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))
         share = 1.0 / (1.0 + var / frame.north_var_rad2)  # weight of the fix against the prior of the rotation
         about_m = frame.pairs[0].track_m if frame.since else np.zeros(2)
@@ -269,7 +275,7 @@ def _on_state(
     innovation: FloatArray,
     variance: float,
 ) -> Result:
-    """Return the state after a measurement of one state component, the outcome, and the smallest NIS of all filters.
+    """Return the state after a measurement of one state component, the outcome, and the NIS of the mixture.
 
     `index` is the index of the component. `innovation` (F,) is the measurement minus the prior mean of each of F
     filters. `variance` is the variance of the measurement. NIS is the normalised innovation squared. A measurement with

@@ -23,7 +23,7 @@ from pdr_filter.filter.fixes.frame_rotation import (
     thinned,
 )
 from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
-from pdr_filter.values import Origin, wrap_angle
+from pdr_filter.values import FloatArray, Origin, wrap_angle
 
 # One in twenty correct headings has a larger conflict with the positions. Above it the frame is not joined until more
 # positions are available.
@@ -36,7 +36,9 @@ class Frame:
 
     A track begins in its start frame, with unknown position and north. Fixes determine the shift and the rotation. The
     frame is joined when the filter states are transformed into the frame of the fixes. A new frame with unknown
-    rotation begins where the heading is lost.
+    rotation begins where the heading is lost. In `START_FRAME` the fixes are relative to the start, so that it is
+    joined from the beginning. Its north is unknown until a heading fix determines it, or until position fixes confirm
+    the direction of the start.
 
     Attributes
     ----------
@@ -55,7 +57,8 @@ class Frame:
     compass : Compass or None
         Magnetic north, until the frame is joined.
     north_var_rad2 : float
-        Prior variance of the rotation before any position fix, or infinity if it is unknown.
+        Prior variance of the rotation before any position fix, or infinity if it is unknown. In a joined frame it is
+        the variance with which used fixes determine the rotation, 0 if the rotation was estimated.
     north_conflict : float
         Decrease of the misfit of the pairs (`disagreement`) if the prior with variance `north_var_rad2` is omitted.
     north : Alignment or None
@@ -118,12 +121,14 @@ class Frame:
     def name(self) -> str:
         """Name of the frame of the positions.
 
-        It is "fixes" for the frame of the fixes, "north" for the start frame rotated to true north by the compass, and
-        "start" for the start frame, also if a heading fix has rotated it.
+        It is "fixes" for the frame of the position fixes. The other names are of frames with the origin at the start:
+        "north" if the compass, "heading fixes" if a heading fix has rotated the track, and "start" otherwise.
         """
         if self.is_known:
             return "fixes"
-        return "start" if self.compass is None else "north"
+        if self.compass is not None:
+            return "north"
+        return "start" if self.north is None else "heading fixes"
 
     @cached_property
     def _density(self) -> RotationDensity | None:
@@ -271,11 +276,45 @@ class Frame:
 
     @property
     def is_open(self) -> bool:
-        """True if the frame is not joined and the rotation has no narrow prior.
+        """True if the rotation has no narrow prior and is not estimated yet, neither by positions nor by a heading fix.
 
-        Only positions and the magnetic field then determine the rotation.
+        A joined frame is open only if it is the start frame.
         """
-        return not self.is_joined and self.north_var_rad2 > MAX_ANGLE_STD_RAD**2
+        return (not self.is_joined or self.is_of_start) and self.north_var_rad2 > MAX_ANGLE_STD_RAD**2
+
+    @property
+    def is_lost_before_north(self) -> bool:
+        """True if the heading was lost in the start frame, before any fix since then and any heading fix at all."""
+        return self.since > 0 and self.is_of_start and len(self.pairs) == 1 and self.north is None and not self.later
+
+    def turns_about_start(self, angle_rad: float, var_rad2: float, n_steps: int) -> tuple[Alignment, Alignment]:
+        """Return the alignments of the steps since the heading was lost and of those before, for the first heading fix.
+
+        Both rotate about the start by one angle, to the north of the fix. `var_rad2` is the variance of the fix. The
+        variance of the lost heading is one of the earlier steps, and therefore of the position at the loss.
+        """
+        lost_rad2, lost_m = min(self.north_var_rad2, MAX_HEADING_VARIANCE), self.pairs[0].track_m
+        whole = Alignment(angle_rad, var_rad2 + lost_rad2, np.zeros(2), np.zeros(2), 0.0, self.since)
+        spread_m2 = 0.5 * lost_rad2 * float(lost_m @ lost_m)
+        turn = Alignment(angle_rad, var_rad2, lost_m, whole.positions(lost_m), spread_m2, n_steps, self.since)
+        return turn, whole
+
+    def with_whole_north(self, whole: Alignment, turn: Alignment) -> Frame:
+        """Return the frame after a heading fix has rotated it by the alignments `turns_about_start`."""
+        (lost,) = self.pairs
+        lost = replace(lost, world_m=turn.world_centre_m, var_m2=lost.var_m2 + turn.centre_var_m2)
+        return replace(self, north=whole, pairs=(lost,)).with_north(turn)
+
+    def with_position(self, position_m: FloatArray, var_m2: float) -> Frame:
+        """Return the joined frame after a used position fix, which confirms the direction of the start frame.
+
+        The rotation about the start has the variance var / d^2 for a fix with the variance `var_m2` along each axis, at
+        the distance d from the start.
+        """
+        if not self.is_open:
+            return self
+        information = 1.0 / self.north_var_rad2 + float(position_m @ position_m) / var_m2
+        return replace(self, north_var_rad2=1.0 / information if information else math.inf)
 
     def joined(self, alignment: Alignment) -> Frame:
         """Return the frame after the filter states have been transformed by an alignment.
@@ -288,6 +327,7 @@ class Frame:
             alignment=self.alignment,
             later=self.later,
             north_conflict=self.north_conflict,
+            north_var_rad2=0.0,
         )
         if self.since == 0:
             return replace(frame, alignment=alignment)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -33,20 +34,25 @@ def joined_updates(updates: Sequence[KalmanUpdate]) -> KalmanUpdate:
 
 
 def gated(arithmetic: ImmArithmetic, state: PedestrianState, update: KalmanUpdate, gate_nis: float) -> Result:
-    """Return the state after an update, the outcome "used" or "rejected", and the smallest NIS of all filters.
+    """Return the state after an update, the outcome "used" or "rejected", and the NIS of the mixture of all filters.
 
-    If the NIS exceeds the gate in all filters, the update is rejected and the state unchanged. A used update also
-    shifts the stored past positions, by the correction of the present position.
+    With the probability p_f and the NIS q_f of filter f, the NIS of the mixture is -2 log sum_f p_f exp(-q_f / 2). A
+    filter therefore explains a measurement only if it is probable itself: one for sideways steps does not confirm a
+    heading that is 90 degrees off while the pedestrian walks ahead. If the NIS exceeds the gate, the update is rejected
+    and the state unchanged. A used update also shifts the stored past positions, by the correction of the present
+    position.
     """
-    best_nis = float(update.nis.min())
-    if not best_nis <= gate_nis:
-        return state, "rejected", best_nis
+    mode_prob, least = state.estimates.prob, float(update.nis.min())
+    share = float(mode_prob @ np.exp(-0.5 * (update.nis - least))) / float(mode_prob.sum())
+    nis = least - 2.0 * math.log(share) if share > 0.0 else math.inf
+    if not nis <= gate_nis:
+        return state, "rejected", nis
     prior_x, _ = state.estimates.combined
-    prob = arithmetic.update_mode_prob(state.estimates.prob, update.log_likelihood)
+    prob = arithmetic.update_mode_prob(mode_prob, update.log_likelihood)
     state = replace(state, estimates=replace(state.estimates, mean=update.mean, cov=update.cov, prob=prob))
     moved = state.estimates.combined[0] - prior_x
     state, shift_m = replace(state, path=state.path.corrected(moved, 1.0)), moved[[EAST, NORTH]]
-    return with_moved_past(state, lambda position_m: position_m + shift_m), "used", best_nis
+    return with_moved_past(state, lambda position_m: position_m + shift_m), "used", nis
 
 
 def with_consider_path(state: PedestrianState, cov: FloatArray) -> PedestrianState:

@@ -96,7 +96,9 @@ def on_measurement(
     if outcome != "used":
         return state, outcome, best_nis
     no_error_m = np.zeros_like(estimates.consider_error_m)
-    return replace(after, estimates=replace(after.estimates, consider_error_m=no_error_m)), outcome, best_nis
+    after = replace(after, estimates=replace(after.estimates, consider_error_m=no_error_m))
+    # the rotation that a user-defined measurement determines is unknown, but it is relative to the present north
+    return replace(after, frame=replace(after.frame, north_var_rad2=0.0)), outcome, best_nis
 
 
 def _needs_heading(fix: Measurement, earlier: FloatArray) -> bool:

@@ -192,7 +192,7 @@ def _placed(state: PedestrianState, solution: PlacedTrack) -> PedestrianState:
     n_steps, is_joined = state.steps.n_final, state.frame.is_joined
     alignment = solution.alignment(n_steps, n_steps if is_joined else state.frame.since)
     if is_joined:
-        frame = replace(state.frame, later=(*state.frame.later, alignment))
+        frame = replace(state.frame, later=(*state.frame.later, alignment), north_var_rad2=0.0)
         state = in_other_frame(with_detached_path(state), alignment)
     else:
         frame = state.frame.joined(alignment)

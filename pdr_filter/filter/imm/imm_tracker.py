@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from pdr_filter.filter.fixes.fix_history import STANDSTILL_LOG_EVIDENCE
 from pdr_filter.filter.fixes.fix_updates import use_fix
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import ImmArithmetic, NumpyImm, mixed_values
@@ -14,21 +15,19 @@ from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
     initial_state,
+    on_standstill_step,
     over_gap,
     step_update,
     with_heading,
     with_reach_after_fix,
     with_reopened_rotation,
     with_step,
+    with_withheld_length,
 )
 from pdr_filter.filter.imm.recent_windows import RecentWindows, n_after, window_before, with_window
 from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace_unchecked
-
-# Log evidence of a known standstill against every mode that moves, about a hundred thousand to one. It must outweigh a
-# window that is certain of walking (a hundred to one, `evidence_floor`) and the detected step (seven to one).
-_STANDSTILL_LOG_EVIDENCE = 12.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +148,15 @@ class ImmTracker:
         combined = imm.combine(predicted.mean, predicted.cov, prob)
 
         walked = self._walked(step, lengths, advanced.motion, prob, combined[0])
+        context_prob = model.context_prob(prob) if window is None else window.prob
+        if previous.fixes.is_standing(step.time_s):
+            free_prob = model.step_mode_prob(context_prob)
+            turned, n_new = on_standstill_step(model, turned, step, free_prob)
+            walked = with_withheld_length(model, walked, n_new * float((free_prob - prob) @ advanced.motion.length_m))
         event = WalkedStep.of(step.time_s, mixed, drifted_cov, turned.estimates, advanced, combined[0])
         updated = with_step(
             replace_unchecked(turned, estimates=replace_unchecked(predicted, prob=prob)), step, walked, combined, event
         )
-        context_prob = model.context_prob(prob) if window is None else window.prob
         update = step_update(previous, updated, step, walked, combined, context_prob, prob, model.contexts)
         return replace_unchecked(state, pedestrian=updated), (update,)
 
@@ -198,7 +201,7 @@ class ImmTracker:
             evidence = evidence + self.model.evidence.of(window, state.used, state.n_unused - n_later)
             state = replace_unchecked(state, used=window, n_unused=n_later)
         if state.pedestrian.fixes.is_standing(step.time_s):
-            evidence = evidence - _STANDSTILL_LOG_EVIDENCE * self.model.moves
+            evidence = evidence - STANDSTILL_LOG_EVIDENCE * self.model.moves
         return state, evidence
 
     def _walked(self, step: Step, lengths: ModeLengths, motion: StepMotion, prob: FloatArray, x: FloatArray) -> Walked:

@@ -353,6 +353,14 @@ class PastPath:
         fixed = replace_unchecked(steps, by_state=np.zeros_like(steps.by_state), own_cov_m2=steps.cov_m2(cov))
         return replace_unchecked(path, earlier=fixed, since_s=time_s, shared_from_s=time_s, shared_from_m=present_m)
 
+    def turned_until_loss(self, alignment: Alignment) -> PastPath:
+        """Return the path whose steps until `since_s` are transformed by an alignment."""
+        path = self.rebased()
+        steps, first = path.earlier, int(np.searchsorted(path.earlier.time_s, self.since_s, side="right"))
+        place_m, cov_m2 = steps.place_m.copy(), steps.own_cov_m2.copy()
+        place_m[:, :first], cov_m2[:, :first] = turned(alignment, place_m[:, :first], cov_m2[:, :first])
+        return replace_unchecked(path, earlier=replace_unchecked(steps, place_m=place_m, own_cov_m2=cov_m2))
+
     def turned(self, alignment: Alignment, before: FloatArray, after: FloatArray, present_m: FloatArray) -> PastPath:
         """Return the path transformed by an alignment from the present frame to another one.
 

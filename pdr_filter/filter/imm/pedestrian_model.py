@@ -83,7 +83,7 @@ class PedestrianModel:
     noise : MotionNoise
         Process noise and initial uncertainties.
     fix_gate_nis : float, default 13.8
-        Gate of position fixes. A fix whose normalised innovation squared is larger in every mode is rejected.
+        Gate of position fixes. A fix whose normalised innovation squared is larger is rejected.
     scalar_gate_nis : float, default 10.8
         Gate of one-dimensional measurements, such as headings, speeds and ranges.
     frame : Frame, default `START_FRAME`
@@ -315,6 +315,24 @@ class PedestrianModel:
         """
         sine, cosine = mode_prob.dot(self._offset_vectors).tolist()
         return math.atan2(sine, cosine) if sine * sine + cosine * cosine > 1e-18 else 0.0
+
+    def step_mode_prob(self, context_prob: FloatArray) -> FloatArray:
+        """Return the mode probabilities of a step from the context probabilities of its window alone.
+
+        Parameters
+        ----------
+        context_prob : (..., C) array
+            Context probabilities of a window, or of one window for each step.
+
+        Returns
+        -------
+        (..., M) array
+            Mode probabilities given window and step, without other steps, windows and fixes.
+        """
+        has = np.array([[float(m.context == c) for m in self.modes] for c in self.contexts])
+        prob = context_prob @ (has / np.maximum(has.sum(axis=1, keepdims=True), 1.0)) * np.exp(self.step_evidence)
+        total = prob.sum(axis=-1, keepdims=True)
+        return np.where(total > 0.0, prob, self.long_run_mode_prob) / np.where(total > 0.0, total, 1.0)
 
     def context_prob(self, mode_prob: FloatArray) -> FloatArray:
         """Return the context probabilities that mode probabilities imply.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -141,11 +141,14 @@ class StepUpdate:
         -------
         StepUpdate
             Update with position, covariance and heading in that frame. The update itself is returned if its rotation
-            was already settled.
+            was already settled, or if it is in the frame of a floor plan.
         """
-        if self.of_start is None:
+        is_settled = self.of_start is None and frame.north is None
+        if is_settled or self.on_plan is not None:
             return self
-        place = frame.world(self.of_start)
+        # a heading fix also rotates the earlier steps of a track in the start frame
+        own = Place(self.position_m, self.position_cov_m2, self.walking_heading_rad, self.index)
+        place = frame.world(self.of_start or own)
         return replace_unchecked(
             self,
             position_m=read_only(place.position_m),
@@ -280,6 +283,32 @@ def with_heading(
     return replace_unchecked(
         state, estimates=replace_unchecked(estimates, mean=mean, cov=cov), heading_zero=zero
     ), drifted_cov
+
+
+def on_standstill_step(
+    model: PedestrianModel, state: PedestrianState, step: Step, free_prob: FloatArray
+) -> tuple[PedestrianState, float]:
+    """Return the state after a step within a stated standstill, and the number of new steps that contradict it.
+
+    `state` is the state before the step, and `free_prob` (M,) are the mode probabilities of the step without the
+    standstill. The number of contradicting steps includes earlier ones that were not clear before this step.
+    """
+    since_s = step.duration_s if math.isnan(state.steps.last_s) else step.time_s - state.steps.last_s
+    before = state.fixes.standstill_steps
+    after = before.plus(step.time_s, since_s, float(free_prob @ model.moves), max(-model.step_log_odds_stationary, 0.0))
+    fixes = replace_unchecked(state.fixes, standstill_steps=after)
+    return replace_unchecked(state, fixes=fixes), after.n_contradicting - before.n_contradicting
+
+
+def with_withheld_length(model: PedestrianModel, walked: Walked, withheld_m: float) -> Walked:
+    """Return a step that a stated standstill leaves without the length `withheld_m`, with this length as uncertainty.
+
+    If the statement is wrong, all of its steps lack their lengths. The error is therefore one of the length parameter
+    of a mode without displacement, which all steps share.
+    """
+    std_m = walked.parameter_std_m.copy()
+    std_m[int(np.argmin(model.moves))] += max(withheld_m, 0.0)
+    return replace(walked, parameter_std_m=std_m)
 
 
 def with_step(
@@ -496,6 +525,14 @@ def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
     place = track_place(state)
     place = place if state.frame.is_joined else state.frame.world(place)
     return read_only(place.position_m), read_only(place.cov_m2)
+
+
+def past_position(state: PedestrianState, time_s: float) -> FloatArray | None:
+    """Return the position (2,) at a time, in the frame of `present_position`, or None if the steps are not stored."""
+    place, frame = state.steps.at(time_s), state.frame
+    if place is None or frame.is_joined:
+        return None if place is None else place[:2]
+    return frame.world(Place(place[:2], np.zeros((2, 2)), 0.0, state.steps.n_final)).position_m
 
 
 def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, length_m: float) -> float:

@@ -22,12 +22,14 @@ from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
     initial_state,
+    on_standstill_step,
     over_gap,
     step_update,
     with_heading,
     with_reach_after_fix,
     with_reopened_rotation,
     with_step,
+    with_withheld_length,
 )
 from pdr_filter.filter.imm.recent_windows import (
     WINDOW_MEMORY_S,
@@ -278,11 +280,16 @@ class WeightedTracker:
         model, step = self.model, state.pending[0]
         context_prob, weights = self._weights(state, step, is_final)
         previous = with_reopened_rotation(state.pedestrian)
+        free_weights, n_new = weights, 0.0
         if previous.fixes.is_standing(step.time_s):
+            previous, n_new = on_standstill_step(model, previous, step, free_weights)
             weights = 1.0 - model.moves
         directions = model.directions.weighted(weights)
         turned, drifted_cov = with_heading(previous, step, directions, model.noise)
         advanced, walked = self._advanced(turned.estimates, step, weights, directions)
+        if n_new:
+            free_m = float(free_weights @ model.lengths(step).length_m) * float(advanced.motion.scale[0])
+            walked = with_withheld_length(model, walked, n_new * (free_m - walked.length_m))
         walked_m = previous.estimates.walked_m + advanced.motion.length_m
         predicted = replace_unchecked(turned.estimates, mean=advanced.mean, cov=advanced.cov, walked_m=walked_m)
         combined = predicted.mean[0], predicted.cov[0]

@@ -99,7 +99,7 @@ const largest = probabilities => {
 };
 
 // Without magnetometer or location, directions are relative to the first heading.
-const hasNorth = known => ["fixes", "north"].includes(known.about.frame);
+const hasNorth = known => ["fixes", "heading fixes", "north"].includes(known.about.frame);
 const placeWords = (known, [east, north]) => {
   const side = (v, above, below) => `${Math.abs(v).toFixed(1)} m ${v < 0 ? below : above}`;
   if (hasNorth(known)) return `${side(east, "east", "west")} and ${side(north, "north", "south")}${known.origin ? "" : " of the start"}`;

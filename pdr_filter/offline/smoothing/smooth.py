@@ -17,6 +17,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import walked_var_m2 as walked_var
+from pdr_filter.filter.fixes.fix_conflict import FixConflict
+from pdr_filter.filter.fixes.fix_history import StandstillSteps
 from pdr_filter.filter.fixes.frame import START_FRAME
 from pdr_filter.filter.fixes.gnss import LocationState, independent, locations_of
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
@@ -72,6 +74,7 @@ from pdr_filter.sensing.heading.walking_heading import WalkingHeadingState
 from pdr_filter.tracking.filtering import Output, State, init
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
+from pdr_filter.tracking.warnings import conflict_notes
 from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run, run_sensing
 from pdr_filter.values import (
     BoolArray,
@@ -86,6 +89,7 @@ from pdr_filter.values import (
     RangeFix,
     Standstill,
     Step,
+    interpolated,
     read_only,
     step_table,
     wrap_angle,
@@ -100,9 +104,9 @@ _REGION_STD_M = 1000.0
 _KNOWN_STD_RAD = 1e-3
 
 
-# Configuration, dead-reckoned track, and state of the sensing at its end. The state is None if the axes of a building
-# determine the gyroscope bias.
-_Reckoned = tuple[Config, Track, SensingState | None]
+# Configuration, dead-reckoned track, and state at its end. The sensing is None if the axes of a building determine the
+# gyroscope bias.
+_Reckoned = tuple[Config, Track, SensingState | None, StandstillSteps]
 
 
 @dataclass(slots=True, eq=False)
@@ -149,7 +153,7 @@ class SmoothingMemory:
         Returns
         -------
         tuple
-            Configuration, dead-reckoned track, and state of the sensing at its end.
+            Configuration, dead-reckoned track, state of the sensing at its end, and steps within standstills.
         """
         if self._found is None or self.recording is not recording or self._key != key:
             self.recording, self._key, self._found = recording, key, make()
@@ -307,10 +311,10 @@ def smooth(
         return _dead_reckoned(recording, asked, stood, (first_pass, second_pass), run.with_location)
 
     if memory is None:
-        config, track, sensing = reckoned()
+        config, track, sensing, stood_steps = reckoned()
     else:
         key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
-        config, track, sensing = memory.of(given, key, reckoned)
+        config, track, sensing, stood_steps = memory.of(given, key, reckoned)
     track = _with_smoothed_modes(track, config)
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
@@ -325,7 +329,9 @@ def smooth(
         is_loop=closed is not None,
     )
     guess = _online_path(recording, config, run.fixes)
-    smoothed, walked_var_m2 = _smooth_track(track, config, observed, start_heading_std_rad, anchor_interval_s, guess)
+    smoothed, walked_var_m2 = _smooth_track(
+        track, config, observed, start_heading_std_rad, anchor_interval_s, guess, stood_steps
+    )
     if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
         device = _observed_device(smoothed, config, sensing)
         smoothed = replace(smoothed, track=replace(smoothed.track, device=device))
@@ -343,13 +349,13 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     """
     north: NorthUse | None = "magnetic" if "magnetometer" in recording.streams else None
     run = prepared_run(recording, None, (), TrackPlacement(gnss="off", north=north))
-    config, track, _ = _dead_reckoned(run.recording, run.config, (), (None, None), with_hills=False)
+    config, track, *_ = _dead_reckoned(run.recording, run.config, (), (None, None), with_hills=False)
     if not track.n_steps:
         raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
     track = _with_smoothed_modes(track, config)
     nothing = Observations()
     inside = nothing.fixes_inside(0.0, 0.0)
-    posed = _problem(track, config, nothing, inside, None, anchor_interval_s, None, None)
+    posed = _problem(track, config, nothing, inside, None, anchor_interval_s, None, StandstillSteps(), None)
     return track, posed.used.device_rad, posed.problem
 
 
@@ -360,25 +366,27 @@ def _dead_reckoned(
     progress: tuple[Callable[[float], None] | None, Callable[[float], None] | None],
     with_hills: bool,
 ) -> _Reckoned:
-    """Return the configuration after a first pass, the track without fixes and locations, and the state of the sensing.
+    """Return the configuration after a first pass, the track without fixes and locations, and the state at its end.
 
-    The state is that at the end of the recording. It is None if the first pass determined the gyroscope bias from the
-    axes of a building. `stood` are the given standstills, which are used. `progress` has the callbacks of the first and
-    the second pass. With `with_hills`, locations distinguish hills from storeys.
+    The state consists of that of the sensing and of the steps within standstills. The sensing is None if the first pass
+    determined the gyroscope bias from the axes of a building. `stood` are the given standstills, which are used.
+    `progress` has the callbacks of the first and the second pass. With `with_hills`, locations distinguish hills from
+    storeys.
     """
     own, known_device = _with_first_pass(recording, config, progress[0])
     own = own.in_hindsight().with_model(frame=START_FRAME)
-    sensing: SensingState | None = None
+    end = init(own)
 
     def results() -> Iterator[tuple[State, Output]]:
-        nonlocal sensing
+        nonlocal end
         for state, output in outputs(recording, own, stood, progress[1], with_hills=with_hills):
-            sensing = state.sensing
+            end = state
             yield state, output
 
     found = collected(recording, own, results())
     track = with_arrivals(replace(found, device=known_device or found.device))
-    return own, track, sensing if known_device is None else None
+    stood_steps = end.tracker.pedestrian.fixes.standstill_steps
+    return own, track, end.sensing if known_device is None else None, stood_steps
 
 
 def _with_smoothed_modes(track: Track, config: Config) -> Track:
@@ -506,6 +514,7 @@ def _smooth_track(
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
     guess: WalkedPath | None,
+    stood: StandstillSteps,
 ) -> tuple[Smoothed, FloatArray]:
     """Return the smoothed result of a dead-reckoned track, and the variance (K,) in m2 of each position.
 
@@ -521,7 +530,9 @@ def _smooth_track(
         places = compress((*observed.fixes, *observed.locations), inside)
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return without_steps(track, observed, known), np.zeros(0)
-    posed_with = partial(_problem, track, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess)
+    posed_with = partial(
+        _problem, track, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess, stood
+    )
     posed = posed_with(None)
     smoothed, walked_var_m2 = _smoothed(track, posed, solve(posed.problem), observed)
     if len(posed.problem.errors):
@@ -556,17 +567,20 @@ def _problem(
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
     guess: WalkedPath | None,
+    stood: StandstillSteps,
     shape_m: FloatArray | None,
 ) -> _Posed:
     """Return the least-squares problem of a track with steps.
 
-    `inside` is a mask of the fixes and locations within the recording. `shape_m` (K + 1, 2) are positions of the start
-    and of the steps that show the shape of the walk (`errors_of`), or None for dead reckoning.
+    `inside` is a mask of the fixes and locations within the recording. `stood` are the steps within standstills.
+    `shape_m` (K + 1, 2) are positions of the start and of the steps that show the shape of the walk (`errors_of`), or
+    None for dead reckoning.
     """
     noise, modes = config.model.noise, config.model.modes
     steps, parameter_error_m = increments(
         track.steps, track.mode_prob, config.model, track.gap_before_s, is_weighted=track.weighting != "imm"
     )
+    steps = _with_withheld_steps(steps, track, config, stood)
     used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
@@ -595,6 +609,24 @@ def _problem(
         shape_m=shape_m,
     )
     return _Posed(steps, parameter_error_m, used, problem)
+
+
+def _with_withheld_steps(steps: Increments, track: Track, config: Config, stood: StandstillSteps) -> Increments:
+    """Return the increments with the steps that contradict a stated standstill as uncertainty of the last one of them.
+
+    These steps have no displacement. If the statement is wrong, all of them lack theirs: the sum d of the displacements
+    adds d d' to the covariance.
+    """
+    inside = (track.time_s >= stood.first_s) & (track.time_s <= stood.last_s)
+    if not inside.any():
+        return steps
+    free_prob = config.model.step_mode_prob(track.context_prob)
+    is_weighted = track.weighting != "imm"
+    free, _ = increments(track.steps, free_prob, config.model, track.gap_before_s, is_weighted=is_weighted)
+    withheld_m = (free.displacement_m - steps.displacement_m)[inside].sum(axis=0)
+    cov = steps.cov_m2.copy()
+    cov[np.flatnonzero(inside)[-1]] += np.outer(withheld_m, withheld_m)
+    return replace(steps, cov_m2=cov)
 
 
 def _measurements_on_path(used: Used, guess: WalkedPath) -> Measurements:
@@ -647,11 +679,19 @@ def _smoothed(track: Track, posed: _Posed, found: Solution, observed: Observatio
     std_m = np.append(start_std_m, worst_std_m(position_cov))
     position_cov = bounded_position_cov(position_cov, reach_m(way_m, std_m)[1:])
     observations = observation_table(observed, used.row, found)
+    end_s = track.start_time_s + track.duration_s
+    results, conflict = fix_results(observed, observations, used, end_s), FixConflict()
+    for fix, result in zip((*observed.fixes, *observed.locations), results, strict=True):
+        if isinstance(fix, PositionFix) and np.isfinite(result.nis):
+            at_m = interpolated(fix.time_s, track.time_s, position)
+            conflict = conflict.plus(result.outcome, fix.position_m - at_m)
+    position_cov = position_cov + conflict.cov_m2
     scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
     start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
     heading_std_rad = np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])
     reckoned = notes_of_reckoning(track, found, heading_std_rad)
     notes = (*reckoned, *used.notes, *notes_of_solution(track, found, observations, observed, used, scale_std))
+    notes = (*notes, *(note.text for note in conflict_notes(conflict)))
     smoothed = replace(
         track,
         position_m=read_only(position),
@@ -663,8 +703,8 @@ def _smoothed(track: Track, posed: _Posed, found: Solution, observed: Observatio
         notes=notes,
         start_position_m=start_m,
         is_smoothed=True,
-        frame="fixes" if used.has_places else "north" if used.knows_north else track.frame,
-        fixes=fix_results(observed, observations, used, track.start_time_s + track.duration_s),
+        frame=used.frame or track.frame,
+        fixes=results,
     )
     result = Smoothed(
         track=smoothed,

@@ -8,6 +8,7 @@ from itertools import compress
 
 import numpy as np
 
+from pdr_filter.filter.fixes.frame_rotation import agreement_limit
 from pdr_filter.filter.fixes.repeated_fixes import Repetition, repetitions
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, Mode
 from pdr_filter.offline.smoothing.location_errors import joined_at_contacts, with_even_variances
@@ -82,8 +83,17 @@ class Used:
 
         Positions, locations, ranges, known headings, heading fixes and magnetic north count.
         """
-        headings = len(self.states.state) and (self.states.state == HEADING_OFFSET).any()
-        return bool(self.has_places or self.observed.known_headings or headings)
+        return bool(self.frame)
+
+    @property
+    def frame(self) -> str:
+        """Name of the frame that the observations define (`Track.frame`), or an empty string for the start frame."""
+        if self.has_places:
+            return "fixes"
+        given = self.states.state[: len(self.states.state) - self.n_north]
+        if self.observed.known_headings or (given == HEADING_OFFSET).any():
+            return "heading fixes"
+        return "north" if self.knows_north else ""
 
 
 def usable(
@@ -116,10 +126,19 @@ def usable(
     of_closure, near, closures = _closures(track, observed)
     is_state = np.array([isinstance(f, HeadingFix | SpeedFix) for f in fixes], dtype=bool)
     at_state, at_measured = np.flatnonzero(inside & is_state), np.flatnonzero(inside & ~is_place & ~is_state)
-    state_fixes = [f for f in compress(fixes, inside) if isinstance(f, HeadingFix | SpeedFix)]
     other = [f for f in compress(fixes, inside) if not isinstance(f, PositionFix | HeadingFix | SpeedFix)]
     device_rad = np.asarray(track.steps.device_heading_rad) + mode_offsets(track, modes)
+    state_fixes = [f for f in compress(fixes, inside) if isinstance(f, HeadingFix | SpeedFix)]
     of_states = _of_state_fixes(state_fixes, track, steps, device_rad, log_scale_std)
+    # Online the gate rejects such speeds. Here many of them would agree with each other and outweigh the prior. An
+    # error of the unit is one of all speeds, also of those that are too uncertain to show it.
+    is_speed = of_states.state == LOG_SCALE
+    is_off = is_speed & (of_states.value**2 > agreement_limit(1) * (of_states.std**2 + log_scale_std**2))
+    is_off = is_speed if 2 * is_off.sum() > is_speed.sum() else is_off
+    off = np.isin(np.arange(len(fixes)), at_state[is_off])
+    factor = float(np.exp(np.median(of_states.value[is_off]))) if is_off.any() else 1.0
+    at_state = at_state[~is_off]
+    of_states = ObservedStates(*(getattr(of_states, name)[~is_off] for name in ObservedStates.__slots__))
     north = _magnetic_north(track, modes)
 
     n_places = len(positions) + len(locations)
@@ -141,6 +160,12 @@ def usable(
         ("fix", outside[:n_given], "outside the recording"),
         ("fix", is_frozen[:n_given], "repeats the last position while steps continue"),
         ("fix", is_repeated[:n_given], "repeats an earlier fix, which was delivered again"),
+        (
+            "fix",
+            off[:n_given],
+            f"the speed is {factor:.2g} times that of the steps, more than people differ; check its unit (a speed in "
+            "km/h is 3.6 times as large as in m/s)",
+        ),
         ("location", is_frozen[n_given:], "repeats the last position while steps continue"),
         ("loop closure", near, "the distance walked between its two times is within its uncertainty"),
     )

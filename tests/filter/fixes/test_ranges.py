@@ -223,8 +223,9 @@ def test_a_measurement_of_a_foreign_class_is_used_online_and_smoothed_with_eithe
 def test_a_measurement_of_the_heading_turns_a_track_like_a_heading_fix() -> None:
     recording = walk(5)
     times_s = np.arange(5.0, 60.0, 5.0)
-    own = pdr.track(recording, fixes=[pdr.HeadingFix(t, 0.1 + np.pi / 2, 0.05) for t in times_s[:1]])
-    foreign = pdr.track(recording, fixes=[OfHeading(t, 0.1 + np.pi / 2) for t in times_s[:1]])
+    first = pdr.HeadingFix(times_s[0], np.pi / 2, 0.05)  # it determines the north of the track
+    own = pdr.track(recording, fixes=[first, pdr.HeadingFix(times_s[1], 0.1 + np.pi / 2, 0.05)])
+    foreign = pdr.track(recording, fixes=[first, OfHeading(times_s[1], 0.1 + np.pi / 2)])
     np.testing.assert_allclose(foreign.position_m[-1], own.position_m[-1], atol=1e-6)
 
 
