@@ -90,7 +90,10 @@ def test_the_covariance_is_that_of_the_mixture_of_particles_and_dead_reckoning()
     rng = np.random.default_rng(0)
     particles, reckoned = rng.normal([0, 0], 0.5, (1000, 2)), rng.normal([6, -2], 1.5, (1000, 2))
     there = reckoned.mean(axis=0), np.cov(reckoned.T, bias=True)
-    place = on_plan(particles, np.full(1000, 1e-3), np.zeros(1000), 0.2, there)
+    # the prior of a hundredth does not count
+    prior = on_plan(particles, np.full(1000, 1e-3), np.zeros(1000), 0.01, there)
+    assert_allclose(prior.position_cov_m2, np.cov(particles.T, bias=True))
+    place = on_plan(particles, np.full(1000, 1e-3), np.zeros(1000), 0.01 + 0.99 * 0.2, there)
     assert_allclose(place.position_m, particles.mean(axis=0))
     # four to one: the particles four times, and the others once
     away = np.concatenate([*[particles] * 4, reckoned]) - place.position_m
@@ -425,7 +428,7 @@ def test_a_smoothed_step_has_the_circular_mean_heading_and_the_mean_length_of_it
     particles[:, OFFSET], particles[:, SCALE] = [3.0, 0.3, -0.3], np.log([0.9, 1.0, 1.2])
     event = _Event(ParticleState(particles, weight), None, length_m=0.7, is_restart=False)
     for order in ([0, 1, 2], [2, 0, 1]):
-        row = _row(_Ancestors(event, particles[order], weight[order]), 0.01, includes_reckoned=False, ground=None)
+        row = _row(_Ancestors(event, particles[order], weight[order], 0.01), alternative=None, ground=None)
         assert_allclose(row.offset, np.angle(weight @ np.exp(1j * particles[:, OFFSET])))
         assert_allclose(row.offset_std**2, weight @ (particles[:, OFFSET] - row.offset) ** 2)
         assert_allclose(row.length_m, 0.2 * 0.63 + 0.4 * 0.7 + 0.4 * 0.84)
