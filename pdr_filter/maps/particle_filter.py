@@ -54,7 +54,7 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.maps.crossing_costs import Ground, Terrain
 from pdr_filter.maps.floor_plan import FloorPlan
-from pdr_filter.maps.particle_clusters import n_needed, on_plan
+from pdr_filter.maps.particle_clusters import Alternative, n_needed, on_plan
 from pdr_filter.maps.particle_motion import (
     CROSSED,
     EAST,
@@ -225,14 +225,8 @@ class ParticleState:
 
     @property
     def elsewhere(self) -> float:
-        """Probability that no particle is at the true position.
-
-        A wrong start or plan counts by the excess of its probability over that of the right one. Walks on right plans
-        lose evidence too, because plans lack doors. On humolire their odds ended below one to ten, but a tenth of the
-        spread of a mall would be more than the error of these walks.
-        """
-        lost_prob = 1.0 / (1.0 + math.exp(-self.lost_log_odds))
-        return max(lost_prob, math.tanh(0.5 * self.wrong_log_odds))
+        """Probability that no particle is at the true position."""
+        return 1.0 / (1.0 + math.exp(-max(self.lost_log_odds, self.wrong_log_odds)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -636,16 +630,18 @@ class ParticleFilter:
         if len(state.weight) == 0:
             return None
         heading_rad = state.heading_rad + state.particles[:, OFFSET]
-        alternative = self.alternative(state, reckoned)
+        alternative = self.alternative(state, reckoned, state.elsewhere)
         return on_plan(state.particles[:, :2], state.weight, heading_rad, state.elsewhere, alternative)
 
     def alternative(
-        self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray]
-    ) -> tuple[FloatArray, FloatArray] | None:
-        """Return mean (2,) and covariance (2, 2) of the position if no particle is at the true position.
+        self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray], elsewhere: float
+    ) -> Alternative | None:
+        """Return the distribution of the position if no particle is at the true position.
 
-        They are the dead-reckoned position, if fixes place it on the plan. Otherwise the walk began anywhere on the
-        storey of the start and has led in any direction, as far as dead reckoning has moved.
+        It is that of dead reckoning, if fixes place it on the plan. Otherwise the walk began anywhere on the storey of
+        the start and has led in any direction, as far as dead reckoning has moved. A tenth of this spread would be more
+        than the error of most walks with a right start. It therefore counts by the excess of `elsewhere` over even
+        odds, 2 p - 1.
 
         Parameters
         ----------
@@ -653,20 +649,22 @@ class ParticleFilter:
             State after a step.
         reckoned : tuple of array (2,) and array (2, 2)
             Dead-reckoned position in m and its covariance in m^2.
+        elsewhere : float
+            Probability that no particle is at the true position.
 
         Returns
         -------
-        tuple of array (2,) and array (2, 2), or None
-            Mean in m and covariance in m^2, or None if the plan does not have the storey.
+        Alternative or None
+            Probability, mean and covariance, or None if the plan does not have the storey.
         """
         if self.start is None or state.is_placed:
-            return reckoned
+            return Alternative(elsewhere, *reckoned)
         ground = self.ground(self.start.floor)
         if ground is None:
             return None
         mean_m, cov_m2 = ground.walkable_moments
         moved_m2 = float(reckoned[0] @ reckoned[0] + np.trace(reckoned[1]))
-        return mean_m, cov_m2 + 0.5 * moved_m2 * np.eye(2)
+        return Alternative(max(2.0 * elsewhere - 1.0, 0.0), mean_m, cov_m2 + 0.5 * moved_m2 * np.eye(2))
 
     def notes(self, state: ParticleState) -> list[Note]:
         """Return warnings about contradictions between the plan and the steps.

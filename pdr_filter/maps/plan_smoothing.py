@@ -27,7 +27,7 @@ import numpy as np
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.maps.crossing_costs import Ground
-from pdr_filter.maps.particle_clusters import LOST_PROB, inflated_cov, moments
+from pdr_filter.maps.particle_clusters import Alternative, inflated_cov, moments
 from pdr_filter.maps.particle_filter import ParticleFilter, ParticleState, off_plan_notes
 from pdr_filter.maps.particle_motion import EAST, NORTH, OFFSET, SCALE, earlier_positions
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
@@ -42,6 +42,8 @@ from pdr_filter.values.recording import Recording
 _PARTICLE_FACTOR = 4
 # Accuracy of a position on a plan: drawn edges, and the distance that people keep from walls, vary by some decimetres.
 _PLAN_STD_M = 0.2
+# Probability that particles were not at the true position if they were drawn again because none fitted the steps.
+_LOST_PROB = 0.99
 # A note appears if the walking direction is unknown in more steps than this number, or than this share of a short walk.
 _UNKNOWN_NUMBER, _UNKNOWN_SHARE = 20, 0.5
 
@@ -163,7 +165,9 @@ def smooth_on_plan(
     for ancestors in _ancestors(events):
         state, reckoned = ancestors.event.state, ancestors.event.reckoned
         if reckoned is not None:
-            rows.append(_row(ancestors, online.alternative(state, reckoned), online.ground(next(floors))))
+            rows.append(
+                _row(ancestors, online.alternative(state, reckoned, ancestors.elsewhere), online.ground(next(floors)))
+            )
     return _with_rows(track, rows[::-1], online.plan.origin)
 
 
@@ -202,7 +206,7 @@ def _ancestors(events: Sequence[_Event]) -> Iterator[_Ancestors]:
             before = events[n_before - 1].state
             weight, elsewhere = before.weight, before.elsewhere
             if event.state.n_lost > before.n_lost:
-                elsewhere = 1.0 - LOST_PROB
+                elsewhere = _LOST_PROB
             index = np.arange(len(weight))
         else:
             yield from (_before_drawing(event, drawn) for event in reversed(events[:n_before]))
@@ -232,16 +236,16 @@ class _Row(NamedTuple):
     is_off_plan: bool
 
 
-def _row(ancestors: _Ancestors, alternative: tuple[FloatArray, FloatArray] | None, ground: Ground | None) -> _Row:
+def _row(ancestors: _Ancestors, alternative: Alternative | None, ground: Ground | None) -> _Row:
     """Return the smoothed estimate of one step.
 
-    `alternative` is the mean (2,) and covariance (2, 2) of the position if no particle is at the true position, or None
-    if unknown. `ground` has the cells of the storey.
+    `alternative` is the position if no particle is at the true position, or None if unknown. `ground` has the cells of
+    the storey.
     """
     event, particles, weight, elsewhere = ancestors
     offset_rad, log_scales = particles[:, OFFSET], particles[:, SCALE]
     position_m, cov_m2 = moments(particles[:, [EAST, NORTH]], weight)
-    cov_m2 = inflated_cov(position_m, cov_m2, elsewhere, alternative)
+    cov_m2 = inflated_cov(position_m, cov_m2, alternative)
     offset = float(np.arctan2(weight @ np.sin(offset_rad), weight @ np.cos(offset_rad)))
     offset_std = float(np.sqrt(weight @ wrap_angle(offset_rad - offset) ** 2))
     # the mean position hardly moves if the particles walk in different directions: average their own lengths
