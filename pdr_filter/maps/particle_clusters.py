@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pdr_filter.values import Cluster, FloatArray, IntArray, OnPlan, read_only
@@ -12,24 +14,31 @@ _CELL_M = 1.0
 _LEAST_SHARE = 0.01
 
 
+class Alternative(NamedTuple):
+    """Distribution of the position if no particle is at the true one: probability, mean (2,) and covariance (2, 2)."""
+
+    prob: float
+    mean_m: FloatArray
+    cov_m2: FloatArray
+
+
 def on_plan(
     position_m: FloatArray,
     weight: FloatArray,
     heading_rad: FloatArray,
     elsewhere: float = 0.0,
-    alternative: tuple[FloatArray, FloatArray] | None = None,
+    alternative: Alternative | None = None,
 ) -> OnPlan:
     """Return the mean, covariance and clusters of weighted particles, with their mean heading and effective number.
 
     The particles have positions (N, 2), weights (N,) that sum to one, and walking headings (N,). With the probability
-    `elsewhere`, no particle is at the true position. `alternative` is the mean (2,) and the covariance (2, 2) of the
-    position in that case, or None if unknown. The returned mean is the mean of the particles in any case, because it is
-    a walkable position. The covariance is the mean square of both alternatives about that mean. Clusters are particles
-    in touching cells, in descending order of their weight. Clusters with less than a hundredth of the weight are left
-    out.
+    `elsewhere`, no particle is at the true position. `alternative` is the position in that case, or None if unknown.
+    The returned mean is the mean of the particles in any case, because it is a walkable position. The covariance is the
+    mean square of both alternatives about that mean. Clusters are particles in touching cells, in descending order of
+    their weight. Clusters with less than a hundredth of the weight are left out.
     """
     mean, cov = moments(position_m, weight)
-    cov = inflated_cov(mean, cov, elsewhere, alternative)
+    cov = inflated_cov(mean, cov, alternative)
     heading = np.arctan2(weight @ np.sin(heading_rad), weight @ np.cos(heading_rad))
     group = cluster_numbers(position_m)
     share = np.bincount(group, weight)
@@ -43,18 +52,16 @@ def on_plan(
     return OnPlan(mean, cov, float(heading), tuple(clusters), len(weight), ess)
 
 
-def inflated_cov(
-    mean_m: FloatArray, cov_m2: FloatArray, elsewhere: float, alternative: tuple[FloatArray, FloatArray] | None
-) -> FloatArray:
-    """Return the covariance of the particles inflated by an alternative distribution with the probability `elsewhere`.
+def inflated_cov(mean_m: FloatArray, cov_m2: FloatArray, alternative: Alternative | None) -> FloatArray:
+    """Return the covariance of the particles inflated by an alternative distribution.
 
-    The result is the mean square of the mixture about `mean_m` (2,). `alternative` is a mean (2,) and a covariance (2,
-    2). If it is None, the covariance is returned unchanged.
+    The result is the mean square of the mixture about `mean_m` (2,). If `alternative` is None, the covariance is
+    returned unchanged.
     """
     if alternative is None:
         return cov_m2
-    away = alternative[0] - mean_m
-    return read_only((1.0 - elsewhere) * cov_m2 + elsewhere * (alternative[1] + away[:, None] * away))
+    prob, away = alternative.prob, alternative.mean_m - mean_m
+    return read_only((1.0 - prob) * cov_m2 + prob * (alternative.cov_m2 + away[:, None] * away))
 
 
 def moments(position_m: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:

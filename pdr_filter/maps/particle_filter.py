@@ -26,6 +26,12 @@ Lost walks: from an unknown start, the particles may be too few to cover all pos
 lost. The remaining particles then pay more for the plan than a random walk would. That excess is accumulated in
 `ParticleState.lost_log_odds`, the log odds that no particle is at the true position.
 
+Wrong starts and wrong plans: particles drawn again find some way through any building. The mean weight of a step is
+its Bayes factor of the plan against free ground, where every direction is free. `ParticleState.wrong_log_odds`
+accumulates these factors over all sets of particles. A walk on the right plan gains evidence in its corridors. A walk
+with a wrong start loses it at each wall that its particles do not avoid, because the drift that leads around the wall
+is improbable. The covariance includes the position of `ParticleFilter.alternative` with the probability of both.
+
 References
 ----------
 M. S. Arulampalam et al., "A tutorial on particle filters for online nonlinear/non-Gaussian Bayesian tracking", IEEE
@@ -48,7 +54,7 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.maps.crossing_costs import Ground, Terrain
 from pdr_filter.maps.floor_plan import FloorPlan
-from pdr_filter.maps.particle_clusters import n_needed, on_plan
+from pdr_filter.maps.particle_clusters import Alternative, n_needed, on_plan
 from pdr_filter.maps.particle_motion import (
     CROSSED,
     EAST,
@@ -110,8 +116,12 @@ _MIN_SAMPLE_SHARE = 0.9
 # whole area, because they are too few to cover every heading and scale at every position. At a known position the
 # initial value is one to a hundred. It never falls below that, because plans have errors. At a hundred to one, no
 # particle fits the steps, and they are drawn again. Upper limits of 2.3 to 9.2 gave the same medians on storey F1 of
-# the mall within 0.1 m.
+# the mall within 0.1 m. The log odds of a wrong start or plan have the same limits. The upper one lets a walk that has
+# found its way back regain its probability.
 _LOST_IN_AREA_LOG_ODDS, _LEAST_LOST_LOG_ODDS, _MOST_LOST_LOG_ODDS = 0.0, -4.6, 4.6
+# A step contradicts the plan if its Bayes factor against free ground is below this value: a fifth of the particles met
+# walls. A step inside a room without a door, which costs `Terrain.stay_room`, is below it.
+_CONTRADICTED_LOG_FACTOR = math.log(0.8)
 # Forgetting factor per step of the crossing cost of a particle. Particles that crossed a wall are few at first. It
 # takes some steps until the particles that did not cross have lost their weight.
 _THROUGH_MEMORY = 0.95
@@ -172,13 +182,19 @@ class ParticleState:
     last_grid_s : float
         Time of the last grid fix.
     lost_log_odds : float
-        Log odds that no particle is at the true position.
+        Log odds that no particle is at the true position, since the particles were drawn.
+    wrong_log_odds : float
+        Log odds that the start or the plan is wrong, over all sets of particles.
     n_draws : int
         Number of random draws so far. The next random numbers depend only on the seed and this number.
     events : tuple of PlanEvent
         The latest contradictions between plan and steps.
+    n_contradicted : int
+        Number of steps that contradict the plan.
     n_lost : int
         Number of times that the particles were drawn again because none fitted the steps.
+    is_placed : bool
+        True if fixes have placed the track of the tracker on the plan.
     uses_plan : bool
         False until most of the weight has been inside since the particles were drawn.
     off_plan_s : tuple of float
@@ -197,9 +213,12 @@ class ParticleState:
     last_fix_s: float = -math.inf
     last_grid_s: float = -math.inf
     lost_log_odds: float = 0.0
+    wrong_log_odds: float = _LEAST_LOST_LOG_ODDS
     n_draws: int = 0
     events: tuple[PlanEvent, ...] = ()
+    n_contradicted: int = 0
     n_lost: int = 0
+    is_placed: bool = False
     uses_plan: bool = True
     off_plan_s: tuple[float, float] = (math.nan, math.nan)
     n_off_plan: int = 0
@@ -207,7 +226,7 @@ class ParticleState:
     @property
     def elsewhere(self) -> float:
         """Probability that no particle is at the true position."""
-        return 1.0 / (1.0 + math.exp(-self.lost_log_odds))
+        return 1.0 / (1.0 + math.exp(-max(self.lost_log_odds, self.wrong_log_odds)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,7 +420,10 @@ class ParticleFilter:
         state = _in_turned_frame(state, pedestrian)
         is_placed = pedestrian.frame.is_joined or pedestrian.frame.rotation is not None
         state = replace(
-            state, reckoned=extended_path(state.reckoned, step, mean_m), heading_rad=step.device_heading_rad
+            state,
+            reckoned=extended_path(state.reckoned, step, mean_m),
+            heading_rad=step.device_heading_rad,
+            is_placed=is_placed,
         )
         if len(state.weight) == 0:
             if self.start is not None:
@@ -432,8 +454,15 @@ class ParticleFilter:
             # particles that pay more for the plan than a random walk on this storey are probably at a wrong position
             log_share = math.log(float(state.weight @ np.exp(-cost)))
             lost_log_odds = max(state.lost_log_odds - log_share - mean_m * ground.mean_cost_per_m, _LEAST_LOST_LOG_ODDS)
-            state, _ = _reweighted(state, ground.choice_cost(from_m, mean_m) - cost)
-            state = self._with_contradiction(replace(state, lost_log_odds=lost_log_odds), step.time_s, ground)
+            state, log_factor = _reweighted(state, ground.choice_cost(from_m, mean_m) - cost)
+            wrong_log_odds = max(state.wrong_log_odds - log_factor, _LEAST_LOST_LOG_ODDS)
+            state = replace(
+                state,
+                lost_log_odds=lost_log_odds,
+                wrong_log_odds=min(wrong_log_odds, _MOST_LOST_LOG_ODDS),
+                n_contradicted=state.n_contradicted + (log_factor < _CONTRADICTED_LOG_FACTOR),
+            )
+            state = self._with_contradiction(state, step.time_s, ground)
         if state.lost_log_odds > _MOST_LOST_LOG_ODDS or _n_effective(state) < _LEAST_EFFECTIVE:
             return self._drawn_again(state, pedestrian, model, ground, rng, scale_std, step.time_s)
         return self._resampled(state, rng, must_count=update.index % _COUNT_STEPS == 0)
@@ -584,8 +613,8 @@ class ParticleFilter:
     def place(self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
         """Return the position estimate of the particles.
 
-        Without a given start, dead reckoning begins on the plan too. With the probability that no particle is at the
-        true position, the covariance then includes the dead-reckoned position.
+        The covariance includes the position of `alternative`, with the probability that no particle is at the true
+        position.
 
         Parameters
         ----------
@@ -602,8 +631,41 @@ class ParticleFilter:
         if len(state.weight) == 0:
             return None
         heading_rad = state.heading_rad + state.particles[:, OFFSET]
-        alternative = reckoned if self.start is None else None
+        alternative = self.alternative(state, reckoned, state.elsewhere)
         return on_plan(state.particles[:, :2], state.weight, heading_rad, state.elsewhere, alternative)
+
+    def alternative(
+        self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray], elsewhere: float
+    ) -> Alternative | None:
+        """Return the distribution of the position if no particle is at the true position.
+
+        It is that of dead reckoning, if fixes place it on the plan. Otherwise the walk began anywhere on the storey of
+        the start and has led in any direction, as far as dead reckoning has moved. A tenth of this spread would be more
+        than the error of most walks with a right start. It therefore counts by the excess of `elsewhere` over even
+        odds, 2 p - 1.
+
+        Parameters
+        ----------
+        state : ParticleState
+            State after a step.
+        reckoned : tuple of array (2,) and array (2, 2)
+            Dead-reckoned position in m and its covariance in m^2.
+        elsewhere : float
+            Probability that no particle is at the true position.
+
+        Returns
+        -------
+        Alternative or None
+            Probability, mean and covariance, or None if the plan does not have the storey.
+        """
+        if self.start is None or state.is_placed:
+            return Alternative(elsewhere, *reckoned)
+        ground = self.ground(self.start.floor)
+        if ground is None:
+            return None
+        mean_m, cov_m2 = ground.walkable_moments
+        moved_m2 = float(reckoned[0] @ reckoned[0] + np.trace(reckoned[1]))
+        return Alternative(max(2.0 * elsewhere - 1.0, 0.0), mean_m, cov_m2 + 0.5 * moved_m2 * np.eye(2))
 
     def notes(self, state: ParticleState) -> list[Note]:
         """Return warnings about contradictions between the plan and the steps.
@@ -616,9 +678,17 @@ class ParticleFilter:
         Returns
         -------
         list of Note
-            One note per event, with its time and likely cause, and one about steps off the plan.
+            One about a wrong start or plan, one per event, with its time and likely cause, and one about steps off the
+            plan.
         """
         notes: list[Note] = []
+        if state.n_lost or state.wrong_log_odds > 0.0:
+            words = (
+                f"{how_many(state.n_contradicted, 'step')} contradict the plan, and with a probability of "
+                f"{100 * state.elsewhere:.0f} % the walk is elsewhere: the start, the fixes or the plan are wrong, or "
+                "the plan lacks doors; correct them"
+            )
+            notes.append(Note("plan", words))
         for event in state.events:
             words = {
                 "wall": "the walk crosses a wall: check whether the plan lacks a door there",

@@ -8,7 +8,7 @@ filter and smoother for non-Gaussian nonlinear state space models", J. Comput. G
 Paths share more of their early steps the fewer particles there are. Therefore the smoother uses four times as many
 particles as the online filter, and the covariance of the paths is never smaller than the accuracy of the plan. The
 final probability that no particle is at the true position applies to all steps, and inflates their covariances up to
-dead reckoning.
+dead reckoning. Steps before a restart of lost particles have a probability of 99 %.
 
 Drawing the ancestors again from all particles of the previous step (S. J. Godsill, A. Doucet and M. West, "Monte Carlo
 smoothing for nonlinear time series", J. Amer. Stat. Assoc. 99, 2004) would change nothing. A step changes offset and
@@ -27,7 +27,7 @@ import numpy as np
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.maps.crossing_costs import Ground
-from pdr_filter.maps.particle_clusters import inflated_cov, moments
+from pdr_filter.maps.particle_clusters import Alternative, inflated_cov, moments
 from pdr_filter.maps.particle_filter import ParticleFilter, ParticleState, off_plan_notes
 from pdr_filter.maps.particle_motion import EAST, NORTH, OFFSET, SCALE, earlier_positions
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
@@ -42,6 +42,8 @@ from pdr_filter.values.recording import Recording
 _PARTICLE_FACTOR = 4
 # Accuracy of a position on a plan: drawn edges, and the distance that people keep from walls, vary by some decimetres.
 _PLAN_STD_M = 0.2
+# Probability that particles were not at the true position if they were drawn again because none fitted the steps.
+_LOST_PROB = 0.99
 # A note appears if the walking direction is unknown in more steps than this number, or than this share of a short walk.
 _UNKNOWN_NUMBER, _UNKNOWN_SHARE = 20, 0.5
 
@@ -159,11 +161,13 @@ def smooth_on_plan(
             "the position of the walk on the plan is unknown: give fixes, or start, such as the name of an area"
         )
     events = recorder.events
-    of_steps = (ancestors for ancestors in _ancestors(events) if ancestors.event.reckoned is not None)
-    rows = [
-        _row(ancestors, events[-1].state.elsewhere, online.start is None, online.ground(floor))
-        for ancestors, floor in zip(of_steps, track.floor[::-1].tolist(), strict=True)
-    ]
+    floors, rows = iter(track.floor[::-1].tolist()), list[_Row]()
+    for ancestors in _ancestors(events):
+        state, reckoned = ancestors.event.state, ancestors.event.reckoned
+        if reckoned is not None:
+            rows.append(
+                _row(ancestors, online.alternative(state, reckoned, ancestors.elsewhere), online.ground(next(floors)))
+            )
     return _with_rows(track, rows[::-1], online.plan.origin)
 
 
@@ -172,31 +176,37 @@ class _Ancestors(NamedTuple):
 
     `particles` (N, 6) are the states of the ancestors. The columns are those of `maps.particle_motion`: east and north
     in m, heading offset in rad, log of the step scale, rotation of the track frame in rad, and recent crossing cost.
-    `weight` (N,) are the weights of the paths from the ancestors to the final particles.
+    `weight` (N,) are the weights of the paths from the ancestors to the final particles. `elsewhere` is the probability
+    that no final particle is at the true position.
     """
 
     event: _Event
     particles: FloatArray
     weight: FloatArray
+    elsewhere: float
 
 
 def _ancestors(events: Sequence[_Event]) -> Iterator[_Ancestors]:
     """Yield the ancestors of the final particles after each recorded event, from the last one to the first.
 
     Events are steps, fixes, gaps and changes of storey. Before a restart the weights belong to the particles that the
-    restart replaced. Before the particles were first drawn, the earlier positions follow from their heading offsets and
-    scales, which are then constant.
+    restart replaced. If none of those fitted the steps, they are probably not at the true position. Before the
+    particles were first drawn, the earlier positions follow from their heading offsets and scales, which are then
+    constant.
     """
-    weight = events[-1].state.weight
+    weight, elsewhere = events[-1].state.weight, events[-1].state.elsewhere
     index = np.arange(len(weight))
     for n_before in reversed(range(len(events))):
         event = events[n_before]
-        drawn = _Ancestors(event, event.state.particles[index], weight)
+        drawn = _Ancestors(event, event.state.particles[index], weight, elsewhere)
         yield drawn
         if len(event.state.parent):
             index = event.state.parent[index]
         elif event.is_restart:
-            weight = events[n_before - 1].state.weight
+            before = events[n_before - 1].state
+            weight, elsewhere = before.weight, before.elsewhere
+            if event.state.n_lost > before.n_lost:
+                elsewhere = _LOST_PROB
             index = np.arange(len(weight))
         else:
             yield from (_before_drawing(event, drawn) for event in reversed(events[:n_before]))
@@ -208,7 +218,7 @@ def _before_drawing(event: _Event, drawn: _Ancestors) -> _Ancestors:
     led_m = drawn.event.state.reckoned[-1, 1:3] - event.state.reckoned[-1, 1:3]  # in the direction of the device
     particles = drawn.particles.copy()
     particles[:, :2] = earlier_positions(particles, led_m)
-    return _Ancestors(event, particles, drawn.weight)
+    return drawn._replace(event=event, particles=particles)
 
 
 class _Row(NamedTuple):
@@ -226,16 +236,16 @@ class _Row(NamedTuple):
     is_off_plan: bool
 
 
-def _row(ancestors: _Ancestors, elsewhere: float, includes_reckoned: bool, ground: Ground | None) -> _Row:
+def _row(ancestors: _Ancestors, alternative: Alternative | None, ground: Ground | None) -> _Row:
     """Return the smoothed estimate of one step.
 
-    `elsewhere` is the final probability that no particle is at the true position. `includes_reckoned` inflates the
-    covariance up to dead reckoning with this probability. `ground` has the cells of the storey.
+    `alternative` is the position if no particle is at the true position, or None if unknown. `ground` has the cells of
+    the storey.
     """
-    event, particles, weight = ancestors
+    event, particles, weight, elsewhere = ancestors
     offset_rad, log_scales = particles[:, OFFSET], particles[:, SCALE]
     position_m, cov_m2 = moments(particles[:, [EAST, NORTH]], weight)
-    cov_m2 = inflated_cov(position_m, cov_m2, elsewhere, event.reckoned if includes_reckoned else None)
+    cov_m2 = inflated_cov(position_m, cov_m2, alternative)
     offset = float(np.arctan2(weight @ np.sin(offset_rad), weight @ np.cos(offset_rad)))
     offset_std = float(np.sqrt(weight @ wrap_angle(offset_rad - offset) ** 2))
     # the mean position hardly moves if the particles walk in different directions: average their own lengths

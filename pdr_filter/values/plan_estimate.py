@@ -39,8 +39,8 @@ class Cluster:
 class OnPlan:
     """Estimate of the particle filter on a floor plan after a step: moments of all particles, and their groups.
 
-    The covariance also covers the dead-reckoned position, with the probability that the pedestrian is where no particle
-    is.
+    The covariance also covers the dead-reckoned position, or the storey if no fix places it, with the probability that
+    the pedestrian is where no particle is.
 
     Attributes
     ----------

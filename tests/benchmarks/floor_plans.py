@@ -1,6 +1,6 @@
 """Walks with a floor plan: how near to the waypoints, how sure, and what a wrong plan does.
 
-usage: python -m tests.benchmarks.floor_plans [whole] [wrong] [start] [radio] [--data ../shared/data]
+usage: python -m tests.benchmarks.floor_plans [whole] [wrong] [contradicted] [start] [radio] [--data ../shared/data]
 
 The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
 plan, not aligned. What staying in a room costs (`maps.crossing_costs`) was chosen on storey F1 of ms_indoor alone, how
@@ -25,9 +25,10 @@ from typing import Any
 import numpy as np
 import shapely
 from scipy.stats import chi2
-from shapely.affinity import rotate, translate
+from shapely.affinity import rotate, scale, translate
 
 import pdr_filter as pdr
+from pdr_filter.maps.storey import LIFT
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray
 from tests.benchmarks.common import Tables, median_and, paths, run
@@ -152,6 +153,8 @@ def _changed(plan: Path, how: str, walk: Walk, folder: Path) -> pdr.FloorPlan:
             shape = translate(shape, 1.4, 1.4)
         elif how == "turned by 5 degrees":
             shape = rotate(shape, 5.0, origin=middle)
+        elif how == "mirrored":
+            shape = scale(shape, -1.0, 1.0, origin=tuple(walk.place_m[0]))
         feature["geometry"] = shapely.geometry.mapping(shape)
     if how == "a door is missing":
         i = (walk.n_given + len(walk.time_s)) // 2 - 1
@@ -183,6 +186,64 @@ def wrong(tables: Tables, arguments: argparse.Namespace) -> None:
     columns = ["the plan is", "ms_indoor, F2", "contradiction noted", "humolire", "contradiction noted"]
     about = "RMSE in m: median, 90 % of walks. Missing: a wall of 12 m across the way in its middle."
     tables.write("floor_plans_wrong", columns, rows, about)
+
+
+def _walkable_m(plan: pdr.FloorPlan, walk: Walk, away_m: float, rng: np.random.Generator) -> FloatArray:
+    """A walkable place at a distance from the true start, the nearest one to it if there is none."""
+    storey = plan.storeys[0]
+    place_m = storey.middles_m[storey.cells <= LIFT]
+    error_m = np.abs(np.linalg.norm(place_m - walk.place_m[0], axis=1) - away_m)
+    near = np.flatnonzero(error_m <= max(1.0, float(error_m.min())))
+    return place_m[rng.choice(near)]
+
+
+def _of_particles(track: Track) -> tuple[FloatArray, FloatArray]:
+    """Mean and covariance of the particles at the end, without the possibility that they are all elsewhere."""
+    share = np.array([cluster.share for cluster in track.clusters[-1]])
+    place = np.array([cluster.position_m for cluster in track.clusters[-1]])
+    mean = share @ place / share.sum()
+    each = [c.position_cov_m2 + np.outer(c.position_m - mean, c.position_m - mean) for c in track.clusters[-1]]
+    return mean, np.tensordot(share, each, 1) / share.sum()
+
+
+def contradicted(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Wrong starts and plans of walks of which nothing but the start is known; every second walk."""
+    rows = {case: [case] for case in ("right start", "anywhere", "start 20 m off", "start 40 m off", "plan mirrored")}
+    rows["another building, anywhere"] = ["another building, anywhere"]
+    with tempfile.TemporaryDirectory() as folder:
+        for pattern, other in (("humolire", "ms_indoor_site1_F2"), ("_f[234]_", "humolire")):
+            found: dict[str, list[tuple[float, float, bool, bool, bool]]] = {case: [] for case in rows}
+            elsewhere = pdr.FloorPlan.read(arguments.data / "maps" / f"{other}.geojson")
+            long = [walk for walk in walks(arguments.data, pattern) if walk.time_s[-1] > 60.0]
+            for number, walk in enumerate(long[::2]):
+                rng, plan, first = np.random.default_rng(number), pdr.FloorPlan.read(walk.plan), walk.fixes[0]
+                for case in rows:
+                    used = elsewhere if case.startswith("another") else plan
+                    used = _changed(walk.plan, "mirrored", walk, Path(folder)) if case == "plan mirrored" else used
+                    begun = "anywhere" if case.endswith("anywhere") else first
+                    if (off := re.search(r"(\d+) m off", case)) is not None:
+                        begun = replace(first, position_m=_walkable_m(plan, walk, float(off[1]), rng))
+                    track = pdr.track(walk.recording, walk.config, plan=used, start=begun)
+                    is_noted = any("contradict the plan" in note for note in track.notes)
+                    mean, cov = _of_particles(track)
+                    away = walk.away(track)[-1] + mean - track.position_m[-1]
+                    nees = away @ np.linalg.inv(cov + WAYPOINT_VAR_M2 * np.eye(2)) @ away
+                    error_m, std_m = float(np.linalg.norm(walk.away(track)[-1])), float(track.position_std_m[-1])
+                    found[case].append((error_m, std_m, is_noted, nees > 9.0, float(walk.nees(track)[-1]) > 9.0))
+                    print(walk.recording.name, case, *found[case][-1], flush=True)
+            for case, values in found.items():
+                error, std, *counts = zip(*values, strict=True)
+                rows[case].append(f"{np.median(error):.1f}, {np.median(std):.1f}")
+                rows[case] += [f"{sum(of)} of {len(of)}" for of in counts]
+    columns = ["the start or the plan"]
+    for group in ("humolire (chosen on)", "ms_indoor, F2 to F4"):
+        columns += [group, "noted", "beyond 3 deviations of the particles", "of the track"]
+    about = (
+        "Walks of more than a minute, whose start (0.5 m) is given and whose direction is unknown. Error of the end "
+    )
+    about += "and stated deviation in m, medians; walks with a note that the start or the plan is contradicted; ends "
+    about += "farther off than three deviations. The error in another building is that in its coordinates."
+    tables.write("floor_plans_contradicted", columns, list(rows.values()), about)
 
 
 def start(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -277,4 +338,4 @@ def radio(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, whole, wrong, start, radio)
+    run(__doc__, whole, wrong, contradicted, start, radio)

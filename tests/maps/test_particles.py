@@ -16,7 +16,7 @@ from scipy.stats import truncnorm
 
 import pdr_filter as pdr
 from pdr_filter.maps.crossing_costs import Ground, Terrain
-from pdr_filter.maps.particle_clusters import cluster_numbers, n_needed, on_plan
+from pdr_filter.maps.particle_clusters import Alternative, cluster_numbers, n_needed, on_plan
 from pdr_filter.maps.particle_filter import ParticleState
 from pdr_filter.maps.particle_motion import OFFSET, SCALE
 from pdr_filter.maps.plan_smoothing import _Ancestors, _Event, _row
@@ -90,7 +90,7 @@ def test_the_covariance_is_that_of_the_mixture_of_particles_and_dead_reckoning()
     rng = np.random.default_rng(0)
     particles, reckoned = rng.normal([0, 0], 0.5, (1000, 2)), rng.normal([6, -2], 1.5, (1000, 2))
     there = reckoned.mean(axis=0), np.cov(reckoned.T, bias=True)
-    place = on_plan(particles, np.full(1000, 1e-3), np.zeros(1000), 0.2, there)
+    place = on_plan(particles, np.full(1000, 1e-3), np.zeros(1000), 0.2, Alternative(0.2, *there))
     assert_allclose(place.position_m, particles.mean(axis=0))
     # four to one: the particles four times, and the others once
     away = np.concatenate([*[particles] * 4, reckoned]) - place.position_m
@@ -215,6 +215,45 @@ def test_particles_spread_over_the_angle_turned_within_a_step(tmp_path: Path) ->
     assert across[1] - across[0] == pytest.approx(0.5**2 / 12, rel=0.15)
 
 
+@pytest.mark.parametrize(("in_room", "begun_at"), [(False, 1.0), (True, 1.0), (True, 4.5), (False, -4.6)])
+def test_a_step_changes_the_odds_of_a_wrong_plan_by_its_bayes_factor_within_limits(
+    tmp_path: Path, in_room: bool, begun_at: float
+) -> None:
+    """In the middle of a hall it is one. In a room without a door it is the cost of staying there."""
+    field = [feature("floor", box(-20, -20, 20, 20))] + [feature("room", box(-15, -15, 15, 15))] * in_room
+    plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", field))
+    config, n = pdr.recipes.default().with_plan(plan), 4000
+    on_plan = config.on_plan
+    assert on_plan is not None
+    way = np.array([[0.5, 0.0, 0.0, 0.0]])
+    before = replace(
+        on_plan.init(), particles=np.zeros((n, 6)), weight=np.full(n, 1 / n), reckoned=way, wrong_log_odds=begun_at
+    )
+    state, [update] = updates_of(config.tracker.on_step(config.tracker.init(), a_step()))
+    after = on_plan.on_step(before, update, state.pedestrian, config.model)
+    assert after.wrong_log_odds == pytest.approx(min(begun_at + Terrain().stay_room * in_room, 4.6), abs=1e-6)
+    assert after.n_contradicted == int(in_room)
+    assert replace(after, wrong_log_odds=math.log(3.0)).elsewhere == pytest.approx(0.75)
+
+
+def test_a_wrong_start_may_be_anywhere_on_the_storey_and_the_walk_may_have_led_in_any_direction(
+    tmp_path: Path,
+) -> None:
+    field = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [feature("floor", box(-10, -20, 30, 20))]))
+    on_plan = begun(field, pdr.PositionFix(0.0, [0.0, 0.0], np.eye(2))).on_plan
+    assert on_plan is not None
+    reckoned = np.array([3.0, 4.0]), np.diag([1.0, 2.0])
+    alternative = on_plan.alternative(on_plan.init(), reckoned, 0.9)
+    assert alternative is not None and alternative.prob == pytest.approx(0.9 - 0.1)
+    assert_allclose(alternative.mean_m, [10.0, 0.0], atol=0.11)  # half a cell
+    assert_allclose(alternative.cov_m2, (40.0**2 / 12 + (25 + 3) / 2) * np.eye(2), atol=2.0)
+    even = on_plan.alternative(on_plan.init(), reckoned, 0.5)
+    assert even is not None and even.prob == 0.0
+    # fixes place dead reckoning on the plan
+    placed = on_plan.alternative(replace(on_plan.init(), is_placed=True), reckoned, 0.5)
+    assert placed == (0.5, *reckoned)
+
+
 # --- invariances ------------------------------------------------------------------------------------------------------
 
 
@@ -324,6 +363,35 @@ def test_a_walk_with_a_wrong_start_loses_its_probability_and_gives_a_note(plan: 
     assert any("nothing on the plan fits" in note for note in track.notes)
 
 
+def test_a_wrong_start_is_named_and_the_deviation_covers_the_true_position_online_and_smoothed(
+    plan: pdr.FloorPlan,
+) -> None:
+    config, walk = begun(plan, pdr.PositionFix(0.0, [25.0, 18.0], 0.25 * np.eye(2))), replace(WALK, magnetometer=None)
+    track, smoothed = pdr.track(walk, config), pdr.smooth(walk, config=config).track
+    for found in (track, smoothed):
+        [note] = [note for note in found.notes if "contradict the plan" in note]
+        assert int(note.split()[0]) > 20 and "the start, the fixes or the plan are wrong" in note
+        assert errors_m(found, WALK)[-1] < 2.0 * found.position_std_m[-1]
+        assert found.clusters[-1][0].share < 0.5
+    assert np.all(errors_m(smoothed, WALK) < 3.0 * smoothed.position_std_m)
+    online, samples = pdr.OnlineFilter(config), pdr.merge_streams(walk)
+    updates = []
+    for block in np.array_split(np.arange(len(samples.time_s)), 5):
+        online = pdr.OnlineFilter.load(online.save())
+        updates += online.push(
+            samples.time_s[block], samples.specific_force_mps2[block], samples.angular_rate_radps[block]
+        )
+    updates += online.finish()
+    assert_array_equal(np.array([u.position_cov_m2 for u in updates]), track.position_cov_m2)
+    assert next(note for note in online.notes if "contradict the plan" in note) in track.notes
+
+
+def test_a_walk_with_the_right_start_has_no_note_about_the_plan(plan: pdr.FloorPlan) -> None:
+    track = pdr.track(WALK, begun(plan, pdr.PositionFix(0.0, [0.0, 0.0], 0.25 * np.eye(2))))
+    assert not any("the plan" in note for note in track.notes)
+    assert track.position_std_m[-1] < 3.0
+
+
 def test_a_walk_starts_in_the_named_room(plan: pdr.FloorPlan) -> None:
     track = pdr.track(WALK, begun(plan, "west", 1000))
     assert_allclose(track.position_m[0], [3.8, 10.2], atol=1.0)
@@ -425,7 +493,7 @@ def test_a_smoothed_step_has_the_circular_mean_heading_and_the_mean_length_of_it
     particles[:, OFFSET], particles[:, SCALE] = [3.0, 0.3, -0.3], np.log([0.9, 1.0, 1.2])
     event = _Event(ParticleState(particles, weight), None, length_m=0.7, is_restart=False)
     for order in ([0, 1, 2], [2, 0, 1]):
-        row = _row(_Ancestors(event, particles[order], weight[order]), 0.01, includes_reckoned=False, ground=None)
+        row = _row(_Ancestors(event, particles[order], weight[order], 0.01), alternative=None, ground=None)
         assert_allclose(row.offset, np.angle(weight @ np.exp(1j * particles[:, OFFSET])))
         assert_allclose(row.offset_std**2, weight @ (particles[:, OFFSET] - row.offset) ** 2)
         assert_allclose(row.length_m, 0.2 * 0.63 + 0.4 * 0.7 + 0.4 * 0.84)
