@@ -417,7 +417,7 @@ class TrackRows:
                 "end_latitude_deg": round(float(latitude_deg), 7),
                 "end_longitude_deg": round(float(longitude_deg), 7),
             }
-        height: dict[str, float] = {}
+        height: dict[str, float | int | None] = {}
         if not self.is_level:
             height = {
                 "end_height_m": round(float(self.height_m[-1]), 3),
