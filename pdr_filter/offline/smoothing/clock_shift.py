@@ -21,8 +21,9 @@ import numpy as np
 
 # Assumed share of sources with another clock, and standard deviation of their shifts in s, which covers 18 s.
 _SHIFTED_PROB, _SHIFT_STD_S = 0.02, 10.0
-# Smallest odds at which a shift is applied, and smallest shift in s: that of a phone that rounds times to seconds.
-_ODDS, _MIN_SHIFT_S = 1000.0, 1.0
+# Smallest odds at which a shift is applied, so that one in a hundred is false, and smallest shift in s: that of a phone
+# that rounds times to seconds.
+_ODDS, _MIN_SHIFT_S = 100.0, 1.0
 # Odds above which the shift is searched for, because the quadratic prediction of F from zero may be too small.
 _POSSIBLE_ODDS = 0.01
 # Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number.
