@@ -24,8 +24,9 @@ _SHIFTED_PROB, _SHIFT_STD_S = 0.02, 10.0
 # Smallest odds at which a shift is applied, so that one in a hundred is false, and smallest shift in s: that of a phone
 # that rounds times to seconds.
 _ODDS, _MIN_SHIFT_S = 100.0, 1.0
-# Odds above which the shift is searched for, because the quadratic prediction of F from zero may be too small.
-_POSSIBLE_ODDS = 0.01
+# The shift is searched for above these odds, predicted at zero, and if observations are rejected, which may fit with a
+# shift. The search starts at the best of these shifts, in s, because F has other minima where observations are rejected.
+_POSSIBLE_ODDS, _STARTS_S = 0.01, (-20.0, -10.0, 10.0, 20.0)
 # Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number.
 _MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 10
 
@@ -33,12 +34,14 @@ _MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 10
 class ShiftedWalk(NamedTuple):
     """Least sum of squares of a walk with shifted observations, and its derivatives by a further shift.
 
-    `slope` is half of the first derivative in 1/s, and `information` half of the second one in 1/s^2.
+    `slope` is half of the first derivative in 1/s, and `information` half of the second one in 1/s^2. `is_rejecting` is
+    True if the walk contradicts some of the observations.
     """
 
     squares: float
     slope: float
     information: float
+    is_rejecting: bool = False
 
     @property
     def remaining_s(self) -> float:
@@ -79,10 +82,12 @@ class ClockShift(NamedTuple):
 
 def estimated_shift(at: Callable[[float], ShiftedWalk]) -> ClockShift:
     """Return the shift of a source, given a function of the shift in s by which its observations are late."""
-    zero = walk = at(0.0)
-    late_s, (odds, mean_s, var_s2) = 0.0, _posterior(zero.gain, zero.remaining_s, zero.information)
-    if odds > _POSSIBLE_ODDS:
-        change_s = zero.remaining_s
+    zero = at(0.0)
+    odds, mean_s, var_s2 = _posterior(zero.gain, zero.remaining_s, zero.information)
+    if odds > _POSSIBLE_ODDS or zero.is_rejecting:
+        starts = {0.0: zero, **{late_s: at(late_s) for late_s in _STARTS_S}}
+        late_s, walk = min(starts.items(), key=lambda start: start[1].squares)
+        change_s = walk.remaining_s
         for _ in range(_MOST_SOLUTIONS):
             change_s = float(np.clip(change_s, -_MAX_CHANGE_S, _MAX_CHANGE_S))
             if abs(change_s) < _SMALL_CHANGE_S:

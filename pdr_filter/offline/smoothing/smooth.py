@@ -567,8 +567,10 @@ def _smooth_track(
 
 def _shifted_walk(posed: _Posed, found: Solution, source: Source) -> ShiftedWalk:
     """Return the sum of squares of a solved problem, and its derivatives by an earlier clock of one source."""
-    _, slope, information = response(posed.problem, found, _ahead_m(posed, found, source))
-    return ShiftedWalk(sum_of_squares(posed.problem, found), slope, information)
+    ahead_m = _ahead_m(posed, found, source)
+    _, slope, information = response(posed.problem, found, ahead_m)
+    is_rejecting = bool((found.weight[: len(ahead_m)][ahead_m.any(axis=1)] == 0).any())
+    return ShiftedWalk(sum_of_squares(posed.problem, found), slope, information, is_rejecting)
 
 
 # The velocity at a fix is the mean of the walk within this time before and after, in s, so that it reaches around the
