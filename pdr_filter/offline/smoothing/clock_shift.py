@@ -24,8 +24,8 @@ _SHIFTED_PROB, _SHIFT_STD_S = 0.02, 10.0
 # Smallest odds at which a shift is applied, so that one in a hundred is false, and smallest shift in s: that of a phone
 # that rounds times to seconds.
 _ODDS, _MIN_SHIFT_S = 100.0, 1.0
-# The shift is searched for above these odds, predicted at zero, and if observations are rejected, which may fit with a
-# shift. The search starts at the best of these shifts, in s, because F has other minima where observations are rejected.
+# The shift is searched for above these odds, predicted at zero, and if observations are rejected. The search starts at
+# zero or the best of these shifts, in s, because F has other minima where many observations are rejected.
 _POSSIBLE_ODDS, _STARTS_S = 0.01, (-20.0, -10.0, 10.0, 20.0)
 # Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number.
 _MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 10
