@@ -544,7 +544,7 @@ def _smooth_track(
     on_clock, found = observed, solved(observed)
     clocks: dict[Source, ClockShift] = {}
     for source in get_args(Source):
-        if any(isinstance(fix, PositionFix) for fix in getattr(observed, source)):
+        if sum(isinstance(fix, PositionFix) for fix in getattr(observed, source)) >= _MIN_POSITIONS:
             clocks[source] = estimated_shift(partial(walk, source=source))
             if late_s := clocks[source].late_s:
                 on_clock = on_clock.earlier(source, late_s)
@@ -573,6 +573,8 @@ def _shifted_walk(posed: _Posed, found: Solution, source: Source) -> ShiftedWalk
     return ShiftedWalk(sum_of_squares(posed.problem, found), slope, information, is_rejecting)
 
 
+# Smallest number of positions of a source with a shape that a shift of its clock changes.
+_MIN_POSITIONS = 3
 # The velocity at a fix is the mean of the walk within this time before and after, in s, so that it reaches around the
 # corners of a walk.
 _VELOCITY_S = 3.0
