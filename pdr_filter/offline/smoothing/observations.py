@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
+from pdr_filter.sensing.clock import on_track_clock
 from pdr_filter.values import BoolArray, HeadingFix, Measurement, PositionFix, SpeedFix, are_numbers, check_number
 from pdr_filter.values.recording import Recording
+
+# Observations with a common clock: the given fixes, and the locations of the recording.
+Source = Literal["fixes", "locations"]
 
 OUTSIDE_S = 1.0  # fixes up to this far outside the samples are moved to the ends, because clocks are not more accurate
 
@@ -159,19 +164,22 @@ class Observations:
         """Position fixes among the fixes."""
         return tuple(f for f in self.fixes if isinstance(f, PositionFix))
 
+    def earlier(self, source: Source, late_s: float) -> Observations:
+        """Return the observations with the times of one source earlier by `late_s`."""
+        shifted = tuple(on_track_clock(fix, -late_s) for fix in getattr(self, source))
+        return replace(self, **{source: shifted})
+
     def fixes_inside(self, start_s: float, end_s: float) -> BoolArray:
         """Return a mask (F + L,) of the F fixes, followed by the L locations, that are within a recording.
 
-        `start_s` and `end_s` are the ends of the recording. Up to 1 s before or after them counts as within. Raises
-        ValueError if there are fixes and all of them are outside, or if a loop closure or known heading is outside.
+        `start_s` and `end_s` are the ends of the recording. Up to 1 s before or after them counts as within.
         """
+        return np.array([_is_inside(f.time_s, start_s, end_s) for f in (*self.fixes, *self.locations)], dtype=bool)
 
-        def is_inside(time_s: float) -> bool:
-            return start_s - OUTSIDE_S <= time_s <= end_s + OUTSIDE_S
-
+    def check_inside(self, start_s: float, end_s: float) -> None:
+        """Raise ValueError if all fixes, a loop closure or a known heading are outside a recording with these ends."""
         times_s = [f.time_s for f in self.fixes]
-        inside = np.array([is_inside(f.time_s) for f in (*self.fixes, *self.locations)], dtype=bool)
-        if times_s and not inside[: len(times_s)].any():
+        if times_s and not any(_is_inside(t, start_s, end_s) for t in times_s):
             raise ValueError(
                 f"none of {len(times_s)} fixes, {min(times_s):.1f} to {max(times_s):.1f} s, "
                 f"is within the recording, {start_s:.1f} to {end_s:.1f} s: check that their times are of the same clock"
@@ -179,12 +187,15 @@ class Observations:
         closed_s = [("loop closure", k, t) for k, c in enumerate(self.loop_closures) for t in (c.first_s, c.second_s)]
         known_s = [("known heading", k, t) for k, h in enumerate(self.known_headings) for t in (h.start_s, h.end_s)]
         for what, k, time_s in (*closed_s, *known_s):
-            if not is_inside(time_s):
+            if not _is_inside(time_s, start_s, end_s):
                 raise ValueError(
                     f"{what} {k + 1} at {time_s} s is outside the recording, {start_s:.1f} to {end_s:.1f} s; give "
                     "times on the clock of the samples"
                 )
-        return inside
+
+
+def _is_inside(time_s: float, start_s: float, end_s: float) -> bool:
+    return start_s - OUTSIDE_S <= time_s <= end_s + OUTSIDE_S
 
 
 def check_options(

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -32,12 +32,14 @@ from pdr_filter.filter.imm.motion_model import (
     second_order_errors,
 )
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
+from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, estimated_shift
 from pdr_filter.offline.smoothing.location_errors import turned_to
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
     LoopClosure,
     Observations,
+    Source,
     check_options,
 )
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
@@ -61,7 +63,7 @@ from pdr_filter.offline.smoothing.smoothed import (
     without_steps,
 )
 from pdr_filter.offline.smoothing.smoothed_place import aligned_walk, on_earth, with_given_place
-from pdr_filter.offline.smoothing.solve import Solution, solve
+from pdr_filter.offline.smoothing.solve import Solution, response, solve, sum_of_squares
 from pdr_filter.offline.smoothing.storeys import with_arrivals
 from pdr_filter.offline.smoothing.usable import Used, start_end_closure, usable
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
@@ -87,6 +89,7 @@ from pdr_filter.values import (
     Plan,
     PositionFix,
     RangeFix,
+    Samples,
     Standstill,
     Step,
     interpolated,
@@ -329,14 +332,23 @@ def smooth(
         is_loop=closed is not None,
     )
     guess = _online_path(recording, config, run.fixes)
-    smoothed, walked_var_m2 = _smooth_track(
-        track, config, observed, start_heading_std_rad, anchor_interval_s, guess, stood_steps
-    )
+    options = start_heading_std_rad, anchor_interval_s, guess, stood_steps
+    smooth_with = partial(_smooth_track, track, config, options=options)
+    smoothed, walked_var_m2, clocks = smooth_with(observed)
     if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
         device = _observed_device(smoothed, config, sensing)
         smoothed = replace(smoothed, track=replace(smoothed.track, device=device))
-    if gnss == "align" and recording.location is not None:
-        smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, recording.location)
+    if gnss == "align" and (location := recording.location) is not None:
+        # the filter of locations shows their clock
+        _, _, clocks = smooth_with(replace(observed, locations=locations_of(location)[1]))
+        shift = clocks.get("locations", ClockShift())
+        location = Samples(location.time_s - shift.late_s, location.values)
+        smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, location)
+        smoothed = replace(smoothed, notes=(*smoothed.notes, *shift.notes("locations")))
+    else:
+        for source, shift in clocks.items():
+            observed = observed.earlier(source, shift.late_s)
+        locations = observed.locations
     return with_given_place(run, on_earth(smoothed, where, locations, observed))
 
 
@@ -511,43 +523,83 @@ def _smooth_track(
     track: Track,
     config: Config,
     observed: Observations,
-    start_heading_std_rad: float | None,
-    anchor_interval_s: float,
-    guess: WalkedPath | None,
-    stood: StandstillSteps,
-) -> tuple[Smoothed, FloatArray]:
+    options: tuple[float | None, float, WalkedPath | None, StandstillSteps],
+) -> tuple[Smoothed, FloatArray, dict[Source, ClockShift]]:
     """Return the smoothed result of a dead-reckoned track, and the variance (K,) in m2 of each position.
 
     The variance is the part of the position variance that the heading offset does not explain, mean of both axes
-    (`filter.fixes.alignment.walked_var_m2`). `guess` is the path at which measurements are first linearised. The result
-    includes the person's step scale if the fixes determine it.
+    (`filter.fixes.alignment.walked_var_m2`). The last result are the shifts of the clocks of the observations.
+    `options` are the standard deviation of the start heading, the interval of anchors, the path at which measurements
+    are first linearised, and the steps within standstills. The smoothed result includes the person's step scale if the fixes determine it.
     """
     start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
     if track.n_steps:
         start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
-    inside = observed.fixes_inside(start_s, end_s)
+    observed.check_inside(start_s, end_s)
     if track.n_steps == 0:
-        places = compress((*observed.fixes, *observed.locations), inside)
+        places = compress((*observed.fixes, *observed.locations), observed.fixes_inside(start_s, end_s))
         known = independent([f for f in places if isinstance(f, PositionFix)])
-        return without_steps(track, observed, known), np.zeros(0)
-    posed_with = partial(
-        _problem, track, config, observed, inside, start_heading_std_rad, anchor_interval_s, guess, stood
-    )
-    posed = posed_with(None)
-    smoothed, walked_var_m2 = _smoothed(track, posed, solve(posed.problem), observed)
-    if len(posed.problem.errors):
+        return without_steps(track, observed, known), np.zeros(0), {}
+
+    def solved(observed: Observations, shape_m: FloatArray | None = None) -> tuple[_Posed, Solution]:
+        posed = _problem(track, config, observed, observed.fixes_inside(start_s, end_s), *options, shape_m)
+        return posed, solve(posed.problem)
+
+    def walk(late_s: float, source: Source) -> ShiftedWalk:
+        return _shifted_walk(*(solved(on_clock.earlier(source, late_s)) if late_s else found), source)
+
+    on_clock, found = observed, solved(observed)
+    clocks: dict[Source, ClockShift] = {}
+    for source in get_args(Source):
+        if sum(isinstance(fix, PositionFix) for fix in getattr(observed, source)) >= _MIN_POSITIONS:
+            clocks[source] = estimated_shift(partial(walk, source=source))
+            if late_s := clocks[source].late_s:
+                on_clock = on_clock.earlier(source, late_s)
+                found = solved(on_clock)
+    smoothed, walked_var_m2 = _smoothed(track, *found, observed, clocks)
+    if len(found[0].problem.errors):
         # the shrinkage of the locations follows the shape of the walk, which the first solution knows best
-        posed = posed_with(np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale)
-        smoothed, walked_var_m2 = _smoothed(track, posed, solve(posed.problem), observed)
+        shape_m = np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale
+        smoothed, walked_var_m2 = _smoothed(track, *solved(on_clock, shape_m), observed, clocks)
     length_fixes = LengthFixes()
     for fix, result in zip((*observed.fixes, *observed.locations), smoothed.track.fixes, strict=True):
         length_fixes = length_fixes.plus(fix) if result.accepted else length_fixes
     estimate = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
     session = session_of_scale(config.model, estimate, config.model.noise.log_scale_std**2, length_fixes)
-    if session is None:
-        return smoothed, walked_var_m2
-    person = (config.person or Person()).pooled(Person((session,)))
-    return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
+    if session is not None:
+        person = (config.person or Person()).pooled(Person((session,)))
+        smoothed = replace(smoothed, track=replace(smoothed.track, person=person))
+    return smoothed, walked_var_m2, clocks
+
+
+def _shifted_walk(posed: _Posed, found: Solution, source: Source) -> ShiftedWalk:
+    """Return the sum of squares of a solved problem, and its derivatives by an earlier clock of one source."""
+    ahead_m = _ahead_m(posed, found, source)
+    _, slope, information = response(posed.problem, found, ahead_m)
+    is_rejecting = bool((found.weight[: len(ahead_m)][ahead_m.any(axis=1)] == 0).any())
+    return ShiftedWalk(sum_of_squares(posed.problem, found), slope, information, is_rejecting)
+
+
+# Smallest number of positions of a source with a shape that a shift of its clock changes.
+_MIN_POSITIONS = 3
+# The velocity at a fix is the mean of the walk within this time before and after, in s, so that it reaches around the
+# corners of a walk.
+_VELOCITY_S = 3.0
+
+
+def _ahead_m(posed: _Posed, found: Solution, source: Source) -> FloatArray:
+    """Return the way (F, 2) in m of the walk in 1 s at each observed position of a source, zero at the others."""
+    mean, _ = step_states(posed.problem.intervals, found.mean, found.joint_cov)
+    time_s = np.append(posed.steps.time_s[0] - posed.steps.duration_s[0], posed.steps.time_s)
+    path_m = np.vstack([found.mean[:1, :2], mean[:, :2]])
+    of_source = {"fixes": posed.used.observed.positions, "locations": posed.used.observed.locations}
+    at_s = np.array([f.time_s for f in of_source[source]])
+    ends_s = at_s - _VELOCITY_S, at_s + _VELOCITY_S
+    before, after = (np.column_stack([np.interp(t, time_s, x) for x in path_m.T]) for t in ends_s)
+    first = len(of_source["fixes"]) if source == "locations" else 0
+    ahead_m = np.zeros((len(posed.problem.positions), 2))
+    ahead_m[first : first + len(at_s)] = (after - before) / (2.0 * _VELOCITY_S)
+    return ahead_m
 
 
 class _Posed(NamedTuple):
@@ -653,10 +705,13 @@ def _start_directions(
     return (wide, wide) if is_oriented else (noise.initial_heading_offset_std_rad, _KNOWN_STD_RAD)
 
 
-def _smoothed(track: Track, posed: _Posed, found: Solution, observed: Observations) -> tuple[Smoothed, FloatArray]:
+def _smoothed(
+    track: Track, posed: _Posed, found: Solution, observed: Observations, clocks: dict[Source, ClockShift]
+) -> tuple[Smoothed, FloatArray]:
     """Return the result of a solved problem, and the variance (K,) in m2 of each position for a known heading.
 
-    The variance is the part of the position variance that the heading offset does not explain, mean of both axes.
+    `observed` are the given observations, and `clocks` the shifts of their clocks in the problem. The variance is the
+    part of the position variance that the heading offset does not explain, mean of both axes.
     """
     steps, parameter_error_m, used, problem = posed
     mean, cov = step_states(problem.intervals, found.mean, found.joint_cov)
@@ -674,8 +729,16 @@ def _smoothed(track: Track, posed: _Posed, found: Solution, observed: Observatio
     anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
     error_m = _consider_errors_m(own, cov, np.einsum("kab,kmb->kma", rotation, parameter_error_m))
     position_cov = cov[:, :2, :2] + _since_fix_cov_m2(error_m, anchored)
+    start_cov = found.joint_cov[0, :2, :2]
+    for source, clock in clocks.items():
+        if clock.var_s2:
+            follows, _, _ = response(problem, found, _ahead_m(posed, found, source))
+            later, _ = step_states(problem.intervals, found.mean + follows, found.joint_cov)
+            late_m = clock.var_s2**0.5 * np.vstack([follows[:1, :2], later[:, :2] - position])
+            late_cov = late_m[:, :, None] * late_m[:, None, :]
+            start_cov, position_cov = start_cov + late_cov[0], position_cov + late_cov[1:]
     way_m = np.cumsum(np.append(0.0, length + np.sqrt(steps.gap_var_m2)))
-    start_std_m = worst_std_m(found.joint_cov[0, :2, :2]) if used.has_places else 0.0
+    start_std_m = worst_std_m(start_cov) if used.has_places else 0.0
     std_m = np.append(start_std_m, worst_std_m(position_cov))
     position_cov = bounded_position_cov(position_cov, reach_m(way_m, std_m)[1:])
     observations = observation_table(observed, used.row, found)
@@ -690,7 +753,8 @@ def _smoothed(track: Track, posed: _Posed, found: Solution, observed: Observatio
     start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
     heading_std_rad = np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])
     reckoned = notes_of_reckoning(track, found, heading_std_rad)
-    notes = (*reckoned, *used.notes, *notes_of_solution(track, found, observations, observed, used, scale_std))
+    shifts = [note for source, clock in clocks.items() for note in clock.notes(source)]
+    notes = (*reckoned, *used.notes, *shifts, *notes_of_solution(track, found, observations, observed, used, scale_std))
     notes = (*notes, *(note.text for note in conflict_notes(conflict)))
     smoothed = replace(
         track,
@@ -713,7 +777,7 @@ def _smoothed(track: Track, posed: _Posed, found: Solution, observed: Observatio
         log_scale=read_only(mean[:, LOG_SCALE]),
         log_scale_std=read_only(np.sqrt(cov[:, LOG_SCALE, LOG_SCALE])),
         start_position_m=start_m,
-        start_position_cov_m2=read_only(found.joint_cov[0, :2, :2]),
+        start_position_cov_m2=read_only(start_cov),
         observations=observations,
         floor=floors_at_steps(track, observed.floor_changes),
         notes=notes,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -220,6 +220,37 @@ def _gauss_newton(
         if largest < _SMALLEST_CHANGE:
             break
     return mean, frame_rad, largest < _CONVERGED or abs(squares - _sum_of_squares(rows)) < _NO_GAIN
+
+
+def sum_of_squares(problem: Problem, found: Solution) -> float:
+    """Return the sum of squares of a solution, less its expected value for the positions, to compare problems.
+
+    Other shifts of a clock leave out other positions. Each contributes its two degrees of freedom less, and a rejected
+    observation its gate, above which it would have been rejected.
+    """
+    rejected = problem.limit_nis[(found.weight == 0) & (problem.possible > 0)]
+    rows = linearised(problem, found.states, found.frame_rad, found.weight)
+    return _sum_of_squares(rows) + float(rejected.sum()) - 2.0 * len(problem.positions)
+
+
+def response(problem: Problem, found: Solution, moved_m: FloatArray) -> tuple[FloatArray, float, float]:
+    """Return how the anchors (n + 1, 4) follow if the observed positions move by `moved_m` (F, 2).
+
+    The second and third results are half of the first and of the second derivative of the least sum of squares by the
+    factor on `moved_m`, at zero.
+    """
+    rows = linearised(problem, found.states, found.frame_rad, found.weight)
+    positions = replace(problem.positions, position_m=problem.positions.position_m + moved_m)
+    moved = linearised(replace(problem, positions=positions), found.states, found.frame_rad, found.weight)
+    gained = [replace(after, rhs=after.rhs - before.rhs) for before, after in zip(rows, moved, strict=True)]
+    graph = graph_of(gained)
+    solution = graph.optimize(gtsam.EliminateQR)
+    slope = sum(
+        float(np.sum(before.weight * np.einsum("na,na->n", before.rhs, after.rhs)))
+        for before, after in zip(rows, gained, strict=True)
+        if len(before.weight)
+    )
+    return np.array([solution.at(j) for j in range(problem.n_nodes)]), slope, 2.0 * graph.error(solution)
 
 
 def _sum_of_squares(rows: Sequence[Rows]) -> float:

@@ -1,0 +1,117 @@
+"""Shift between the clock of fixes and that of the samples, as an unknown of the smoother.
+
+The times of locations often come from another clock than those of the samples: GPS time is 18 s ahead of UTC, and
+watches and tables that are logged separately differ by seconds. All observations of one source are then late or early
+by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_PROB`, normal with the standard deviation
+`_SHIFT_STD_S`. A walk with turns determines the shift to a second or two. On a straight walk it looks like another
+start.
+
+Let F(d) be the least sum of squares of the walk whose observations are earlier by d, F its minimum at D, G = F(0) - F
+and I half of its second derivative there. With q = 1 / `_SHIFT_STD_S`^2, a shift has the posterior variance
+1 / (I + q), the mean m = D I / (I + q), and the Bayes factor sqrt(q / (I + q)) exp((G - D m q) / 2) against zero
+(Laplace).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+# Assumed share of sources with another clock, and standard deviation of their shifts in s, which covers 18 s.
+_SHIFTED_PROB, _SHIFT_STD_S = 0.02, 10.0
+# Smallest odds at which a shift is applied, so that one in a hundred is false, and smallest shift in s: that of a phone
+# that rounds times to seconds.
+_ODDS, _MIN_SHIFT_S = 100.0, 1.0
+# The shift is searched for above these odds, predicted at zero, and if observations are rejected. The search starts at
+# zero or the best of these shifts, in s, because F has other minima where many observations are rejected.
+_POSSIBLE_ODDS, _STARTS_S = 0.01, (-20.0, -10.0, 10.0, 20.0)
+# Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number.
+_MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 10
+
+
+class ShiftedWalk(NamedTuple):
+    """Least sum of squares of a walk with shifted observations, and its derivatives by a further shift.
+
+    `slope` is half of the first derivative in 1/s, and `information` half of the second one in 1/s^2. `is_rejecting` is
+    True if the walk contradicts some of the observations.
+    """
+
+    squares: float
+    slope: float
+    information: float
+    is_rejecting: bool = False
+
+    @property
+    def remaining_s(self) -> float:
+        """Further shift in s at the minimum of the parabola with these derivatives."""
+        return -self.slope / self.information if self.information > 0 else 0.0
+
+    @property
+    def gain(self) -> float:
+        """Decrease of the sum of squares to the minimum of the parabola."""
+        return -self.slope * self.remaining_s
+
+
+class ClockShift(NamedTuple):
+    """Shift of the clock of fixes against that of the samples.
+
+    Attributes
+    ----------
+    late_s : float
+        Applied shift in s, positive if the times of the fixes are late. Zero unless the walk determines a shift.
+    var_s2 : float
+        Mean square error in s^2 of the applied shift. Zero if it does not matter.
+    """
+
+    late_s: float = 0.0
+    var_s2: float = 0.0
+
+    def notes(self, what: str) -> tuple[str, ...]:
+        """Return a note on the shift of observations named `what`, or nothing if none was applied."""
+        if not self.late_s:
+            return ()
+        late = "late" if self.late_s > 0 else "early"
+        return (
+            f"the {what} are {abs(self.late_s):.1f} s {late} on the clock of the samples (± {self.var_s2**0.5:.1f} s), "
+            "and were shifted: their times are probably of another clock, as GPS time is 18 s ahead of UTC; put both "
+            "on one clock",
+        )
+
+
+def estimated_shift(at: Callable[[float], ShiftedWalk]) -> ClockShift:
+    """Return the shift of a source, given a function of the shift in s by which its observations are late."""
+    zero = at(0.0)
+    odds, mean_s, var_s2 = _posterior(zero.gain, zero.remaining_s, zero.information)
+    if odds > _POSSIBLE_ODDS or zero.is_rejecting:
+        starts = {0.0: zero, **{late_s: at(late_s) for late_s in _STARTS_S}}
+        late_s, walk = min(starts.items(), key=lambda start: start[1].squares)
+        change_s = walk.remaining_s
+        for _ in range(_MOST_SOLUTIONS):
+            change_s = float(np.clip(change_s, -_MAX_CHANGE_S, _MAX_CHANGE_S))
+            if abs(change_s) < _SMALL_CHANGE_S:
+                break
+            new = at(late_s + change_s)
+            if new.squares < walk.squares:
+                late_s, walk, change_s = late_s + change_s, new, new.remaining_s
+            else:
+                change_s *= 0.5
+        odds, mean_s, var_s2 = _posterior(zero.squares - walk.squares, late_s, walk.information)
+    if odds > _ODDS and abs(mean_s) > _MIN_SHIFT_S:
+        return ClockShift(mean_s, var_s2)
+    error_s2 = odds / (1.0 + odds) * (mean_s**2 + var_s2)
+    return ClockShift(0.0, error_s2 if error_s2 > _MIN_SHIFT_S**2 else 0.0)
+
+
+def _posterior(gain: float, best_s: float, information: float) -> tuple[float, float, float]:
+    """Return the posterior odds of a shift against zero, and its mean in s and variance in s^2.
+
+    `gain` is the decrease of the sum of squares from zero to its minimum at `best_s`.
+    """
+    prior = _SHIFT_STD_S**-2
+    var_s2 = 1.0 / (information + prior)
+    mean_s = best_s * information * var_s2
+    log_factor = 0.5 * (gain - best_s * mean_s * prior + np.log(prior * var_s2))
+    odds = _SHIFTED_PROB / (1.0 - _SHIFTED_PROB) * float(np.exp(min(log_factor, 100.0)))
+    return odds, mean_s, var_s2

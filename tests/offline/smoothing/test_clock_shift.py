@@ -1,0 +1,164 @@
+"""Shift of the clock of fixes and locations: estimate, odds, uncertainty, and the smoothed walk with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.offline.smoothing import smooth as smoothing
+from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, estimated_shift
+from pdr_filter.offline.smoothing.observations import Observations
+from pdr_filter.offline.smoothing.solve import response, solve, sum_of_squares
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import HeadingFix, Origin, PositionFix, Samples
+
+HERE = Origin(48.137, 11.575)
+STD_M = 3.0
+R = np.pi / 2
+
+
+@cache
+def walk(*turns: float) -> pdr.Recording:
+    """Return a simulated walk of legs of 70 m with these turns between them."""
+    legs = [Leg("stationary", duration_s=5.0), *(Leg("walking", distance_m=70.0, turn_rad=t) for t in (0.0, *turns))]
+    return replace(simulate(legs, seed=7, name="walk"), magnetometer=None)
+
+
+def places(recording: pdr.Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times and noisy positions of a walk, every 10 s."""
+    truth, time_s = recording.truth.position, np.arange(1.0, recording.duration_s - 1.0, 10.0)
+    assert truth is not None
+    true_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    return time_s, true_m + np.random.default_rng(5).normal(0.0, STD_M, true_m.shape)
+
+
+def located(recording: pdr.Recording, late_s: float) -> pdr.Recording:
+    time_s, place_m = places(recording)
+    latitude_deg, longitude_deg = HERE.latitude_longitude_deg(place_m)
+    values = np.column_stack([latitude_deg, longitude_deg, np.full((len(time_s), 2), [np.nan, 5.0])])
+    return replace(recording, location=Samples(time_s + late_s, values))
+
+
+def fixes(recording: pdr.Recording, late_s: float) -> list[PositionFix | HeadingFix]:
+    return [PositionFix(t + late_s, p, STD_M**2 * np.eye(2)) for t, p in zip(*places(recording), strict=True)]
+
+
+# --- posterior of a shift ---------------------------------------------------------------------------------------------
+
+
+def parabola(best_s: float, information: float) -> ShiftedWalk:
+    """Return a walk at shift zero whose sum of squares has its minimum, zero, at `best_s`."""
+    return ShiftedWalk(information * best_s**2, -information * best_s, information)
+
+
+def shift_of(best_s: float, information: float) -> ClockShift:
+    return estimated_shift(lambda late_s: parabola(best_s - late_s, information))
+
+
+@pytest.mark.parametrize(("best_s", "information"), [(18.0, 0.3), (-10.0, 0.5), (5.0, 0.3), (0.5, 2e-4)])
+def test_shift_and_its_error_are_those_of_numerical_integration(best_s: float, information: float) -> None:
+    late_s = np.linspace(-100.0, 100.0, 200_001)
+    posterior = np.exp(-0.5 * (information * (late_s - best_s) ** 2 + (late_s / 10.0) ** 2)) / (
+        10.0 * np.sqrt(2 * np.pi)
+    )
+    weight = 0.02 * posterior * (late_s[1] - late_s[0])
+    none = 0.98 * np.exp(-0.5 * information * best_s**2)
+    mean_s = float(weight @ late_s / weight.sum())
+    found = shift_of(best_s, information)
+    if weight.sum() > 100.0 * none:
+        assert found.late_s == pytest.approx(mean_s, rel=1e-3)
+        assert found.var_s2 == pytest.approx(float(weight @ (late_s - mean_s) ** 2 / weight.sum()), rel=1e-3)
+    else:
+        assert found.late_s == 0.0
+        assert found.var_s2 == pytest.approx(float(weight @ late_s**2 / (weight.sum() + none)), rel=1e-3)
+
+
+def test_a_walk_that_excludes_a_shift_has_none_and_no_error() -> None:
+    assert shift_of(0.7, 0.5) == ClockShift(0.0, 0.0)
+    assert shift_of(0.9, 30.0) == ClockShift(0.0, 0.0)  # below a second
+    assert shift_of(0.0, 0.0).late_s == 0.0
+
+
+def test_the_response_to_moved_fixes_is_the_difference_of_two_solutions(monkeypatch: pytest.MonkeyPatch) -> None:
+    problems = []
+    monkeypatch.setattr(smoothing, "solve", lambda problem: problems.append(problem) or solve(problem))
+    pdr.smooth(located(walk(R, R), 0.0))
+    problem, found = problems[0], solve(problems[0])
+    moved_m = np.random.default_rng(2).normal(size=problem.positions.position_m.shape)
+    follows, slope, information = response(problem, found, moved_m)
+    squares, means = [], []
+    for factor in (-1e-2, 1e-2):
+        positions = replace(problem.positions, position_m=problem.positions.position_m + factor * moved_m)
+        moved = replace(problem, positions=positions)
+        squares.append(sum_of_squares(moved, solve(moved)))
+        means.append(solve(moved).mean)
+    np.testing.assert_allclose((means[1] - means[0]) / 2e-2, follows, atol=0.02 * np.abs(follows).max())
+    assert (squares[1] - squares[0]) / 2e-2 == pytest.approx(2.0 * slope, rel=0.02, abs=0.05)
+    assert sum(squares) - 2.0 * sum_of_squares(problem, found) == pytest.approx(2e-4 * information, rel=0.1)
+
+
+# --- smoothed walks ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("late_s", [18.0, -12.0])
+@pytest.mark.parametrize("source", ["locations", "fixes"])
+def test_late_observations_are_named_and_give_the_walk_of_the_right_clock(source: str, late_s: float) -> None:
+    if source == "fixes":
+        right, late = (pdr.smooth(walk(R, R, -R), fixes(walk(R, R, -R), d)) for d in (0.0, late_s))
+    else:
+        right, late = (pdr.smooth(located(walk(R, R, -R), d)) for d in (0.0, late_s))
+    notes = [n for n in late.notes if n.startswith(f"the {source} are ")]
+    assert len(notes) == 1
+    assert (" late " if late_s > 0 else " early ") in notes[0]
+    assert not [n for n in right.notes if "on the clock of the samples" in n]
+    stated_s = float(notes[0].split(" are ")[1].split(" s ")[0])
+    std_s = float(notes[0].split("± ")[1].split(" s)")[0])
+    assert std_s < 3.0
+    assert abs(stated_s - abs(late_s)) < 3.0 * std_s
+    assert late.track.distance_m == pytest.approx(right.track.distance_m, rel=0.01)
+    away_m = np.linalg.norm(late.track.position_m - right.track.position_m, axis=1)
+    assert (away_m < 3.0 * late.track.position_std_m).all()
+    assert away_m.max() < 6.0
+    np.testing.assert_array_equal(np.diff(late.observations.time_s), np.diff(right.observations.time_s))
+
+
+def test_a_right_clock_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = pdr.smooth(located(walk(R, R, -R), 0.0)).track
+    monkeypatch.setattr(smoothing, "estimated_shift", lambda at: ClockShift())
+    fixed = pdr.smooth(located(walk(R, R, -R), 0.0)).track
+    np.testing.assert_array_equal(found.position_m, fixed.position_m)
+    np.testing.assert_array_equal(found.position_cov_m2, fixed.position_cov_m2)
+
+
+def test_without_turns_the_deviation_along_the_walk_is_wider(monkeypatch: pytest.MonkeyPatch) -> None:
+    straight = walk()
+    given = [fix for fix in fixes(straight, 0.0) if 15.0 < fix.time_s < 45.0]
+    found = pdr.smooth(straight, given)
+    monkeypatch.setattr(smoothing, "estimated_shift", lambda at: ClockShift())
+    fixed = pdr.smooth(straight, given)
+    ahead = fixed.track.position_m[40] - fixed.track.position_m[20]
+    along = ahead / np.linalg.norm(ahead)
+    across = np.array([-along[1], along[0]])
+    wider_m2 = found.track.position_cov_m2[30] - fixed.track.position_cov_m2[30]
+    assert not [n for n in found.notes if "were shifted" in n]
+    assert 1.0 < along @ wider_m2 @ along < 20.0
+    assert across @ wider_m2 @ across < 0.2
+
+
+def test_walks_aligned_to_late_locations_are_where_they_were() -> None:
+    right, late = (pdr.smooth(located(walk(R, R, -R), d), gnss="align").track for d in (0.0, 18.0))
+    assert any("the locations are" in n and "were shifted" in n for n in late.notes)
+    places_m = [HERE.east_north_m(t.latitude_deg, t.longitude_deg) for t in (right, late)]
+    assert np.linalg.norm(places_m[1] - places_m[0], axis=1).max() < 6.0
+
+
+def test_a_shift_moves_all_fixes_of_its_source_alone() -> None:
+    position, heading = PositionFix(3.0, (0.0, 0.0), np.eye(2)), HeadingFix(4.0, 0.1, 0.2)
+    given = Observations(fixes=(position, heading), locations=(position,))
+    earlier = given.earlier("fixes", 2.0)
+    assert [f.time_s for f in earlier.fixes] == [1.0, 2.0]
+    assert earlier.locations is given.locations
