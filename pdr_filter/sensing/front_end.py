@@ -471,6 +471,8 @@ class Sensing:
         if self.contact_smoothing:
             smoothing_state, steps = self.contact_smoothing.update(state.contact_smoothing, steps)
             state = replace_unchecked(state, contact_smoothing=smoothing_state)
+        vibration, steps = self._vibration.finish(state.vibration, steps)
+        state = replace_unchecked(state, vibration=vibration)
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:

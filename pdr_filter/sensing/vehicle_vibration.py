@@ -11,6 +11,11 @@ sit, stand and walk. A smooth ride is not detected.
 Until the steps of a second are known, a vibrating phone may also belong to a pedestrian whose first steps still wait.
 `stepless_s` therefore returns the time of motion that no step explains yet. The filter adds it to the uncertainty of
 the present position.
+
+The position after a pause is less certain if the phone moved in the pause, because bouts of one to three steps are not
+detected. `update` therefore gives each step the time of motion since the previous step, beginning a second after its
+contact. Until the next step, each such second is an event of its own as soon as its steps would be known, so that fixes
+in the pause are compared with an uncertain position. Motion before the first step does not count: the walk begins there.
 """
 
 from __future__ import annotations
@@ -46,7 +51,7 @@ _WALKING_MPS2 = 0.3
 
 @dataclass(frozen=True)
 class Stepless:
-    """A second in which the phone moved and no step is known, `duration_s` long."""
+    """A time of `duration_s` seconds after the last known step in which the phone moved without a step."""
 
     duration_s: float = 1.0
 
@@ -77,7 +82,7 @@ class VehicleVibrationState:
     seen_s : int
         Seconds judged.
     last_contact_s : float
-        Contact of the last known step of the segment, s.
+        Contact of the last known step, s. Infinite before the first step.
     stepless_s : int
         Seconds since that contact that are judged to be motion without steps.
     """
@@ -91,7 +96,7 @@ class VehicleVibrationState:
     before_run_s: float = 0.0
     moving_s: int = 0
     seen_s: int = 0
-    last_contact_s: float = -np.inf
+    last_contact_s: float = np.inf
     stepless_s: int = 0
 
 
@@ -130,7 +135,7 @@ class VehicleVibration:
     >>> force[:, 2] = 9.81 + 2.0 * np.sin(2 * np.pi * 12.0 * time_s)
     >>> conditioner, vibration = Conditioner(), VehicleVibration()
     >>> _, (uniform,) = conditioner.update(conditioner.init(), ImuBlock(time_s, force, unknown, unknown))
-    >>> state = vibration.update(vibration.init(), uniform, steps=[])
+    >>> state, _ = vibration.update(vibration.init(), uniform, steps=[])
     >>> state.moving_s, state.seen_s
     (54, 54)
     """
@@ -168,12 +173,18 @@ class VehicleVibration:
         Returns
         -------
         VehicleVibrationState
-            State with `moving_s`, `seen_s` and `before_run_s`.
+            State with the totals, `before_run_s`, and the motion without steps since the last step.
         """
         known_s = max((time_s for _, time_s in state.steps), default=-np.inf)
         run_s, before_run_s, _ = self._after_waiting(state, known_s)
         _, before_run_s = self._runs(run_s, before_run_s, moves=False)
-        return VehicleVibrationState(before_run_s=before_run_s, moving_s=state.moving_s, seen_s=state.seen_s)
+        return VehicleVibrationState(
+            before_run_s=before_run_s,
+            moving_s=state.moving_s,
+            seen_s=state.seen_s,
+            last_contact_s=state.last_contact_s,
+            stepless_s=state.stepless_s,
+        )
 
     def stepless_s(self, state: VehicleVibrationState, since_s: float, until_s: float) -> float:
         """Return the time for which the phone has moved although no step explains it.
@@ -273,32 +284,52 @@ class VehicleVibration:
         for second, spread_mps2 in enumerate(spreads_mps2):
             end = (first + second + 1) * n
             until = bisect_left(steps, end, lo=n_known, key=itemgetter(0))
-            state = self._with_steps(state, steps[n_known:until], first + second, events)
+            state, found = self._with_steps(state, steps[n_known:until], first + second)
+            events += found
             state = replace_unchecked(state, waiting_mps2=(*state.waiting_mps2, spread_mps2))
             n_before, state, n_known = state.stepless_s, self._judge(state, first + second), until
             if state.stepless_s > n_before:
                 events.append((end - 1, Stepless()))
-        return self._with_steps(state, steps[n_known:], first + n_whole, events), events
+        state, found = self._with_steps(state, steps[n_known:], first + n_whole)
+        return state, [*events, *found]
+
+    def finish(
+        self, state: VehicleVibrationState, steps: Sequence[tuple[int, Step]]
+    ) -> tuple[VehicleVibrationState, list[tuple[int, Step]]]:
+        """Return the state and the steps with their `stepless_s` at the end of a segment.
+
+        Parameters
+        ----------
+        state : VehicleVibrationState
+            State after the last block.
+        steps : sequence of (int, Step)
+            Steps that the end of the segment revealed.
+
+        Returns
+        -------
+        state : VehicleVibrationState
+            New state.
+        steps : list of (int, Step)
+            The steps.
+        """
+        return self._with_steps(state, steps, state.n_samples // round(self.rate_hz))
 
     def _with_steps(
-        self,
-        state: VehicleVibrationState,
-        steps: Sequence[tuple[int, Step]],
-        second: int,
-        events: list[tuple[int, Step | Stepless]],
-    ) -> VehicleVibrationState:
-        """Return the state after steps revealed in second number `second`, and append them with their `stepless_s`."""
+        self, state: VehicleVibrationState, steps: Sequence[tuple[int, Step]], second: int
+    ) -> tuple[VehicleVibrationState, list[tuple[int, Step]]]:
+        """Return the state after steps revealed in second number `second`, and the steps with their `stepless_s`."""
+        found: list[tuple[int, Step]] = []
         for number, step in steps:
             begin_s, since_s = step.time_s - step.duration_s, state.last_contact_s + _STEP_S
             stepless_s, judged_s = float(state.stepless_s), state.start_s + second - len(state.waiting_mps2)
             for k, (_, std_mps2) in enumerate(state.waiting_mps2):
                 lasted_s = min(judged_s + k + 1, begin_s) - max(judged_s + k, since_s)
                 stepless_s += max(lasted_s, 0.0) if std_mps2 > _WALKING_MPS2 else 0.0
-            events.append((number, replace_unchecked(step, stepless_s=stepless_s)))
+            found.append((number, replace_unchecked(step, stepless_s=stepless_s)))
             state = replace_unchecked(
                 state, steps=(*state.steps, (number, step.time_s)), last_contact_s=step.time_s, stepless_s=0
             )
-        return state
+        return state, found
 
     def _judge(self, state: VehicleVibrationState, second: int) -> VehicleVibrationState:
         """Return the state after second number `second`, with the second `_WAIT_S` earlier judged.
@@ -314,7 +345,7 @@ class VehicleVibration:
         run_s, before_run_s = 0.0, 0.0
         if not walks:
             run_s, before_run_s = self._runs(state.run_s, state.before_run_s, jitter_mps2 > self.min_jitter_mps2)
-        # earlier seconds belong to the step that followed
+        # the motion before a known step is part of its `stepless_s`
         is_stepless = std_mps2 > _WALKING_MPS2 and begin_s > state.last_contact_s + _STEP_S
         moving_s = self.min_run_s if run_s == self.min_run_s else int(run_s > self.min_run_s)
         return replace_unchecked(

@@ -208,7 +208,7 @@ class PedestrianState:
         Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
     std_at_start_m : float
         Standard deviation of the position after the last used position fix, minus the distance walked until then, in m.
-        A gap adds its standard deviation.
+        A gap, and motion without steps, add their standard deviations.
     """
 
     estimates: Estimates
@@ -263,7 +263,8 @@ def with_heading(
 ) -> tuple[PedestrianState, FloatArray]:
     """Return the state with the heading of the next step, before its displacement, and the drifted covariances.
 
-    The heading offset first drifts for the time since the previous step, because the heading stage assumes this drift
+    The position becomes less certain by the motion without steps before the step, as far as `over_stepless` has not
+    added it yet. The heading offset drifts for the time since the previous step, because the heading stage assumes this drift
     for its measurement. Then the measured walking heading updates the state. The first measured walking heading defines
     the zero of the heading offset instead. The second result are the covariances (F, 4, 4) after the drift and before
     the measurement.
