@@ -193,7 +193,7 @@ def present_place(config: Config, state: State) -> Present:
 
     Without extrapolation the phone may still move. The pedestrian may then walk with steps that are not known yet, or
     push the phone on a trolley. The covariance then grows as in a gap of the samples, by the time of motion that no
-    step explains (`VehicleVibration.stepless_s`). It is that of the steps again when they are accepted.
+    step explains (`VehicleVibration.stepless_s`). It is that of the tracker again when steps are accepted.
     """
     last, steps = _with_candidates(config, state)
     place = _place_after(state, last, bool(steps))

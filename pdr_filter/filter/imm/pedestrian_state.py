@@ -264,10 +264,10 @@ def with_heading(
     """Return the state with the heading of the next step, before its displacement, and the drifted covariances.
 
     The position becomes less certain by the motion without steps before the step, as far as `over_stepless` has not
-    added it yet. The heading offset drifts for the time since the previous step, because the heading stage assumes this drift
-    for its measurement. Then the measured walking heading updates the state. The first measured walking heading defines
-    the zero of the heading offset instead. The second result are the covariances (F, 4, 4) after the drift and before
-    the measurement.
+    added it yet. The heading offset drifts for the time since the previous step, because the heading stage assumes this
+    drift for its measurement. Then the measured walking heading updates the state. The first measured walking heading
+    defines the zero of the heading offset instead. The second result are the covariances (F, 4, 4) after the drift and
+    before the measurement.
     """
     estimates, zero = state.estimates, state.heading_zero
     since_s = step.duration_s if math.isnan(state.steps.last_s) else step.time_s - state.steps.last_s

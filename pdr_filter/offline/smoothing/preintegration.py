@@ -73,7 +73,7 @@ class Increments:
     jump_var_rad2 : array (K,)
         Variance of a change of the heading offset before the step: the phone was moved, or samples are missing.
     gap_var_m2 : array (K,)
-        Variance of the position from walking without samples before the step.
+        Variance of the position from a gap in the samples, or motion without steps, before the step.
     """
 
     time_s: FloatArray
