@@ -15,7 +15,7 @@ the present position.
 The position after a pause is less certain if the phone moved in the pause, because bouts of one to three steps are not
 detected. `update` therefore gives each step the time of motion since the previous step, beginning a second after its
 contact. Until the next step, each such second is an event of its own as soon as its steps would be known, so that fixes
-in the pause are compared with an uncertain position. Motion before the first step does not count: the walk begins there.
+in the pause are compared with an uncertain position.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class VehicleVibrationState:
     seen_s : int
         Seconds judged.
     last_contact_s : float
-        Contact of the last known step, s. Infinite before the first step.
+        Contact of the last known step, s. -inf before the first step.
     stepless_s : int
         Seconds since that contact that are judged to be motion without steps.
     """
@@ -96,7 +96,7 @@ class VehicleVibrationState:
     before_run_s: float = 0.0
     moving_s: int = 0
     seen_s: int = 0
-    last_contact_s: float = np.inf
+    last_contact_s: float = -np.inf
     stepless_s: int = 0
 
 

@@ -97,7 +97,7 @@ class Step:
         Standard deviation of `north_rad`, rad. Infinite if north is unknown.
     stepless_s : float, default 0.0
         Time since the previous step in which the phone moved although no step explains it, s. The pedestrian may have
-        made steps that were not detected, so that the position is less certain. 0 for the first step.
+        made steps that were not detected, so that the position is less certain.
 
     Examples
     --------
