@@ -27,8 +27,8 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometer import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
-from pdr_filter.sensing.vehicle_vibration import Stepless
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
+from pdr_filter.sensing.vehicle_vibration import Stepless
 from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing, is_moving
 from pdr_filter.values import (
     Fix,

@@ -271,10 +271,10 @@ class MotionNoise:
         return read_only(F), read_only(Q)
 
 
-# Variance rate of the position along each axis while the phone moves without a step, in m2/s. In 63 pauses of 30
-# simulated walks in a room, bouts of one to three steps are not detected, and the maximum-likelihood estimate is 0.35. In
-# eleven pauses with a continuous reference (tyrex) the person mostly stays in place with a busy hand, and it is 0.10. The
-# value is the geometric mean. The displacement is a random walk, because it does not grow with the time of handling.
+# Variance rate of the position along each axis while the phone moves without a step, in m2/s. The maximum-likelihood
+# estimate is 0.35 from 63 pauses of 30 simulated walks in a room, in which bouts of one to three steps are not detected.
+# It is 0.10 from eleven pauses with a continuous reference (tyrex), in which the person mostly stays in place with a busy
+# hand. The value is the geometric mean. The displacement is a random walk: it grows less than in proportion to the time.
 _STEPLESS_M2_PER_S = 0.2
 
 

@@ -28,8 +28,8 @@ from pdr_filter.filter.imm.motion_model import (
     initial_estimate,
     predict_heading,
     second_order_errors,
-    update_heading,
     stepless_var_m2,
+    update_heading,
 )
 from pdr_filter.filter.imm.past_path import PastPath, WalkedStep
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
