@@ -272,9 +272,10 @@ class MotionNoise:
 
 
 # Variance rate of the position along each axis while the phone moves without a step, in m2/s. The maximum-likelihood
-# estimate is 0.35 from 63 pauses of 30 simulated walks in a room, in which bouts of one to three steps are not detected.
-# It is 0.10 from eleven pauses with a continuous reference (tyrex), in which the person mostly stays in place with a busy
-# hand. The value is the geometric mean. The displacement is a random walk: it grows less than in proportion to the time.
+# estimate from 63 pauses of 30 simulated walks in a room, where bouts of one to three steps are not detected, is 0.35.
+# From eleven pauses with a continuous reference (tyrex), where the person mostly stays in place with a busy hand, it is
+# 0.10. The value is the geometric mean. The displacement is a random walk, because it does not grow in proportion to
+# the time of handling.
 _STEPLESS_M2_PER_S = 0.2
 
 
