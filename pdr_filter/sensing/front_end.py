@@ -244,7 +244,7 @@ class Sensing:
         -------
         state : SensingState
             New state.
-        events : list of (float, Step or WindowContext or Gap)
+        events : list of (float, Event)
             Events with the time in s at which each became known, in this order.
         """
         conditioner, uniform = self.conditioner.update(state.conditioner, block)
@@ -269,7 +269,7 @@ class Sensing:
         -------
         state : SensingState
             New state.
-        events : list of (float, Step or WindowContext or Gap)
+        events : list of (float, Event)
             Events as in `update`.
         held : HeldSample or None
             Last uniform sample if it completes a window. Pass it to `update_held` before any other update.
@@ -301,7 +301,7 @@ class Sensing:
         -------
         state : SensingState
             New state, equal to that of `update`.
-        events : list of (float, Step or WindowContext or Gap)
+        events : list of (float, Event)
             Remaining events of `update`.
         """
         if held.described is None or self._window_stage is None:
@@ -335,7 +335,7 @@ class Sensing:
         -------
         state : SensingState
             New state.
-        events : list of (float, Step or WindowContext or Gap)
+        events : list of (float, Event)
             Events that were still waiting for samples, with the time in s at which each became known.
         """
         conditioner, uniform = self.conditioner.finish(state.conditioner)
