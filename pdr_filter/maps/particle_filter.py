@@ -49,7 +49,7 @@ import numpy as np
 from numpy.random import Generator, Philox
 
 from pdr_filter.filter.fixes.frame_rotation import Compass
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, stepless_var_m2
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.maps.crossing_costs import Ground, Terrain
@@ -441,8 +441,9 @@ class ParticleFilter:
         psi += own.heading_offset_rad[mode] + np.sqrt(own.step_var_rad2(step.turned_rad))[mode] * z[2]
         x[:, EAST] += scaled_m * np.sin(psi)
         x[:, NORTH] += scaled_m * np.cos(psi)
-        if own.extra_var_m2.any():
-            x[:, :2] += np.sqrt(own.extra_var_m2)[mode, None] * rng.standard_normal((n, 2))
+        extra_var_m2 = own.extra_var_m2 + stepless_var_m2(step.stepless_s)
+        if extra_var_m2.any():
+            x[:, :2] += np.sqrt(extra_var_m2)[mode, None] * rng.standard_normal((n, 2))
         noise = model.noise
         x[:, SCALE] = noise.log_scale_memory * x[:, SCALE] + math.sqrt(noise.log_scale_drift_var) * z[3]
         state, log_compass = _with_compass(state, pedestrian)

@@ -21,7 +21,7 @@ from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_gate import StepGate
-from pdr_filter.sensing.vehicle_vibration import VehicleVibration, VehicleVibrationState
+from pdr_filter.sensing.vehicle_vibration import Stepless, VehicleVibration, VehicleVibrationState
 from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, ImuBlock, IntArray, Step, replace_unchecked
 
 
@@ -32,7 +32,7 @@ class Gap:
     duration_s: float
 
 
-Event = Step | WindowContext | Gap
+Event = Step | WindowContext | Stepless | Gap
 
 # The step frequency of a window is the median over this number of last steps, if the first of them is recent. The limit
 # in s allows for the slowest steps (three take 4 s) and the latency of the detector (0.9 s).
@@ -244,7 +244,7 @@ class Sensing:
         -------
         state : SensingState
             New state.
-        events : list of (float, Step or WindowContext or Gap)
+        events : list of (float, Event)
             Events with the time in s at which each became known, in this order.
         """
         conditioner, uniform = self.conditioner.update(state.conditioner, block)
@@ -269,7 +269,7 @@ class Sensing:
         -------
         state : SensingState
             New state.
-        events : list of (float, Step or WindowContext or Gap)
+        events : list of (float, Event)
             Events as in `update`.
         held : HeldSample or None
             Last uniform sample if it completes a window. Pass it to `update_held` before any other update.
@@ -301,7 +301,7 @@ class Sensing:
         -------
         state : SensingState
             New state, equal to that of `update`.
-        events : list of (float, Step or WindowContext or Gap)
+        events : list of (float, Event)
             Remaining events of `update`.
         """
         if held.described is None or self._window_stage is None:
@@ -335,7 +335,7 @@ class Sensing:
         -------
         state : SensingState
             New state.
-        events : list of (float, Step or WindowContext or Gap)
+        events : list of (float, Event)
             Events that were still waiting for samples, with the time in s at which each became known.
         """
         conditioner, uniform = self.conditioner.finish(state.conditioner)
@@ -429,9 +429,10 @@ class Sensing:
             north_state, steps = self.north.update(state.north, part, attitude, steps)
         if self.contact_smoothing:
             smoothing_state, steps = self.contact_smoothing.update(state.contact_smoothing, steps)
+        vibration, moved = self._vibration.update(state.vibration, part, steps)
         # A window comes before a step revealed by the same sample, because its evidence also applies to that step.
         in_order, cadence = _with_cadences(
-            state.cadence, sorted([*windows, *steps], key=lambda e: e[0]), self.context_set
+            state.cadence, sorted([*windows, *moved], key=lambda e: e[0]), self.context_set
         )
         state = SensingState(
             conditioner=state.conditioner,
@@ -442,7 +443,7 @@ class Sensing:
             gate=gate_state,
             contact_smoothing=smoothing_state,
             north=north_state,
-            vibration=self._vibration.update(state.vibration, part, steps),
+            vibration=vibration,
             cadence=cadence,
             n_samples=n_before + n,
             context=int(context[-1]),
@@ -470,6 +471,8 @@ class Sensing:
         if self.contact_smoothing:
             smoothing_state, steps = self.contact_smoothing.update(state.contact_smoothing, steps)
             state = replace_unchecked(state, contact_smoothing=smoothing_state)
+        vibration, steps = self._vibration.finish(state.vibration, steps)
+        state = replace_unchecked(state, vibration=vibration)
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:
@@ -509,22 +512,27 @@ def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterat
 
 
 def _with_cadences(
-    cadence: tuple[tuple[float, float], ...], events: Sequence[tuple[int, WindowContext | Step]], contexts: ContextSet
-) -> tuple[list[tuple[int, WindowContext | Step]], tuple[tuple[float, float], ...]]:
+    cadence: tuple[tuple[float, float], ...], events: Sequence[tuple[int, Event]], contexts: ContextSet
+) -> tuple[list[tuple[int, Event]], tuple[tuple[float, float], ...]]:
     """Return the events with the step frequency added to the windows, and times and frequencies of the last steps.
 
     The step frequency of a window is the median over the last three steps, if the first of them is recent. Other
     windows are unchanged.
     """
-    result: list[tuple[int, WindowContext | Step]] = []
+    result: list[tuple[int, Event]] = []
     for number, event in events:
         if isinstance(event, Step):
             cadence = (*cadence, (event.time_s, event.frequency_hz))[-_CADENCE_STEPS:]
-        elif len(cadence) == _CADENCE_STEPS and event.time_s - cadence[0][0] < _CADENCE_S:
+        elif isinstance(event, WindowContext) and _is_recent(cadence, event.time_s):
             median_hz = sorted(frequency_hz for _, frequency_hz in cadence)[_CADENCE_STEPS // 2]
             event = with_cadence(event, median_hz, contexts)
         result.append((number, event))
     return result, cadence
+
+
+def _is_recent(cadence: tuple[tuple[float, float], ...], time_s: float) -> bool:
+    """Return True if there are enough steps for a step frequency at a time, and the first of them is recent."""
+    return len(cadence) == _CADENCE_STEPS and time_s - cadence[0][0] < _CADENCE_S
 
 
 _BUT_LAST, _LAST = slice(None, -1), slice(-1, None)

@@ -11,6 +11,11 @@ sit, stand and walk. A smooth ride is not detected.
 Until the steps of a second are known, a vibrating phone may also belong to a pedestrian whose first steps still wait.
 `stepless_s` therefore returns the time of motion that no step explains yet. The filter adds it to the uncertainty of
 the present position.
+
+The position after a pause is less certain if the phone moved in the pause, because bouts of one to three steps are not
+detected. `update` therefore gives each step the time of motion since the previous step, beginning a second after its
+contact. Until the next step, each such second is an event of its own as soon as its steps would be known, so that fixes
+in the pause are compared with an uncertain position.
 """
 
 from __future__ import annotations
@@ -18,6 +23,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import itemgetter
 
 import numpy as np
 
@@ -41,6 +47,13 @@ _MIN_MEANS = 10
 # (motionsense) are below it, and 99 % of the seconds of walks with a phone in the hand (ms_indoor) are above it. A
 # smooth walk has less jitter than a trolley.
 _WALKING_MPS2 = 0.3
+
+
+@dataclass(frozen=True)
+class Stepless:
+    """A time of `duration_s` seconds after the last known step in which the phone moved without a step."""
+
+    duration_s: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +81,10 @@ class VehicleVibrationState:
         Total duration of the runs that are long enough, s.
     seen_s : int
         Seconds judged.
+    last_contact_s : float
+        Contact of the last known step, s. -inf before the first step.
+    stepless_s : int
+        Seconds since that contact that are judged to be motion without steps.
     """
 
     n_samples: int = 0
@@ -79,6 +96,8 @@ class VehicleVibrationState:
     before_run_s: float = 0.0
     moving_s: int = 0
     seen_s: int = 0
+    last_contact_s: float = -np.inf
+    stepless_s: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +135,7 @@ class VehicleVibration:
     >>> force[:, 2] = 9.81 + 2.0 * np.sin(2 * np.pi * 12.0 * time_s)
     >>> conditioner, vibration = Conditioner(), VehicleVibration()
     >>> _, (uniform,) = conditioner.update(conditioner.init(), ImuBlock(time_s, force, unknown, unknown))
-    >>> state = vibration.update(vibration.init(), uniform, steps=[])
+    >>> state, _ = vibration.update(vibration.init(), uniform, steps=[])
     >>> state.moving_s, state.seen_s
     (54, 54)
     """
@@ -154,12 +173,18 @@ class VehicleVibration:
         Returns
         -------
         VehicleVibrationState
-            State with `moving_s`, `seen_s` and `before_run_s`.
+            State with the totals, `before_run_s`, and the motion without steps since the last step.
         """
         known_s = max((time_s for _, time_s in state.steps), default=-np.inf)
         run_s, before_run_s, _ = self._after_waiting(state, known_s)
         _, before_run_s = self._runs(run_s, before_run_s, moves=False)
-        return VehicleVibrationState(before_run_s=before_run_s, moving_s=state.moving_s, seen_s=state.seen_s)
+        return VehicleVibrationState(
+            before_run_s=before_run_s,
+            moving_s=state.moving_s,
+            seen_s=state.seen_s,
+            last_contact_s=state.last_contact_s,
+            stepless_s=state.stepless_s,
+        )
 
     def stepless_s(self, state: VehicleVibrationState, since_s: float, until_s: float) -> float:
         """Return the time for which the phone has moved although no step explains it.
@@ -224,8 +249,8 @@ class VehicleVibration:
 
     def update(
         self, state: VehicleVibrationState, block: UniformBlock, steps: Sequence[tuple[int, Step]]
-    ) -> VehicleVibrationState:
-        """Return the state after a block and the steps detected in it.
+    ) -> tuple[VehicleVibrationState, list[tuple[int, Step | Stepless]]]:
+        """Return the state after a block, its steps with their `stepless_s`, and its seconds of motion without steps.
 
         Parameters
         ----------
@@ -238,8 +263,11 @@ class VehicleVibration:
 
         Returns
         -------
-        VehicleVibrationState
+        state : VehicleVibrationState
             New state. `moving_s` and `seen_s` count up to five seconds before the end of the block.
+        events : list of (int, Step or Stepless)
+            The steps, and a `Stepless` for each second after the last known step in which the phone moved. Each comes
+            with the number of the sample that revealed it.
         """
         x, y, z = block.specific_force_mps2.T
         magnitude = np.concatenate([state.rest, np.sqrt(x * x + y * y + z * z)])
@@ -251,14 +279,57 @@ class VehicleVibration:
             start_s=float(block.time_s[0]) if state.n_samples == 0 else state.start_s,
             rest=magnitude[n_whole * n :],
         )
-        found, n_known = [(number, step.time_s) for number, step in steps], 0
+        events, n_known = list[tuple[int, Step | Stepless]](), 0
         spreads_mps2 = self._spread(magnitude[: n_whole * n].reshape(n_whole, n)) if n_whole else []
         for second, spread_mps2 in enumerate(spreads_mps2):
-            waiting_mps2 = (*state.waiting_mps2, spread_mps2)
-            until = bisect_left(found, ((first + second + 1) * n,), lo=n_known)
-            state = replace_unchecked(state, waiting_mps2=waiting_mps2, steps=(*state.steps, *found[n_known:until]))
-            state, n_known = self._judge(state, first + second), until
-        return replace_unchecked(state, steps=(*state.steps, *found[n_known:]))
+            end = (first + second + 1) * n
+            until = bisect_left(steps, end, lo=n_known, key=itemgetter(0))
+            state, found = self._with_steps(state, steps[n_known:until], first + second)
+            events += found
+            state = replace_unchecked(state, waiting_mps2=(*state.waiting_mps2, spread_mps2))
+            n_before, state, n_known = state.stepless_s, self._judge(state, first + second), until
+            if state.stepless_s > n_before:
+                events.append((end - 1, Stepless()))
+        state, found = self._with_steps(state, steps[n_known:], first + n_whole)
+        return state, [*events, *found]
+
+    def finish(
+        self, state: VehicleVibrationState, steps: Sequence[tuple[int, Step]]
+    ) -> tuple[VehicleVibrationState, list[tuple[int, Step]]]:
+        """Return the state and the steps with their `stepless_s` at the end of a segment.
+
+        Parameters
+        ----------
+        state : VehicleVibrationState
+            State after the last block.
+        steps : sequence of (int, Step)
+            Steps that the end of the segment revealed.
+
+        Returns
+        -------
+        state : VehicleVibrationState
+            New state.
+        steps : list of (int, Step)
+            The steps.
+        """
+        return self._with_steps(state, steps, state.n_samples // round(self.rate_hz))
+
+    def _with_steps(
+        self, state: VehicleVibrationState, steps: Sequence[tuple[int, Step]], second: int
+    ) -> tuple[VehicleVibrationState, list[tuple[int, Step]]]:
+        """Return the state after steps revealed in second number `second`, and the steps with their `stepless_s`."""
+        found: list[tuple[int, Step]] = []
+        for number, step in steps:
+            begin_s, since_s = step.time_s - step.duration_s, state.last_contact_s + _STEP_S
+            stepless_s, judged_s = float(state.stepless_s), state.start_s + second - len(state.waiting_mps2)
+            for k, (_, std_mps2) in enumerate(state.waiting_mps2):
+                lasted_s = min(judged_s + k + 1, begin_s) - max(judged_s + k, since_s)
+                stepless_s += max(lasted_s, 0.0) if std_mps2 > _WALKING_MPS2 else 0.0
+            found.append((number, replace_unchecked(step, stepless_s=stepless_s)))
+            state = replace_unchecked(
+                state, steps=(*state.steps, (number, step.time_s)), last_contact_s=step.time_s, stepless_s=0
+            )
+        return state, found
 
     def _judge(self, state: VehicleVibrationState, second: int) -> VehicleVibrationState:
         """Return the state after second number `second`, with the second `_WAIT_S` earlier judged.
@@ -267,13 +338,15 @@ class VehicleVibration:
         """
         if len(state.waiting_mps2) <= _WAIT_S:
             return state
-        (jitter_mps2, _), *waiting_mps2 = state.waiting_mps2
+        (jitter_mps2, std_mps2), *waiting_mps2 = state.waiting_mps2
         begin_s, known = state.start_s + second - _WAIT_S, round((second + 1) * self.rate_hz)
         recent = tuple(s for s in state.steps if s[1] > begin_s - _STEP_S)
         walks = any(number < known and time_s < begin_s + 1.0 + _STEP_S for number, time_s in recent)
         run_s, before_run_s = 0.0, 0.0
         if not walks:
             run_s, before_run_s = self._runs(state.run_s, state.before_run_s, jitter_mps2 > self.min_jitter_mps2)
+        # the motion before a known step is part of its `stepless_s`
+        is_stepless = std_mps2 > _WALKING_MPS2 and begin_s > state.last_contact_s + _STEP_S
         moving_s = self.min_run_s if run_s == self.min_run_s else int(run_s > self.min_run_s)
         return replace_unchecked(
             state,
@@ -283,6 +356,7 @@ class VehicleVibration:
             before_run_s=before_run_s,
             moving_s=state.moving_s + moving_s,
             seen_s=state.seen_s + 1,
+            stepless_s=state.stepless_s + is_stepless,
         )
 
     @property

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import EYE, Place
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, stepless_var_m2
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate, present_position, track_place
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.stream_merging import SENSORS
@@ -195,8 +195,8 @@ def present_place(config: Config, state: State) -> Present:
 
     Without extrapolation the phone may still move. The pedestrian may then walk with steps that are not known yet, or
     push the phone on a trolley. The covariance then grows as in a gap of the samples, by the time of motion that no
-    step explains (`VehicleVibration.stepless_s`). It is that of the steps again when they are accepted. Time for which
-    the accelerometer is silent or stuck counts as such motion.
+    step explains (`VehicleVibration.stepless_s`). It is that of the tracker again when steps are accepted. Time for
+    which the accelerometer is silent or stuck counts as such motion.
     """
     last, steps = _with_candidates(config, state)
     place = _place_after(state, last, bool(steps))
@@ -206,8 +206,10 @@ def present_place(config: Config, state: State) -> Present:
         extrapolated_m = speed_mps * max(_newest_accelerometer_s(state) - last.step.time_s, 0.0)
         place = _extrapolated(place, extrapolated_m, _turned_since(state, last))
     else:
-        stepless_s = _stepless_s(config, state, last) + silent_s
-        place = replace(place, cov_m2=place.cov_m2 + config.model.noise.gap_var_m2(stepless_s) * EYE)
+        var_m2 = config.model.noise.gap_var_m2(_stepless_s(config, state, last) + silent_s)
+        # the tracker already has the part of this motion that is certain to have no step
+        var_m2 = max(float(var_m2 - stepless_var_m2(state.tracker.pedestrian.steps.stepless_s)), 0.0)
+        place = replace(place, cov_m2=place.cov_m2 + var_m2 * EYE)
     return Present(_newest_s(state), place, steps, extrapolated_m, speed_mps, speed_std_mps)
 
 

@@ -29,6 +29,7 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometer import STAIRS_MPS, Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
+from pdr_filter.sensing.vehicle_vibration import Stepless
 from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing, is_moving
 from pdr_filter.values import (
     Fix,
@@ -466,6 +467,10 @@ def _process(
             state = replace_unchecked(
                 state, tracker=tracker, height=height_state, seen=state.seen.plus(context, context_set), window=context
             )
+        elif isinstance(event, Stepless):
+            grown = pedestrian.over_stepless(state.tracker.pedestrian, event.duration_s)
+            tracker, updates = replace_unchecked(state.tracker, pedestrian=grown), ()
+            state = replace_unchecked(state, tracker=tracker)
         elif isinstance(event, Gap):
             tracker, updates = config.tracker.on_gap(state.tracker, event.duration_s)
             state = _with_rival(state, lambda rival, at=event: config.tracker.on_gap(rival, at.duration_s))

@@ -95,6 +95,9 @@ class Step:
         offset minus this is the walking direction against north.
     north_std_rad : float, default inf
         Standard deviation of `north_rad`, rad. Infinite if north is unknown.
+    stepless_s : float, default 0.0
+        Time since the previous step in which the phone moved although no step explains it, s. The pedestrian may have
+        made steps that were not detected, so that the position is less certain.
 
     Examples
     --------
@@ -136,6 +139,7 @@ class Step:
     is_two: bool = False
     north_rad: float = 0.0
     north_std_rad: float = np.inf
+    stepless_s: float = 0.0
 
     @property
     def heading_source(self) -> str:

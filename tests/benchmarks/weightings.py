@@ -376,8 +376,10 @@ def updates_of(tracker: Tracker[Any], events: list[Event]) -> list[StepUpdate]:
             state, new = tracker.on_window(state, event)
         elif isinstance(event, Gap):
             state, new = tracker.on_gap(state, event.duration_s)
-        else:
+        elif isinstance(event, Step):
             state, new = tracker.on_step(state, event)
+        else:  # motion without steps, which is also part of the next step
+            continue
         updates += [u for u in new if u.is_final]
     return updates + [u for u in tracker.finish(state)[1] if u.is_final]
 

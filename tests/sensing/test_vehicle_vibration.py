@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.vehicle_vibration import VehicleVibration, VehicleVibrationState
+from pdr_filter.sensing.vehicle_vibration import Stepless, VehicleVibration, VehicleVibrationState
 from pdr_filter.values import Step
 
 VIBRATION = VehicleVibration()
+STEP_S = a_step(0.0).duration_s
 
 
 def shaking(duration_s: int, jitter_mps2: float = 0.5, seed: int = 0) -> UniformBlock:
@@ -25,7 +26,7 @@ def shaking(duration_s: int, jitter_mps2: float = 0.5, seed: int = 0) -> Uniform
 
 
 def after(block: UniformBlock, steps: list[tuple[int, Step]] | None = None) -> VehicleVibrationState:
-    return VIBRATION.update(VIBRATION.init(), block, steps or [])
+    return VIBRATION.update(VIBRATION.init(), block, steps or [])[0]
 
 
 def known_steps(times_s: Sequence[float], late_s: float = 1.0) -> list[tuple[int, Step]]:
@@ -54,8 +55,8 @@ def test_walking_does_not_count_as_moving_without_steps(late_s: float) -> None:
 
 def test_a_gap_ends_the_run_and_keeps_the_totals() -> None:
     state = VIBRATION.after_gap(after(shaking(65)))
-    assert VIBRATION.update(state, shaking(20), []).moving_s == 60
-    assert VIBRATION.update(state, shaking(30), []).moving_s == 85
+    assert VIBRATION.update(state, shaking(20), [])[0].moving_s == 60
+    assert VIBRATION.update(state, shaking(30), [])[0].moving_s == 85
 
 
 def joined(*parts: UniformBlock) -> UniformBlock:
@@ -100,21 +101,58 @@ def test_handling_leaves_two_seconds_however_often_it_happens_and_a_ride_its_who
     assert VIBRATION.stepless_s(after(ridden, steps), 75.6, 82.0) == pytest.approx(0.0, abs=2.5)
 
 
+def stepless_of(steps: list[tuple[int, Step]], *parts: UniformBlock) -> tuple[list[float], list[int]]:
+    """Time of motion without steps before each step, and the seconds in which further such motion becomes known."""
+    _, events = VIBRATION.update(VIBRATION.init(), joined(*parts), steps)
+    before_s = [e.stepless_s for _, e in events if isinstance(e, Step)]
+    return before_s, [n // 100 for n, e in events if isinstance(e, Stepless)]
+
+
+@pytest.mark.parametrize("late_s", [1.0, 4.0])
+@pytest.mark.parametrize("moved_s", [3, 12])
+def test_a_step_has_the_time_of_motion_since_the_step_before(late_s: float, moved_s: int) -> None:
+    quiet = shaking(10, jitter_mps2=0.03)
+    steps = known_steps([4.0, 4.6, 25.0 + moved_s, 25.6 + moved_s], late_s)
+    parts = swaying(5, 2.0), quiet, swaying(moved_s, 0.5), quiet, swaying(10, 2.0)
+    before_s, seconds = stepless_of(steps, *parts)
+    # the bounce until the begin of the third step began before that step
+    assert before_s == pytest.approx([4.0 - STEP_S, 0.0, moved_s, 0.0], abs=0.02)
+    assert [s for s in seconds if s >= 20][:moved_s] == list(range(20, 20 + moved_s))
+
+
+def test_motion_before_the_first_step_counts_and_that_of_a_second_after_a_step_does_not() -> None:
+    moving = swaying(20, 0.5)
+    assert stepless_of([], moving) == ([], list(range(5, 20)))
+    before_s, _ = stepless_of(known_steps([5.0, 7.5]), moving)
+    assert before_s == pytest.approx([5.0 - STEP_S, 7.5 - STEP_S - 6.0], abs=0.02)
+
+
+def test_the_end_of_the_samples_and_a_gap_keep_the_motion_since_the_last_step() -> None:
+    state = after(joined(swaying(20, 0.5), QUIET), known_steps([5.0]))
+    _, ((_, last),) = VIBRATION.finish(state, known_steps([22.0]))
+    assert last.stepless_s == pytest.approx(14.0)
+    _, ((_, later),) = VIBRATION.update(VIBRATION.after_gap(state), QUIET, known_steps([3.0]))
+    assert later.stepless_s == 13.0  # the seconds of which no step can become known
+
+
 def test_a_gap_keeps_the_unexplained_motion_before_it() -> None:
     state = VIBRATION.after_gap(after(joined(QUIET, shaking(40), QUIET)))
-    assert VIBRATION.stepless_s(VIBRATION.update(state, QUIET, []), -np.inf, 4.0) == pytest.approx(40.0)
+    assert VIBRATION.stepless_s(VIBRATION.update(state, QUIET, [])[0], -np.inf, 4.0) == pytest.approx(40.0)
 
 
 @settings(deadline=None, max_examples=30)
 @given(seed=st.integers(0, 99), edges=st.lists(st.integers(1, 6999), max_size=30))
 def test_the_state_is_the_same_however_the_samples_are_cut(seed: int, edges: list[int]) -> None:
     rng = np.random.default_rng(seed)
-    block = shaking(70, seed=seed)
+    block = joined(shaking(30, seed=seed), swaying(15, 0.4), QUIET, shaking(21, seed=seed))
     steps = known_steps(sorted(rng.uniform(5.0, 45.0, 3)), late_s=float(rng.uniform(0.9, 9.0)))
-    whole, cut, n = after(block, steps), VIBRATION.init(), 0
+    (whole, events), cut, n = VIBRATION.update(VIBRATION.init(), block, steps), VIBRATION.init(), 0
+    of_parts: list[tuple[int, Step | Stepless]] = []
     for part in cut_uniform(block, sorted({*edges, *range(100, 7000, 100)})):
-        cut = VIBRATION.update(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
+        cut, found = VIBRATION.update(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
+        of_parts += found
         n += len(part.time_s)
+    assert of_parts == events
     assert (cut.moving_s, cut.seen_s, cut.run_s) == (whole.moving_s, whole.seen_s, whole.run_s)
     for since_s in (-np.inf, 41.3, 68.2):
         assert VIBRATION.stepless_s(cut, since_s, 70.0) == VIBRATION.stepless_s(whole, since_s, 70.0)

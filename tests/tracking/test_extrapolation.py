@@ -300,7 +300,7 @@ def test_a_trolley_is_never_certain_and_a_sitting_person_stays_within_two_metres
     for i in range(0, len(sitting.time_s), 500):
         part = slice(i, i + 500)
         online.push(sitting.time_s[part], sitting.specific_force_mps2[part], sitting.angular_rate_radps[part])
-        assert online.now().position_std_m <= 2.0
+        assert online.now().position_std_m <= 2.0 + 1e-9
 
 
 def test_the_present_row_of_the_path_has_the_grown_deviation() -> None:

@@ -28,6 +28,7 @@ from pdr_filter.filter.imm.motion_model import (
     initial_estimate,
     predict_heading,
     second_order_errors,
+    stepless_var_m2,
     update_heading,
 )
 from pdr_filter.filter.imm.past_path import PastPath, WalkedStep
@@ -210,7 +211,7 @@ class PedestrianState:
         Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
     std_at_start_m : float
         Standard deviation of the position after the last used position fix, minus the distance walked until then, in m.
-        A gap adds its standard deviation.
+        A gap, and motion without steps, add their standard deviations.
     """
 
     estimates: Estimates
@@ -265,14 +266,17 @@ def with_heading(
 ) -> tuple[PedestrianState, FloatArray]:
     """Return the state with the heading of the next step, before its displacement, and the drifted covariances.
 
-    The heading offset first drifts for the time since the previous step, because the heading stage assumes this drift
-    for its measurement. Then the measured walking heading updates the state. The first measured walking heading defines
-    the zero of the heading offset instead. The second result are the covariances (F, 4, 4) after the drift and before
-    the measurement.
+    The position becomes less certain by the motion without steps before the step, as far as `over_stepless` has not
+    added it yet. The heading offset drifts for the time since the previous step, because the heading stage assumes this
+    drift for its measurement. Then the measured walking heading updates the state. The first measured walking heading
+    defines the zero of the heading offset instead. The second result are the covariances (F, 4, 4) after the drift and
+    before the measurement.
     """
     estimates, zero = state.estimates, state.heading_zero
     since_s = step.duration_s if math.isnan(state.steps.last_s) else step.time_s - state.steps.last_s
     mean, drifted_cov = estimates.mean, predict_heading(estimates.cov, step, since_s, directions, noise)
+    var_m2 = float(stepless_var_m2(max(step.stepless_s - state.steps.stepless_s, 0.0)))
+    drifted_cov[:, [EAST, NORTH], [EAST, NORTH]] += var_m2
     cov = drifted_cov
     if math.isfinite(step.walking_heading_std_rad):
         if math.isinf(zero.time_s):
@@ -281,7 +285,10 @@ def with_heading(
         else:
             mean, cov = update_heading(mean, cov, step, zero.offset_rad)
     return replace_unchecked(
-        state, estimates=replace_unchecked(estimates, mean=mean, cov=cov), heading_zero=zero
+        state,
+        estimates=replace_unchecked(estimates, mean=mean, cov=cov),
+        heading_zero=zero,
+        std_at_start_m=state.std_at_start_m + math.sqrt(var_m2),
     ), drifted_cov
 
 
@@ -373,6 +380,21 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
         fixes=state.fixes.after_gap(),
         path=state.path.predicted(P, estimates.combined[1]),
         std_at_start_m=state.std_at_start_m + math.sqrt(noise.gap_var_m2(gap_s)),
+    )
+
+
+def over_stepless(state: PedestrianState, stepless_s: float) -> PedestrianState:
+    """Return the state after a time in which the phone moved without a known step, with a less certain position."""
+    estimates, var_m2 = state.estimates, float(stepless_var_m2(stepless_s))
+    cov = estimates.cov.copy()
+    cov[:, [EAST, NORTH], [EAST, NORTH]] += var_m2
+    grown = replace_unchecked(estimates, cov=cov)
+    return replace_unchecked(
+        state,
+        estimates=grown,
+        steps=replace_unchecked(state.steps, stepless_s=state.steps.stepless_s + stepless_s),
+        path=state.path.predicted(estimates.combined[1], grown.combined[1]),
+        std_at_start_m=state.std_at_start_m + math.sqrt(var_m2),
     )
 
 

@@ -60,6 +60,8 @@ class StepHistory:
         Time of the foot contact that ended the last step, s. NaN before the first step of a segment.
     gap_s : float
         Time without samples since the last step, s.
+    stepless_s : float
+        Time of motion without a known step since the last step, s, as far as it has been added to the covariance.
     speed : WalkingSpeed or None
         Walking speed after the last step, or None before the first step of a segment.
     trail : (R, 4) array
@@ -69,6 +71,7 @@ class StepHistory:
     n_final: int = 0
     last_s: float = math.nan
     gap_s: float = 0.0
+    stepless_s: float = 0.0
     speed: WalkingSpeed | None = None
     trail: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
 
@@ -89,7 +92,7 @@ class StepHistory:
         trail = np.empty((min(len(self.trail) + 1, TRAIL_STEPS), 4))
         trail[:-1] = self.trail[len(self.trail) + 1 - len(trail) :]
         trail[-1] = step.time_s, x[EAST], x[NORTH], step.device_heading_rad
-        return StepHistory(self.n_final + 1, step.time_s, 0.0, speed, trail)
+        return StepHistory(self.n_final + 1, step.time_s, speed=speed, trail=trail)
 
     def after_gap(self, gap_s: float) -> StepHistory:
         """Return the history after a time without samples, without the time and the walking speed of a last step.

@@ -25,6 +25,7 @@ from pdr_filter.filter.imm.motion_model import (
     N_STATES,
     Directions,
     step_motion,
+    stepless_var_m2,
 )
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.values import BoolArray, FloatArray, IntArray, Table, read_only, steps_of
@@ -72,7 +73,7 @@ class Increments:
     jump_var_rad2 : array (K,)
         Variance of a change of the heading offset before the step: the phone was moved, or samples are missing.
     gap_var_m2 : array (K,)
-        Variance of the position from walking without samples before the step.
+        Variance of the position from a gap in the samples, or motion without steps, before the step.
     """
 
     time_s: FloatArray
@@ -169,7 +170,7 @@ def increments(
         scale_memory=np.full(n, noise.log_scale_memory),
         scale_drift_var=np.full(n, noise.log_scale_drift_var),
         jump_var_rad2=np.minimum(jump_var, MAX_HEADING_VARIANCE),
-        gap_var_m2=noise.gap_var_m2(gap_before_s),
+        gap_var_m2=noise.gap_var_m2(gap_before_s) + stepless_var_m2(np.asarray(steps.stepless_s)),
     )
     scale_error_m = noise.log_scale_std * np.where(unknown_var[:, None] > 0, displacement, 0.0)
     return walking, np.concatenate([parameter_std_m[..., None] * along, scale_error_m[:, None]], axis=1)

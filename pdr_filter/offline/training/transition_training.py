@@ -176,7 +176,7 @@ def stretches(sensing: Sensing, recording: Recording) -> Iterator[tuple[list[Ste
             steps, windows = [], []
         elif isinstance(event, Step):
             steps.append(event)
-        else:
+        elif isinstance(event, WindowContext):
             windows.append(event)
     yield steps, windows
 

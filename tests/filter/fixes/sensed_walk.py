@@ -9,12 +9,13 @@ from functools import cached_property
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState, over_stepless
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.front_end import Event, Gap
+from pdr_filter.sensing.vehicle_vibration import Stepless
 from pdr_filter.tracking.filtering import due_s, parts
-from pdr_filter.values import Fix, FixOutcome, FloatArray
+from pdr_filter.values import Fix, FixOutcome, FloatArray, replace_unchecked
 from pdr_filter.values.recording import Recording
 
 
@@ -83,6 +84,9 @@ class SensedWalk:
                 state, updates = tracker.on_window(state, event)
             elif isinstance(event, Gap):
                 state, updates = tracker.on_gap(state, event.duration_s)
+            elif isinstance(event, Stepless):
+                state = replace_unchecked(state, pedestrian=over_stepless(state.pedestrian, event.duration_s))
+                continue
             elif event is not None:
                 state, updates = tracker.on_step(state, event)
             else:

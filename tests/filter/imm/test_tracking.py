@@ -19,14 +19,15 @@ from pdr_filter.filter.imm.motion_model import (
     advance,
     initial_estimate,
     second_order_errors,
+    stepless_var_m2,
 )
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate, in_other_frame, present_position
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate, in_other_frame, over_stepless, present_position
 from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step
+from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step, replace_unchecked
 
 LATENCY_S = 0.74
 EVEN_PRIOR = np.full(6, 1 / 6)
@@ -614,3 +615,29 @@ def test_rotating_the_frame_rotates_the_shared_errors() -> None:
     turn = Alignment(0.7, 0.0, np.zeros(2), np.zeros(2), 0.0, known.steps.n_final)
     before, after = present_position(known)[1], present_position(in_other_frame(known, turn))[1]
     np.testing.assert_allclose(after, turn.rotation @ before @ turn.rotation.T, atol=1e-9)
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+def test_motion_without_steps_adds_its_variance_once_to_the_position_and_to_the_path(weighting: str) -> None:
+    filter_ = tracker(weighting)
+    state, _ = run(filter_, [a_step(1.0), WindowContext(2.0, sure(WALKING), EVEN_PRIOR)])
+    moved = replace_unchecked(state, pedestrian=over_stepless(state.pedestrian, 4.0))
+    added = position_cov(moved) - position_cov(state)
+    np.testing.assert_allclose(added, stepless_var_m2(4.0) * np.eye(2), atol=1e-12)
+    later = [WindowContext(22.0, sure(WALKING), EVEN_PRIOR)]
+    usual, _ = run(filter_, [a_step(20.0), *later], state)
+    for before, stepless_s in ((state, 10.0), (moved, 10.0), (moved, 4.0)):
+        after, _ = run(filter_, [replace(a_step(20.0), stepless_s=stepless_s), *later], before)
+        added = position_cov(after) - position_cov(usual)
+        np.testing.assert_allclose(added, stepless_var_m2(stepless_s) * np.eye(2), atol=1e-9)
+        # the motion is not added to the step before the pause
+        assert (first_var_m2(after) < np.diag(position_cov(state)) + 1e-6).all()
+
+
+def first_var_m2(state: State) -> np.ndarray:
+    x, P = state.pedestrian.estimates.combined
+    return state.pedestrian.path.places(P, np.zeros((2, 2)), x[:2])[2][[0, 2], 0]
+
+
+def position_cov(state: State) -> np.ndarray:
+    return state.pedestrian.estimates.combined[1][:2, :2]

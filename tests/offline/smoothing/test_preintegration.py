@@ -6,11 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import a_step
 from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm.motion_model import Mode, MotionNoise, advance, grow_over_gap, predict_heading
+from pdr_filter.filter.imm.motion_model import (
+    Mode,
+    MotionNoise,
+    advance,
+    grow_over_gap,
+    predict_heading,
+    stepless_var_m2,
+)
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.step_length.models import StaticStepLength, known_length
@@ -150,6 +158,17 @@ def test_a_gap_before_a_step_adds_the_same_variance_as_in_the_filter() -> None:
 def test_anchors_that_do_not_increase_are_refused() -> None:
     with pytest.raises(ValueError, match="anchors must increase"):
         preintegrate(WALK.steps, np.array([0, 30, 30, 60]))
+
+
+def test_motion_without_steps_is_a_gap_of_the_position_alone() -> None:
+    model = pdr.recipes.default().model
+    prob = np.full((1, len(model.modes)), 1 / len(model.modes))
+    (usual, _), (found, _) = (
+        increments(step_table([replace(a_step(), stepless_s=s)]), prob, model, np.zeros(1)) for s in (0.0, 6.0)
+    )
+    assert (usual.gap_var_m2[0], found.gap_var_m2[0]) == (0.0, float(stepless_var_m2(6.0)))
+    assert found.is_turned[0]
+    np.testing.assert_array_equal([found.jump_var_rad2, found.length_m], [usual.jump_var_rad2, usual.length_m])
 
 
 @pytest.mark.parametrize("jump_var_rad2", [0.0, 0.3])
