@@ -211,7 +211,9 @@ class PedestrianState:
         Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
     std_at_start_m : float
         Standard deviation of the position after the last used position fix, minus the distance walked until then, in m.
-        A gap, and motion without steps, add their standard deviations.
+        A gap adds its standard deviation.
+    unstepped_var_m2 : float
+        Variance added by motion without steps since the last used position fix, along each axis, m2.
     """
 
     estimates: Estimates
@@ -222,14 +224,16 @@ class PedestrianState:
     path: PastPath = field(default_factory=PastPath)
     rival: Rival | None = None
     std_at_start_m: float = 0.0
+    unstepped_var_m2: float = 0.0
 
     @property
     def reach_m(self) -> float:
         """Largest possible standard deviation of the position in m (`motion_model.reach_m`).
 
-        It is the standard deviation after the last used position fix plus the way walked since then.
+        It is the standard deviation after the last used position fix plus the way walked since then, or that of the
+        motion without steps if it is larger.
         """
-        return max(self.std_at_start_m + self.estimates.distance_m, 0.0)
+        return max(self.std_at_start_m + self.estimates.distance_m, math.sqrt(self.unstepped_var_m2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,7 +292,7 @@ def with_heading(
         state,
         estimates=replace_unchecked(estimates, mean=mean, cov=cov),
         heading_zero=zero,
-        std_at_start_m=state.std_at_start_m + math.sqrt(var_m2),
+        unstepped_var_m2=state.unstepped_var_m2 + var_m2,
     ), drifted_cov
 
 
@@ -394,7 +398,7 @@ def over_stepless(state: PedestrianState, stepless_s: float) -> PedestrianState:
         estimates=grown,
         steps=replace_unchecked(state.steps, stepless_s=state.steps.stepless_s + stepless_s),
         path=state.path.predicted(estimates.combined[1], grown.combined[1]),
-        std_at_start_m=state.std_at_start_m + math.sqrt(var_m2),
+        unstepped_var_m2=state.unstepped_var_m2 + var_m2,
     )
 
 
@@ -407,7 +411,7 @@ def with_reach_after_fix(state: PedestrianState, fix: Fix) -> PedestrianState:
         return state
     estimates = state.estimates
     std_m = float(worst_std_m(position_cov(estimates.combined[1], estimates.consider_cov_m2)))
-    return replace_unchecked(state, std_at_start_m=std_m - estimates.distance_m)
+    return replace_unchecked(state, std_at_start_m=std_m - estimates.distance_m, unstepped_var_m2=0.0)
 
 
 # The square of 50 degrees. Above it the rotation to the fixes is estimated again; below it the walking directions

@@ -530,7 +530,8 @@ def _smooth_track(
     The variance is the part of the position variance that the heading offset does not explain, mean of both axes
     (`filter.fixes.alignment.walked_var_m2`). The last result are the shifts of the clocks of the observations.
     `options` are the standard deviation of the start heading, the interval of anchors, the path at which measurements
-    are first linearised, and the steps within standstills. The smoothed result includes the person's step scale if the fixes determine it.
+    are first linearised, and the steps within standstills. The smoothed result includes the person's step scale if the
+    fixes determine it.
     """
     start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
     if track.n_steps:

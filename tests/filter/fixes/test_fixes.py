@@ -243,7 +243,8 @@ def standing_pedestrian(std_m: float, n_fix_errors: int = 10**12) -> tuple[ImmTr
     cov = pedestrian.estimates.cov.copy()
     cov[:, :2, :2] = std_m**2 * np.eye(2)
     fixes = replace(pedestrian.fixes, n_errors=n_fix_errors, squares=float(n_fix_errors))
-    pedestrian = replace(pedestrian, estimates=replace(pedestrian.estimates, cov=cov), fixes=fixes)
+    estimates = replace(pedestrian.estimates, cov=cov)
+    pedestrian = replace(pedestrian, estimates=estimates, fixes=fixes, std_at_start_m=std_m)
     return tracker, replace(state, pedestrian=pedestrian)
 
 
