@@ -92,6 +92,8 @@ class StepUpdate:
         fixes is not settled. None afterwards.
     gap_before_s : float
         Time in s without samples since the previous step.
+    reach_m : float, default inf
+        Largest possible standard deviation of the position in m, `PedestrianState.reach_m`.
     height_m, height_std_m : float, default 0.0
         Height above the start in m, and its standard deviation. Trackers leave the default; the height filter sets
         them.
@@ -125,6 +127,7 @@ class StepUpdate:
     mode_prob: FloatArray
     of_start: Place | None
     gap_before_s: float
+    reach_m: float = math.inf
     height_m: float = 0.0
     height_std_m: float = 0.0
     floor: int = 0
@@ -153,7 +156,7 @@ class StepUpdate:
         return replace_unchecked(
             self,
             position_m=read_only(place.position_m),
-            position_cov_m2=read_only(place.cov_m2),
+            position_cov_m2=read_only(_within_reach(place.cov_m2, frame, self.reach_m)),
             walking_heading_rad=place.heading_rad,
         )
 
@@ -530,7 +533,7 @@ def step_update(
         step=step,
         is_final=is_final,
         position_m=frozen(place.position_m),
-        position_cov_m2=frozen(place.cov_m2),
+        position_cov_m2=frozen(_within_reach(place.cov_m2, updated.frame, updated.reach_m)),
         of_start=None if updated.frame.is_joined else of_start,
         step_length_m=walked.length_m,
         walked_m=updated.estimates.distance_m,
@@ -540,7 +543,16 @@ def step_update(
         contexts=contexts,
         mode_prob=frozen(mode_prob),
         gap_before_s=previous.steps.gap_s,
+        reach_m=updated.reach_m,
     )
+
+
+def _within_reach(cov_m2: FloatArray, frame: Frame, reach_m: float) -> FloatArray:
+    """Return a covariance (2, 2) that is at most the reach in the frame of the start, and unchanged in other frames.
+
+    A lost heading is a rotation of the frame, and the reach does not contain the variance of fixes.
+    """
+    return bounded_position_cov(cov_m2, reach_m) if frame.name == "start" else cov_m2
 
 
 def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
@@ -550,7 +562,7 @@ def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
     """
     place = track_place(state)
     place = place if state.frame.is_joined else state.frame.world(place)
-    return read_only(place.position_m), read_only(place.cov_m2)
+    return read_only(place.position_m), read_only(_within_reach(place.cov_m2, state.frame, state.reach_m))
 
 
 def past_position(state: PedestrianState, time_s: float) -> FloatArray | None:
