@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,19 +94,20 @@ def walked_path(config: Config, state: State) -> WalkedPath:
         first = int(np.searchsorted(time_s, pedestrian.path.since_s, side="right"))
         place_m[:, first:], cov_m2[:, first:] = turned(turn, place_m[:, first:], cov_m2[:, first:])
     cov_m2 = cov_m2[[0, 1, 1, 2]].T.reshape(-1, 2, 2)
-    cov_m2 = _bounded(cov_m2, time_s, place_m, config.model.noise, pedestrian.frame.is_known)
+    start_std_m = np.inf if pedestrian.frame.is_known else math.sqrt(pedestrian.unstepped_var_m2)
+    known = slice(len(time_s) - len(ahead))  # the present row has the covariance of `OnlineFilter.now`
+    cov_m2[known] = _bounded(cov_m2[known], time_s[known], place_m[:, known], config.model.noise, start_std_m)
     return WalkedPath(read_only(time_s), read_only(place_m.T), read_only(cov_m2), n_steps)
 
 
 def _bounded(
-    cov_m2: FloatArray, time_s: FloatArray, place_m: FloatArray, noise: MotionNoise, is_placed: bool
+    cov_m2: FloatArray, time_s: FloatArray, place_m: FloatArray, noise: MotionNoise, start_std_m: float
 ) -> FloatArray:
     """Return covariances (K, 2, 2) whose standard deviations change by at most the way between the positions (2, K).
 
-    Between two steps that are a pause apart, the pedestrian may have walked as in a gap. The start is known unless
-    fixes have placed the track.
+    Between two steps that are a pause apart, the pedestrian may have walked as in a gap. `start_std_m` is the standard
+    deviation of the start.
     """
-    start_std_m = np.inf if is_placed else 0.0
     lasted_s = np.diff(time_s, prepend=time_s[:1])
     gap_m = np.sqrt(noise.gap_var_m2(np.where(lasted_s > PAUSE_S, lasted_s, 0.0)))
     moved_m = np.hypot(*np.diff(place_m, axis=1, prepend=np.zeros((2, 1))))
