@@ -152,7 +152,8 @@ class ImmTracker:
         if previous.fixes.is_standing(step.time_s):
             free_prob = model.step_mode_prob(context_prob)
             turned, n_new = on_standstill_step(model, turned, step, free_prob)
-            walked = with_withheld_length(model, walked, n_new * float((free_prob - prob) @ advanced.motion.length_m))
+            withheld_m = n_new * float((free_prob - prob) @ advanced.motion.length_m)
+            turned, walked = with_withheld_length(model, turned, walked, withheld_m)
         event = WalkedStep.of(step.time_s, mixed, drifted_cov, turned.estimates, advanced, combined[0])
         updated = with_step(
             replace_unchecked(turned, estimates=replace_unchecked(predicted, prob=prob)), step, walked, combined, event

@@ -314,15 +314,18 @@ def on_standstill_step(
     return replace_unchecked(state, fixes=fixes), after.n_contradicting - before.n_contradicting
 
 
-def with_withheld_length(model: PedestrianModel, walked: Walked, withheld_m: float) -> Walked:
-    """Return a step that a stated standstill leaves without the length `withheld_m`, with this length as uncertainty.
+def with_withheld_length(
+    model: PedestrianModel, state: PedestrianState, walked: Walked, withheld_m: float
+) -> tuple[PedestrianState, Walked]:
+    """Return state and step with the length that a stated standstill withholds from the step, as uncertainty.
 
     If the statement is wrong, all of its steps lack their lengths. The error is therefore one of the length parameter
     of a mode without displacement, which all steps share.
     """
     std_m = walked.parameter_std_m.copy()
     std_m[int(np.argmin(model.moves))] += max(withheld_m, 0.0)
-    return replace(walked, parameter_std_m=std_m)
+    reaching = replace_unchecked(state, std_at_start_m=state.std_at_start_m + max(withheld_m, 0.0))
+    return reaching, replace(walked, parameter_std_m=std_m)
 
 
 def with_step(

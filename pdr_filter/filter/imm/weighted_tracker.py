@@ -289,7 +289,7 @@ class WeightedTracker:
         advanced, walked = self._advanced(turned.estimates, step, weights, directions)
         if n_new:
             free_m = float(free_weights @ model.lengths(step).length_m) * float(advanced.motion.scale[0])
-            walked = with_withheld_length(model, walked, n_new * (free_m - walked.length_m))
+            turned, walked = with_withheld_length(model, turned, walked, n_new * (free_m - walked.length_m))
         walked_m = previous.estimates.walked_m + advanced.motion.length_m
         predicted = replace_unchecked(turned.estimates, mean=advanced.mean, cov=advanced.cov, walked_m=walked_m)
         combined = predicted.mean[0], predicted.cov[0]

@@ -738,7 +738,10 @@ def _smoothed(
             late_m = clock.var_s2**0.5 * np.vstack([follows[:1, :2], later[:, :2] - position])
             late_cov = late_m[:, :, None] * late_m[:, None, :]
             start_cov, position_cov = start_cov + late_cov[0], position_cov + late_cov[1:]
-    way_m = np.cumsum(np.append(0.0, length + np.sqrt(steps.gap_var_m2)))
+    # no step is uncertain by a metre, except the last one of a standstill that the steps contradict
+    step_std_m = worst_std_m(steps.cov_m2)
+    withheld_m = np.where(step_std_m > 1.0, step_std_m, 0.0)
+    way_m = np.cumsum(np.append(0.0, length + np.sqrt(steps.gap_var_m2) + withheld_m))
     start_std_m = worst_std_m(start_cov) if used.has_places else 0.0
     std_m = np.append(start_std_m, worst_std_m(position_cov))
     position_cov = bounded_position_cov(position_cov, reach_m(way_m, std_m)[1:])
