@@ -20,6 +20,8 @@ from sphinx.ext.autosummary import autosummary_toc
 
 import pdr_filter
 
+# `pdr_filter.plot` is a name of the module `pdr_filter.report.plot`, and autosummary imports modules by their name.
+sys.modules.setdefault("pdr_filter.plot", pdr_filter.plot)
 sys.path.insert(0, str(Path(__file__).parent))
 import catalogue
 

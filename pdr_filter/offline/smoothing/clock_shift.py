@@ -7,9 +7,9 @@ by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_P
 start.
 
 Let F(d) be the least sum of squares of the walk whose observations are earlier by d, F its minimum at D, G = F(0) - F
-and I half of its second derivative there. With q = 1 / `_SHIFT_STD_S`^2, a shift has the posterior variance
-1 / (I + q), the mean m = D I / (I + q), and the Bayes factor sqrt(q / (I + q)) exp((G - D m q) / 2) against zero
-(Laplace).
+and I half of its second derivative there. With the prior information q = 1 / s^2 for s = `_SHIFT_STD_S`, a shift has
+the posterior variance 1 / (I + q), the mean m = D I / (I + q), and the Bayes factor
+sqrt(q / (I + q)) exp((G - D m q) / 2) against zero (Laplace).
 """
 
 from __future__ import annotations
