@@ -20,10 +20,11 @@ from sphinx.ext.autosummary import autosummary_toc
 
 import pdr_filter
 
-# `pdr_filter.plot` is a name of the module `pdr_filter.report.plot`, and autosummary imports modules by their name.
-sys.modules.setdefault("pdr_filter.plot", pdr_filter.plot)
 sys.path.insert(0, str(Path(__file__).parent))
 import catalogue
+
+# `pdr_filter.plot` is a name of the module `pdr_filter.report.plot`, and autosummary imports modules by their name.
+sys.modules.setdefault("pdr_filter.plot", pdr_filter.plot)
 
 project = "pdr_filter"
 author = "The pdr_filter developers"
