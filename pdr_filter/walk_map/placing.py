@@ -25,8 +25,8 @@ from pdr_filter.walk_map.likeness import fingerprint_matrix, likelihood, log_rat
 # twelve walks at their true places, at most 5 % of the placed walks are wrong in the mean of the storeys from this
 # share on. Chosen on any four of the five storeys, it is 0.945 to 0.948.
 SURE, _PLACE_M = 0.95, 12.0
-# The same for the place of a walk whose known positions are wrong, and its smallest distance from these: two radii, so
-# that both places do not overlap.
+# Smallest probability of another place at which the known positions of a walk count as wrong, and smallest distance of
+# this place from them: two radii, so that both places do not overlap.
 _SURE_ELSEWHERE, _ELSEWHERE_M = 0.999, 2.0 * _PLACE_M
 # Smallest scalar product of two fingerprints, without their small components, that makes their walks partners.
 _PARTNER_COSINE = 0.15

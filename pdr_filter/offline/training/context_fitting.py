@@ -318,7 +318,7 @@ def _labels_of(windows: LabelledWindows, head: Head) -> tuple[str, ...]:
 
 
 def _held_out_units(windows: LabelledWindows, sequence: TextArray, head: Head) -> tuple[TextArray, str]:
-    """Return the name of what is held out with each window (W,), and its kind: "person", or "recording" of one person.
+    """Return the held-out unit of each window (W,), and its kind: "person", or "recording" for one person alone.
 
     `sequence` (W,) has the number of the recording of each window before a slash.
     """
