@@ -13,6 +13,7 @@ from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import (
     AnchorsFile,
     Files,
+    FixesFile,
     Folder,
     Format,
     Height,
@@ -124,7 +125,8 @@ def calibrate(
             written.append(figure)
         for stem, rows in as_tables.items():
             # standard deviations have four decimals in LaTeX, so that covariances need eight
-            written += pdr.evaluate.write_tables(rows, stem, digits=8 if stem.name == "covariance" else 4)
+            digits = 8 if stem.name == "covariance" else 4
+            written += pdr.evaluate.write_tables(rows, stem, digits, f"{stem.name.capitalize()} of the calibration.")
     for line in result.report().split("\n"):
         console.print_line(line)
     for path in written:
@@ -135,13 +137,7 @@ def calibrate(
 def smooth(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
     placement: PlacementOptions,
-    fixes: Annotated[
-        Path | None,
-        typer.Option(
-            help="CSV of position fixes with columns time_s, east_m, north_m and optionally std_m, floor, heading_deg "
-            "and heading_std_deg."
-        ),
-    ] = None,
+    fixes: FixesFile = None,
     fix_std_m: Annotated[
         float,
         typer.Option("--fix-std", min=0.01, help="Standard deviation in m of waypoints, and of fixes without std_m."),

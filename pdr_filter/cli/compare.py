@@ -15,10 +15,21 @@ import typer
 
 from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
-from pdr_filter.cli.options import AsJson, Files
+from pdr_filter.cli.options import (
+    AsJson,
+    Files,
+    FixesFile,
+    ModelFile,
+    PersonFile,
+    PlacementOptions,
+    Source,
+    TransitionsFile,
+    context_changes,
+)
 from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
+    from pdr_filter.recipes.config import Config
     from pdr_filter.tracking.track import Track
     from pdr_filter.values import Table
     from pdr_filter.values.recording import Recording
@@ -57,14 +68,74 @@ class Compared:
         return {"name": self.recording.name, "tracks": rows}
 
 
-def compare(
-    files: Files,
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Options for configuration, person and fixes, which all compared tracks share."""
+
     recipe: Annotated[
         list[str] | None,
         typer.Option(
-            help="Recipe to compare. Repeat the option for each recipe. Replaces the comparison of weightings."
+            help="Recipe to compare. Repeat the option for each recipe. Several recipes replace the comparison of "
+            "weightings."
         ),
-    ] = None,
+    ] = None
+    model: ModelFile = None
+    transitions: TransitionsFile = None
+    person: PersonFile = None
+    fixes: FixesFile = None
+    fix_std_m: Annotated[
+        float, typer.Option("--fix-std", min=0.01, help="Standard deviation in m of fixes without std_m.")
+    ] = 1.0
+
+    def check(self, n_files: int) -> None:
+        """Raise ValueError for an unknown recipe, and for fixes of more than one recording."""
+        import pdr_filter as pdr
+
+        for name in self.recipe or ():
+            pdr.recipes.check_name(name)
+        if self.fixes is not None and n_files > 1:
+            raise ValueError(f"--fixes are of one recording, got {n_files} recordings: compare them one by one")
+
+    def tracks(
+        self, recording: Recording, where: dict[str, Any], progress: Callable[[float], None]
+    ) -> dict[str, Track]:
+        """Return the track of each weighting, or of each recipe if there are several.
+
+        `where` are the arguments of `PlacementOptions`. The recording's own locations are used only on request.
+        """
+        import pdr_filter as pdr
+        from pdr_filter.io.fix_files import fixes_of_file
+
+        names = self.recipe or ["default"]
+        changed = context_changes(self.model, self.transitions)
+
+        def config_of(name: str) -> Config:
+            config = changed(pdr.recipes.for_recording(name, recording))
+            return config if self.fixes is None else config.in_world_frame()
+
+        options: dict[str, Any] = {
+            **where,
+            "gnss": where["gnss"] or "off",
+            "person": self.person,
+            "fixes": () if self.fixes is None else fixes_of_file(self.fixes, self.fix_std_m),
+        }
+        if len(names) == 1:
+            return pdr.evaluate.weighting_tracks(recording, config_of(names[0]), progress, **options)
+        tracks: dict[str, Track] = {}
+        for i, name in enumerate(names):
+
+            def show(fraction: float, i: int = i) -> None:
+                progress((i + fraction) / len(names))
+
+            tracks[name] = pdr.track(recording, config_of(name), progress=show, **options)
+        return tracks
+
+
+def compare(
+    files: Files,
+    setting: Setting,
+    placement: PlacementOptions,
+    source: Source,
     truth: Annotated[
         bool,
         typer.Option(
@@ -81,8 +152,13 @@ def compare(
     """Compare the weightings HC, WC and IMM on recordings, or several recipes.
 
     HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
-    step lengths, weighted with the context probabilities. IMM is the interacting multiple model.
+    step lengths, weighted with the context probabilities. IMM is the interacting multiple model. Tracks are online.
+
+    With --calibration, all tracks have the step lengths of a calibration. Calibrate on some people, and compare on the
+    others.
     """
+    import numpy as np
+
     import pdr_filter as pdr
     from pdr_filter.report.html import write_report
 
@@ -91,17 +167,15 @@ def compare(
     replaced: list[Path] = []
 
     def compare_one(file: Path, progress: Callable[[float], None]) -> Compared:
-        recording = pdr.read(file)
-        if recipe:
-            tracks = _recipe_tracks(recording, recipe, progress)
-        else:
-            tracks = pdr.evaluate.weighting_tracks(recording, progress=progress)
-        known = _known_places(recording) if truth else None
-        rmse_m = {} if known is None else {name: _rmse_m(known, track) for name, track in tracks.items()}
+        recording = source.read(file)
+        tracks = setting.tracks(recording, where, progress)
+        errors = pdr.evaluate.comparison_table(recording, tracks)
         labels = recording.truth.labels
         in_contexts = None if labels is None or not len(labels) else pdr.evaluate.context_errors(recording, tracks)
-        found = Compared(recording, tracks, rmse_m, pdr.evaluate.comparison_table(recording, tracks), in_contexts)
-        if truth and known is None:
+        is_known = truth and bool(np.isfinite(errors.rmse_m).all())
+        rmse_m = dict(zip(tracks, errors.rmse_m.tolist(), strict=True)) if is_known else {}
+        found = Compared(recording, tracks, rmse_m, errors, in_contexts)
+        if truth and not is_known:
             without.append(recording.name)
         if out is not None:
             named = [replace(track, name=f"{recording.name}, {name}") for name, track in tracks.items()]
@@ -114,9 +188,9 @@ def compare(
         return found
 
     with console.one_line_errors():
-        for name in recipe or ():
-            pdr.recipes.check_name(name)
         files = console.recordings_of(files)
+        setting.check(len(files))
+        where = placement.arguments()
     compared, failed = console.each(files, compare_one, as_json)
     study = _study(compared) if truth or out is not None else None
     if study is not None and out is not None:
@@ -130,36 +204,6 @@ def compare(
     console.say_without_truth(without)
     console.say_replaced(replaced)
     console.exit_if_failed(failed, len(files))
-
-
-def _recipe_tracks(recording: Recording, names: Sequence[str], progress: Callable[[float], None]) -> dict[str, Track]:
-    import pdr_filter as pdr
-
-    tracks: dict[str, Track] = {}
-    for i, name in enumerate(names):
-
-        def show(fraction: float, i: int = i) -> None:
-            progress((i + fraction) / len(names))
-
-        config = pdr.recipes.for_recording(name, recording)
-        tracks[name] = pdr.track(recording, config, progress=show, gnss="off")
-    return tracks
-
-
-def _known_places(recording: Recording) -> Table | None:
-    """Return the true positions or else the waypoints of a recording, or None if it has neither."""
-    return recording.truth.position if recording.truth.position is not None else recording.truth.waypoints
-
-
-def _rmse_m(known: Table, track: Track) -> float:
-    """Return the position RMSE in m against a table of true positions or waypoints, after the best rigid alignment."""
-    import numpy as np
-
-    import pdr_filter as pdr
-
-    reference_m = np.column_stack([known["east_m"], known["north_m"]])
-    at_m = pdr.evaluate.positions_at(track.time_s, track.position_m, known["time_s"], track.start_position_m)
-    return pdr.evaluate.position_rmse_m(at_m, reference_m, "all")
 
 
 def _print(compared: Sequence[Compared]) -> None:
@@ -201,7 +245,7 @@ def _study(compared: Sequence[Compared]) -> Table | None:
     import numpy as np
 
     import pdr_filter as pdr
-    from pdr_filter.evaluate.study import MEASURES
+    from pdr_filter.evaluate.comparison import MEASURES
 
     if not any(np.isfinite(found.errors[name]).any() for found in compared for name in MEASURES):
         return None
@@ -228,8 +272,15 @@ def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
         tables["contexts"] = joined(labelled)
     before = console.existing(*(out / f"{name}{suffix}" for name in tables for suffix in (".csv", ".tex")))
     for name, rows in tables.items():
-        write_tables(rows, out / name)
+        write_tables(rows, out / name, caption=_CAPTIONS[name])
     return before
+
+
+_CAPTIONS = {
+    "study": r"Mean errors over persons, with 95\,\% intervals, and differences to the last track.",
+    "recordings": "Errors of each recording.",
+    "contexts": "Errors by context.",
+}
 
 
 def _print_study(study: Table) -> None:

@@ -7,13 +7,17 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import typer
 
 from pdr_filter.values import Plan, limits
 from pdr_filter.values.recording import check_height
 from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, texts
+
+if TYPE_CHECKING:
+    from pdr_filter.recipes.config import Config
+    from pdr_filter.values.recording import Recording
 
 
 def _height_in_metres(value: float | None) -> float | None:
@@ -53,6 +57,17 @@ RangesFile = Annotated[
 AnchorsFile = Annotated[
     Path | None,
     typer.Option("--anchors", help="Positions of the anchors of --ranges: GeoJSON points, each with a name."),
+]
+ModelFile = Annotated[Path | None, typer.Option(help="Context model (.npz) for recordings with a gyroscope.")]
+TransitionsFile = Annotated[
+    Path | None, typer.Option(help="Context transitions: transitions.json from pdr-filter train.")
+]
+FixesFile = Annotated[
+    Path | None,
+    typer.Option(
+        help="CSV of position fixes with columns time_s, east_m, north_m and optionally std_m, floor, heading_deg and "
+        "heading_std_deg."
+    ),
 ]
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
 Height = Annotated[
@@ -114,6 +129,21 @@ class PlacementOptions:
         return {field.name: getattr(placement, field.name) for field in fields(placement)}
 
 
+@dataclass(frozen=True, slots=True)
+class Source:
+    """Options that complete the contents of a file."""
+
+    file_format: Format = None
+    height_m: Height = None
+
+    def read(self, file: Path) -> Recording:
+        """Read a recording and set the height of the person if --height is given."""
+        import pdr_filter as pdr
+
+        recording = pdr.read(file, self.file_format)
+        return recording if self.height_m is None else recording.of_height(self.height_m)
+
+
 def _plan(path: Path) -> Plan:
     from pdr_filter.maps.floor_plan import FloorPlan
 
@@ -134,6 +164,26 @@ def _place(start: str | None) -> Any:
     except ValueError:
         return start
     return PositionFix(0.0, np.array([east_m, north_m]), np.eye(2))
+
+
+def context_changes(model: Path | None, transitions: Path | None) -> Callable[[Config], Config]:
+    """Return a function that puts the files --model and --transitions into a configuration.
+
+    ValueError or OSError for a file that cannot be used, before any recording is read.
+    """
+    from pdr_filter import recipes
+    from pdr_filter.classifiers.context_model import load_model
+    from pdr_filter.classifiers.transition_files import load_transitions
+
+    known = None if model is None else load_model(model)
+    probable = None if transitions is None else load_transitions(transitions)
+
+    def changed(config: Config) -> Config:
+        if known is not None:
+            config = recipes.with_context_model(config, known)
+        return config if probable is None else recipes.with_transitions(config, probable)
+
+    return changed
 
 
 def ranges_of(ranges: Path | None, anchors: Path | None, origin: tuple[float, float] | None) -> list[Any]:

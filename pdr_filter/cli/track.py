@@ -16,15 +16,17 @@ from pdr_filter.cli.options import (
     AsJson,
     Files,
     Folder,
-    Format,
-    Height,
     Loop,
+    ModelFile,
     Online,
     PersonFile,
     PlacementOptions,
     RadioFile,
     RangesFile,
     Scheduler,
+    Source,
+    TransitionsFile,
+    context_changes,
     ranges_of,
 )
 from pdr_filter.values.sanitise import file_name
@@ -49,10 +51,8 @@ class Method:
             "(imm). Default: the weighting of the recipe."
         ),
     ] = None
-    model: Annotated[Path | None, typer.Option(help="Context model (.npz) for recordings with a gyroscope.")] = None
-    transitions: Annotated[
-        Path | None, typer.Option(help="Context transitions: transitions.json from pdr-filter train.")
-    ] = None
+    model: ModelFile = None
+    transitions: TransitionsFile = None
     device: Annotated[
         Path | None,
         typer.Option(
@@ -72,34 +72,9 @@ class Method:
         ValueError or OSError for a recipe or file that cannot be used, before any recording is read.
         """
         from pdr_filter import recipes
-        from pdr_filter.classifiers.context_model import load_model
-        from pdr_filter.classifiers.transition_files import load_transitions
 
         recipes.check_name(self.recipe)
-        model = None if self.model is None else load_model(self.model)
-        transitions = None if self.transitions is None else load_transitions(self.transitions)
-
-        def changed(config: Config) -> Config:
-            if model is not None:
-                config = recipes.with_context_model(config, model)
-            return config if transitions is None else recipes.with_transitions(config, transitions)
-
-        return changed
-
-
-@dataclass(frozen=True, slots=True)
-class Source:
-    """Options that complete the contents of a file."""
-
-    file_format: Format = None
-    height_m: Height = None
-
-    def read(self, file: Path) -> Recording:
-        """Read a recording and set the height of the person if --height is given."""
-        import pdr_filter as pdr
-
-        recording = pdr.read(file, self.file_format)
-        return recording if self.height_m is None else recording.of_height(self.height_m)
+        return context_changes(self.model, self.transitions)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,8 @@ from pdr_filter.evaluate.classification import precision as precision
 from pdr_filter.evaluate.classification import recall as recall
 from pdr_filter.evaluate.comparison import comparison_table as comparison_table
 from pdr_filter.evaluate.comparison import in_truth_frame as in_truth_frame
+from pdr_filter.evaluate.comparison import leg_error_percent as leg_error_percent
 from pdr_filter.evaluate.comparison import second_over_first as second_over_first
-from pdr_filter.evaluate.comparison import straight_leg_error_percent as straight_leg_error_percent
 from pdr_filter.evaluate.consistency import ellipse_coverage as ellipse_coverage
 from pdr_filter.evaluate.consistency import mean_bounds as mean_bounds
 from pdr_filter.evaluate.consistency import nees as nees

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +21,10 @@ from pdr_filter.values.recording import Recording
 
 
 def weighting_tracks(
-    recording: Recording, config: Config | None = None, progress: Callable[[float], None] | None = None
+    recording: Recording,
+    config: Config | None = None,
+    progress: Callable[[float], None] | None = None,
+    **options: Any,
 ) -> dict[str, Track]:
     """Return tracks of a recording with the weightings HC, WC and IMM, with all other settings equal.
 
@@ -35,11 +39,14 @@ def weighting_tracks(
         Configuration of the filter. The default is the default recipe for the person of the recording.
     progress : callable, optional
         Function that is called with the fraction done, 0 to 1.
+    **options
+        Further arguments of `pdr_filter.track`, such as `fixes` and `person`. By default the recording's own locations
+        are not used.
 
     Returns
     -------
     dict of str to Track
-        Tracks with the names "hc", "wc" and "imm". The recording's own locations are not used.
+        Tracks with the names "hc", "wc" and "imm".
 
     Raises
     ------
@@ -54,13 +61,14 @@ def weighting_tracks(
     ['hc', 'wc', 'imm']
     """
     tracks: dict[str, Track] = {}
+    options = {"gnss": "off", **options}
     for i, name in enumerate(WEIGHTINGS):
 
         def show(fraction: float, i: int = i) -> None:
             if progress is not None:
                 progress((i + fraction) / len(WEIGHTINGS))
 
-        tracks[name] = track(recording, config, name, progress=show, gnss="off")
+        tracks[name] = track(recording, config, name, progress=show, **options)
     return tracks
 
 

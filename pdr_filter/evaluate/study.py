@@ -7,11 +7,9 @@ from typing import cast
 
 import numpy as np
 
-from pdr_filter.evaluate.comparison import leg_error_percent, wrong_context_percent
+from pdr_filter.evaluate.comparison import MEASURES, length_error_percent, wrong_context_percent
 from pdr_filter.values import BoolArray, FloatArray, Table, TrackRows, table
 from pdr_filter.values.recording import Recording
-
-MEASURES = ("step_error_percent", "leg_error_percent", "rmse_m", "end_error_percent", "context_error_percent")
 
 
 def context_errors(recording: Recording, tracks: Mapping[str, TrackRows]) -> Table:
@@ -29,8 +27,8 @@ def context_errors(recording: Recording, tracks: Mapping[str, TrackRows]) -> Tab
     Table
         A row for each track and context, with columns `name`, `context`, `time_s` (labelled duration), `wrong_percent`
         (per cent of wrong contexts among the windows that end in a label of this context, NaN without windows),
-        `n_steps`, `distance_m` and `leg_error_percent` (relative error of the walked distance in the segments of known
-        length in this context, NaN without segments).
+        `n_steps`, `distance_m` and `leg_error_percent` (relative error of the length of the segments of known length in
+        this context, NaN without segments).
 
     Raises
     ------
@@ -62,7 +60,7 @@ def _in_context(recording: Recording, labels: Table, track: TrackRows) -> tuple[
     segments, walked, legs = recording.truth.segments, _inside(labels, track.time_s), np.nan
     if segments is not None:
         inside = _inside(labels, 0.5 * (segments.start_s + segments.end_s))
-        legs = leg_error_percent(track, cast(Table, segments[(segments.distance_m > 0) & inside]))
+        legs = length_error_percent(recording, track, cast(Table, segments[(segments.distance_m > 0) & inside]))
     time_s, distance_m = float((labels.end_s - labels.start_s).sum()), float(track.step_length_m[walked].sum())
     return time_s, wrong_context_percent(track, labels), int(walked.sum()), distance_m, legs
 

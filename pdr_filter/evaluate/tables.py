@@ -43,30 +43,37 @@ def markdown(rows: Table | Sequence[Mapping[str, object]], digits: int = 2) -> M
     |---|---|
     | hc | 101.23 |
     """
-    if isinstance(rows, Sequence):
-        names = list(rows[0]) if rows else []
-        cells = [[row[name] for name in names] for row in rows]
-    else:
-        names = list(rows.dtype.names or ())
-        cells = [list(row.item()) for row in rows]
+    names, cells = _contents(rows)
     head = [f"| {' | '.join(_cell(name, digits) for name in names)} |", f"|{'|'.join(['---'] * len(names))}|"]
     return Markdown("\n".join([*head, *(f"| {' | '.join(_cell(c, digits) for c in row)} |" for row in cells)]))
 
 
-def latex(rows: Table, digits: int = 2) -> str:
-    r"""Return a table as a LaTeX `tabular`, which needs no package.
+def latex(
+    rows: Table | Sequence[Mapping[str, object]], digits: int = 2, caption: str | None = None, label: str | None = None
+) -> str:
+    r"""Return a table as LaTeX, which needs the package booktabs.
 
     Parameters
     ----------
-    rows : Table
-        Table with named columns.
+    rows : Table or sequence of mapping
+        Table with named columns, or a mapping from column names to values for each row.
     digits : int, default 2
         Number of decimals of floats.
+    caption : str, optional
+        Caption in LaTeX. With a caption, the result is a `table` that contains the `tabular`.
+    label : str, optional
+        Label for references, such as "tab:study". It needs a caption.
 
     Returns
     -------
     str
-        Text of the table. NaN is "--".
+        Text of the table. Headings have words and units instead of column names, such as "RMSE (m)" for `rmse_m`. NaN
+        is "--". Rows and columns whose numbers are all NaN are omitted.
+
+    Raises
+    ------
+    ValueError
+        If a label is given without a caption.
 
     Examples
     --------
@@ -75,26 +82,46 @@ def latex(rows: Table, digits: int = 2) -> str:
     >>> from pdr_filter.values import table
     >>> print(latex(table({"name": np.array(["hc"]), "error_percent": np.array([1.234])})))
     \begin{tabular}{lr}
-    \hline
-    name & error\_percent \\
-    \hline
+    \toprule
+    Name & Error (\%) \\
+    \midrule
     hc & 1.23 \\
-    \hline
+    \bottomrule
     \end{tabular}
     """
-    names = list(rows.dtype.names or ())
-    align = "".join("l" if rows[name].dtype.kind in "US" else "r" for name in names)
-    lines = [
-        " & ".join(_latex_cell(cell, digits) for cell in line) + r" \\" for line in (names, *map(list, rows.tolist()))
-    ]
-    head = [rf"\begin{{tabular}}{{{align}}}", r"\hline", lines[0], r"\hline"]
-    return "\n".join([*head, *lines[1:], r"\hline", r"\end{tabular}"])
+    if label is not None and caption is None:
+        raise ValueError(f"label {label!r} needs a caption, because LaTeX numbers captions: give caption, too")
+    names, cells = _contents(rows)
+    if "measure" in names:  # this column of a study contains column names
+        k = names.index("measure")
+        cells = [[heading(str(cell)) if i == k else cell for i, cell in enumerate(row)] for row in cells]
+    cells = [row for row in cells if not all(map(_is_nan, filter(_is_float, row))) or not any(map(_is_float, row))]
+    kept = [k for k in range(len(names)) if not cells or not all(_is_nan(row[k]) for row in cells)]
+    align = "".join("l" if any(isinstance(row[k], str) for row in cells) else "r" for k in kept)
+    head = " & ".join(_latex_cell(heading(names[k]), digits) for k in kept)
+    body = [" & ".join(_latex_cell(row[k], digits) for k in kept) for row in cells]
+    lines = [rf"\begin{{tabular}}{{{align}}}", r"\toprule", rf"{head} \\", r"\midrule"]
+    lines += [*(rf"{line} \\" for line in body), r"\bottomrule", r"\end{tabular}"]
+    if caption is not None:
+        named = [] if label is None else [rf"\label{{{label}}}"]
+        lines = [r"\begin{table}", r"\centering", rf"\caption{{{caption}}}", *named, *lines, r"\end{table}"]
+    return "\n".join(lines)
 
 
-def write_tables(rows: Table, stem: str | Path, digits: int = 2) -> tuple[Path, Path]:
+def heading(name: str) -> str:
+    """Return the heading of a column in words, with its unit in parentheses: "RMSE (m)" for `rmse_m`."""
+    words = name.removeprefix("n_").split("_")
+    unit = _UNITS.get(words[-1]) if len(words) > 1 else None
+    words = [word.upper() if word in _ACRONYMS else word for word in (words[:-1] if unit else words)]
+    text = " ".join(words)
+    return text[:1].upper() + text[1:] + (f" ({unit})" if unit else "")
+
+
+def write_tables(rows: Table, stem: str | Path, digits: int = 2, caption: str | None = None) -> tuple[Path, Path]:
     """Write a table as STEM.csv, with all digits, and as STEM.tex, with rounded floats, and return both paths.
 
-    NaN is an empty cell in the .csv. Missing folders are created.
+    With a caption, the LaTeX table has the label "tab:STEM". NaN is an empty cell in the .csv. Missing folders are
+    created.
     """
     stem = Path(stem)
     stem.parent.mkdir(parents=True, exist_ok=True)
@@ -103,11 +130,30 @@ def write_tables(rows: Table, stem: str | Path, digits: int = 2) -> tuple[Path, 
         writer = csv.writer(file)
         writer.writerow(rows.dtype.names or ())
         writer.writerows(["" if value != value else value for value in row] for row in rows.tolist())
-    as_tex.write_text(latex(rows, digits) + "\n", encoding="utf-8")
+    label = None if caption is None else f"tab:{stem.name}"
+    as_tex.write_text(latex(rows, digits, caption, label) + "\n", encoding="utf-8")
     return as_csv, as_tex
 
 
+_UNITS = {"percent": "%", "m": "m", "s": "s", "mps": "m/s", "rad": "rad", "deg": "deg", "hz": "Hz"}
+_ACRONYMS = {"rmse", "nees", "nis", "hc", "wc", "imm"}
 _LATEX = str.maketrans({c: rf"\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "~": r"\~{}", "^": r"\^{}"})
+
+
+def _contents(rows: Table | Sequence[Mapping[str, object]]) -> tuple[list[str], list[list[object]]]:
+    """Return the column names and the cells of each row."""
+    if isinstance(rows, Sequence):
+        names = list(rows[0]) if rows else []
+        return names, [[row[name] for name in names] for row in rows]
+    return list(rows.dtype.names or ()), [list(row) for row in rows.tolist()]
+
+
+def _is_float(value: object) -> bool:
+    return isinstance(value, float | np.floating)
+
+
+def _is_nan(value: object) -> bool:
+    return _is_float(value) and value != value
 
 
 def _latex_cell(value: object, digits: int) -> str:

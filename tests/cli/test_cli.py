@@ -161,10 +161,8 @@ def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_pa
     for row, name in zip(found["tracks"], ("susi2013", "default"), strict=True):
         track = pdr.track(recording, pdr.recipes.for_recording(name, recording))
         assert (row["track"], row["n_steps"]) == (name, track.n_steps)
-        known = recording.truth.position
-        at_m = pdr.evaluate.positions_at(track.time_s, track.position_m, known["time_s"], track.start_position_m)
-        reference_m = np.column_stack([known["east_m"], known["north_m"]])
-        assert row["rmse_m"] == pytest.approx(pdr.evaluate.position_rmse_m(at_m, reference_m, "all"))
+        (errors,) = pdr.evaluate.comparison_table(recording, {name: track})
+        assert row["rmse_m"] == pytest.approx(errors["rmse_m"])
     (page,) = tmp_path.glob("*.compare.html")
     text = page.read_text()
     assert "short_walk, susi2013" in text and "short_walk, default" in text

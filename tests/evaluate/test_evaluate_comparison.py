@@ -82,12 +82,11 @@ def test_the_table_is_what_the_functions_say(walk: pdr.Recording, by_weighting: 
     assert found.end_error_percent[2] == tracks.end_error_percent(estimate, reference, "first")
     assert found.distance_m[2] == imm.distance_m
     assert found.step_error_percent[2] == pytest.approx(100 * (imm.n_steps / len(walk.truth.steps) - 1))
-    # the legs of the simulated walk are all of it, from its first sample to its last
-    total_m = walk.truth.segments.distance_m.sum()
-    assert found.leg_error_percent[2] == pytest.approx(100 * (imm.distance_m / total_m - 1), abs=1.0)
+    assert found.leg_error_percent[2] == comparison.leg_error_percent(walk, imm)
+    assert np.isnan(found.nis).all() and found.inside_95_percent[2] == 100
 
 
-def test_straight_legs_are_those_of_the_accuracy_benchmark(
+def test_legs_have_the_length_of_the_accuracy_benchmark(
     walk: pdr.Recording, by_weighting: dict[str, pdr.Track]
 ) -> None:
     imm = by_weighting["imm"]
@@ -96,9 +95,35 @@ def test_straight_legs_are_those_of_the_accuracy_benchmark(
     expected = oracle.track_errors(walked, imm)[3]
     # where within its first step the walk begins is taken otherwise: less than that step
     first = 100 * imm.step_length_m[0] / segments.distance_m.sum()
-    assert comparison.straight_leg_error_percent(walk, imm) == pytest.approx(expected, abs=first)
+    assert comparison.leg_error_percent(walk, imm) == pytest.approx(expected, abs=first)
     with pytest.raises(ValueError, match="no truth segments"):
-        comparison.straight_leg_error_percent(replace(walk, truth=Truth()), imm)
+        comparison.leg_error_percent(replace(walk, truth=Truth()), imm)
+
+
+def test_a_leg_with_a_turn_has_the_length_of_its_path(walk: pdr.Recording, by_weighting: dict[str, pdr.Track]) -> None:
+    imm, total_m = by_weighting["imm"], walk.truth.segments.distance_m.sum()
+    whole = replace(walk, truth=replace(walk.truth, segments=walk.of_distance(float(total_m)).truth.segments))
+    assert comparison.leg_error_percent(whole, imm) == pytest.approx(100 * (imm.distance_m / total_m - 1), abs=0.01)
+
+
+def test_nees_and_coverage_are_those_of_places_in_the_frame_of_the_fixes(walk: pdr.Recording) -> None:
+    points = walk.truth.waypoints
+    place_m, shift_m = np.column_stack([points.east_m, points.north_m]), np.array([500.0, 20.0])
+    fixes = [pdr.PositionFix(t, p + shift_m, np.eye(2)) for t, p in zip(points.time_s, place_m, strict=True)]
+    track = pdr.track(walk, pdr.recipes.default().in_world_frame(), fixes=fixes)
+    moved = points.copy()
+    moved.east_m, moved.north_m = (place_m + shift_m).T
+    given = replace(walk, truth=replace(walk.truth, waypoints=moved))
+    (row,) = comparison.comparison_table(given, {"fixes": track}, truth_std_m=0.1)
+    used = (points.time_s >= track.time_s[0]) & (points.time_s <= track.time_s[-1])
+    after = np.searchsorted(track.time_s, points.time_s[used])
+    at_m = np.column_stack([np.interp(points.time_s[used], track.time_s, track.position_m[:, k]) for k in (0, 1)])
+    error_m, cov_m2 = at_m - place_m[used] - shift_m, track.position_cov_m2[after] + 0.01 * np.eye(2)
+    squared = [e @ np.linalg.inv(c) @ e for e, c in zip(error_m, cov_m2, strict=True)]
+    assert row["nees"] == pytest.approx(np.mean(squared))
+    assert row["inside_50_percent"] == pytest.approx(100 * np.mean(np.array(squared) < -2 * np.log(0.5)))
+    assert row["inside_95_percent"] == pytest.approx(100 * np.mean(np.array(squared) < -2 * np.log(0.05)))
+    assert row["nis"] == pytest.approx(np.mean([f.nis for f in track.fixes if f.outcome == "used"]))
 
 
 def test_without_truth_there_are_no_errors(walk: pdr.Recording, by_weighting: dict[str, pdr.Track]) -> None:
@@ -133,7 +158,7 @@ def test_a_track_in_the_frame_of_fixes_is_as_far_off_as_in_its_own(
     found = comparison.comparison_table(walk, {"own": imm, "fixes": moved})
     for name in ("rmse_m", "end_error_percent"):
         assert found[name][1] == pytest.approx(found[name][0], rel=1e-6)
-    here, there = (comparison.straight_leg_error_percent(walk, t) for t in (imm, moved))
+    here, there = (comparison.leg_error_percent(walk, t) for t in (imm, moved))
     assert there == pytest.approx(here, rel=1e-6)
     turned = comparison.in_truth_frame(walk, imm)
     np.testing.assert_allclose(comparison.in_truth_frame(walk, moved), turned, atol=1e-6)
@@ -146,7 +171,7 @@ def test_waypoints_that_are_not_known_are_left_out(walk: pdr.Recording, by_weigh
     without = np.delete(points, [3, 5]).view(np.recarray)
     with_truth = [replace(walk, truth=replace(walk.truth, waypoints=table)) for table in (holed, without)]
     first, second = (comparison.comparison_table(walk, {"imm": by_weighting["imm"]}) for walk in with_truth)
-    assert first.tolist() == second.tolist()
+    np.testing.assert_equal(first.tolist(), second.tolist())
     assert np.isfinite(first.rmse_m).all()
 
 

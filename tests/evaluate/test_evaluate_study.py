@@ -1,4 +1,5 @@
 import csv
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,9 +9,9 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
-from pdr_filter.evaluate import comparison_table, context_errors, latex, study_table, write_tables
-from pdr_filter.evaluate.study import MEASURES
-from pdr_filter.simulate import Leg, simulate
+from pdr_filter.evaluate import comparison_table, context_errors, latex, markdown, study_table, write_tables
+from pdr_filter.evaluate.comparison import MEASURES
+from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import Table, table
 from pdr_filter.values.recording import Truth
 
@@ -101,8 +102,24 @@ def test_the_leg_error_of_a_context_is_that_of_its_own_segments() -> None:
 
 
 def test_latex_escapes_what_has_a_meaning_there() -> None:
-    text = latex(table({"name": np.array(["50 %_a & {b}"]), "m": np.array([np.nan])}))
-    assert r"50 \%\_a \& \{b\} & -- \\" in text
+    text = latex(table({"name": np.array(["50 %_a & {b}"]), "m": np.array([1.0])}), caption="Errors.", label="tab:a")
+    assert r"50 \%\_a \& \{b\} & 1.00 \\" in text
+    assert r"\caption{Errors.}" in text and r"\label{tab:a}" in text and text.count("rule") == 3
+    with pytest.raises(ValueError, match="needs a caption"):
+        latex([{"a": 1.0}], label="tab:a")
+
+
+def test_latex_has_words_and_units_for_columns_and_no_empty_rows_or_columns() -> None:
+    rows = [
+        {"measure": "rmse_m", "name": "hc", "n_people": 2, "low": 1.5, "high": np.nan},
+        {"measure": "end_error_percent", "name": "my_walk", "n_people": 0, "low": np.nan, "high": np.nan},
+    ]
+    lines = latex(rows).splitlines()
+    assert lines[0] == r"\begin{tabular}{llrr}"
+    assert lines[2] == r"Measure & Name & People & Low \\"
+    assert lines[4:] == [r"RMSE (m) & hc & 2 & 1.50 \\", r"\bottomrule", r"\end{tabular}"]
+    assert str(markdown(rows)).count("\n") == 3
+    assert latex(rows[:1]) == latex(table({name: np.array([value]) for name, value in rows[0].items()}))
 
 
 def test_a_table_is_written_with_all_digits_and_as_latex(tmp_path: Path) -> None:
@@ -121,11 +138,51 @@ def test_compare_writes_tables_of_all_recordings(tmp_path: Path) -> None:
     assert "step_error_percent" in ran.output
     rows = list(csv.DictReader((out / "study.csv").open()))
     assert {row["name"] for row in rows} == {"hc", "wc", "imm"}
-    assert (out / "study.tex").read_text().startswith(r"\begin{tabular}")
+    assert (out / "study.tex").read_text().startswith(r"\begin{table}")
     assert len(list(csv.DictReader((out / "recordings.csv").open()))) == 6
     assert {row["context"] for row in csv.DictReader((out / "contexts.csv").open())} >= {"walking"}
     again = CliRunner().invoke(app, ["compare", *files, "--truth", "--out", str(out)])
     assert all(name in again.output.replace("\n", "") for name in ("study.csv", "recordings.tex", "contexts.csv"))
+
+
+def test_a_calibration_on_one_half_of_the_people_is_compared_on_the_other_half_in_two_commands(tmp_path: Path) -> None:
+    legs = [Leg("stationary", duration_s=2.0), Leg("walking", distance_m=25.0), Leg("stationary", duration_s=2.0)]
+    for seed in range(4):
+        walk = simulate(legs, replace(Gait.random(7), length_factor=1.2), seed=seed, name=f"walk{seed}")
+        of_person = {**walk.meta["subject"], "id": f"p{seed}"}
+        replace(walk, meta={**walk.meta, "subject": of_person}).save(tmp_path / f"walk{seed}.zip")
+    first, other = ([str(tmp_path / f"walk{seed}.zip") for seed in half] for half in ((0, 1), (2, 3)))
+    ran = CliRunner().invoke(app, ["calibrate", *first, "--out", str(tmp_path / "k.json"), "--model", "bounce"])
+    assert ran.exit_code == 0, ran.output
+    bias = []
+    for name, options in (("own", ["--calibration", str(tmp_path / "k.json")]), ("typical", [])):
+        ran = CliRunner().invoke(app, ["compare", *other, *options, "--truth", "--out", str(tmp_path / name)])
+        assert ran.exit_code == 0, ran.output
+        rows = list(csv.DictReader((tmp_path / name / "study.csv").open()))
+        legs_of = {row["name"]: row for row in rows if row["measure"] == "leg_error_percent"}
+        assert legs_of.keys() == {"hc", "wc", "imm"} and legs_of["imm"]["n_people"] == "2"
+        bias.append(abs(float(legs_of["imm"]["bias"])))
+    assert bias[0] < 0.5 * bias[1]
+
+
+def test_compare_takes_the_model_height_and_fixes_that_track_takes(tmp_path: Path) -> None:
+    walk = simulate([Leg("walking", distance_m=20.0)], seed=1)
+    walk.save(tmp_path / "walk.zip")
+    points = walk.truth.waypoints
+    rows = [f"{p.time_s},{p.east_m + 100},{p.north_m - 50},0.3" for p in points]
+    (tmp_path / "fixes.csv").write_text("\n".join(["time_s,east_m,north_m,std_m", *rows]))
+    given = ["--height", "1.95", "--fixes", str(tmp_path / "fixes.csv"), "--model", "models/context.npz"]
+    ran = CliRunner().invoke(app, ["compare", str(tmp_path / "walk.zip"), *given, "--json"])
+    assert ran.exit_code == 0, ran.output
+    ends = {row["track"]: row for row in json.loads(ran.stdout)["tracks"]}
+    fixes = [pdr.PositionFix(p.time_s, np.array([p.east_m + 100, p.north_m - 50]), 0.09 * np.eye(2)) for p in points]
+    tall = walk.of_height(1.95)
+    expected = pdr.track(tall, pdr.recipes.for_recording("default", tall).in_world_frame(), "hc", fixes, gnss="off")
+    assert ends["hc"]["end_east_m"] == pytest.approx(expected.end_position_m[0], abs=1e-3)
+    assert ends["hc"]["end_east_m"] == pytest.approx(points.east_m[-1] + 100, abs=1.0)
+    both = [str(tmp_path / "walk.zip"), str(tmp_path / "walk.zip")]
+    refused = CliRunner().invoke(app, ["compare", *both, "--fixes", str(tmp_path / "fixes.csv")])
+    assert refused.exit_code == 2 and "one by one" in " ".join(refused.output.split())
 
 
 def test_recordings_that_do_not_name_their_person_are_of_different_people(tmp_path: Path) -> None:

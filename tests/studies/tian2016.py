@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.evaluate.comparison import straight_leg_error_percent
+from pdr_filter.evaluate.comparison import leg_error_percent
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.evaluate.tracks import end_error_percent, path_m, position_errors_m, positions_at
 from pdr_filter.recipes import default, tian2016
@@ -151,7 +151,7 @@ def _humolire_rows(data: Path) -> Rows:
             own = track(walk, recipe(walk.subject))
             estimate = positions_at(own.time_s, own.position_m, points.time_s)
             position = position_errors_m(estimate, reference, "first")
-            legs = 100.0 + straight_leg_error_percent(walk, own)
+            legs = 100.0 + leg_error_percent(walk, own)
             share = 100.0 * position.mean() / path_m(reference)[-1]
             found[name].append((legs, float(position.mean()), share, end_error_percent(estimate, reference, "first")))
     names = {
