@@ -294,7 +294,7 @@ class Config:
     def with_contexts(
         self,
         model: ContextModel | tuple[ContextModel, ContextModel] | ContextStage,
-        modes: Sequence[Mode],
+        modes: Sequence[Mode] | None = None,
         transition_prob: ArrayLike | None = None,
     ) -> Config:
         """Return a copy with other contexts.
@@ -305,10 +305,12 @@ class Config:
             Classifier of the contexts, whose names are `model.contexts`. The second of two models classifies windows
             without gyroscope. With a single model, such windows have no context, unless the model was trained on them,
             or the present model for such windows has all features of the new model.
-        modes : sequence of Mode
-            Motion models that define the contexts. The weightings "hc" and "wc" and functions need exactly one mode for
-            each context. With "imm" a context may have several modes, and the first one gives its meaning. The
-            probability of a context without a mode is evidence for no mode.
+        modes : sequence of Mode, optional
+            Motion models that define the contexts. By default, contexts keep the present modes of the same name, and
+            another context has the mode `Mode(name)`, which walks with the step length of the population. The
+            weightings "hc" and "wc" and functions need exactly one mode for each context. With "imm" a context may have
+            several modes, and the first one gives its meaning. The probability of a context without a mode is evidence
+            for no mode.
         transition_prob : array_like of shape (M, M), optional
             Probability of changing from each mode (row) to each mode (column) between two steps. Rows sum to one. The
             default is the matrix that the model estimated from its labels, if each context has exactly one mode.
@@ -324,6 +326,11 @@ class Config:
         ------
         ValueError
             If model, modes and transition probabilities do not match, or if the configuration has a person.
+
+        Warns
+        -----
+        UserWarning
+            If several modes move and all have the same step length, so that the weightings hardly differ.
 
         Notes
         -----
@@ -341,11 +348,15 @@ class Config:
         """
         stage = stage_of(model, self.sensing.contexts)
         _warn_of_state(stage)
+        if modes is None:
+            known = {context: [m for m in self.model.modes if m.context == context] for context in stage.contexts}
+            modes = [mode for context, own in known.items() for mode in own or [Mode(context)]]
+        _warn_of_one_length(modes)
         estimated = model[0] if isinstance(model, tuple) else model
         labelled = getattr(estimated, "transition_prob", None)
         prob = _transitions(stage.contexts, modes, labelled) if transition_prob is None else np.asarray(transition_prob)
         exponents = {name: getattr(estimated, name, None) for name in ("evidence_exponent", "prior_exponent")}
-        known = self._with_modes(
+        changed = self._with_modes(
             modes,
             contexts=stage.contexts,
             transition_prob=prob,
@@ -353,8 +364,8 @@ class Config:
         )
         return replace(
             self,
-            sensing=replace(self.sensing, contexts=stage, context_set=known.context_set),
-            tracker=replace(self.tracker, model=known),
+            sensing=replace(self.sensing, contexts=stage, context_set=changed.context_set),
+            tracker=replace(self.tracker, model=changed),
             notes=self._notes_with(modes),
         )
 
@@ -598,6 +609,19 @@ def _warn_of_state(part: Any) -> None:
         to_bytes(part.init(), part.init())
     except TypeError as error:
         warnings.warn(f"OnlineFilter.save will refuse the state of {type(part).__name__}: {error}", stacklevel=3)
+
+
+def _warn_of_one_length(modes: Sequence[Mode]) -> None:
+    """Warn if several modes move and all have one step length: contexts then have no effect on the distance."""
+    fits = [mode.step_length for mode in modes if mode.moves]
+    first, *others = fits or [None]
+    if others and all(fit is first for fit in others):
+        warnings.warn(
+            f"the {len(fits)} modes that move have the same step length, so that contexts have no effect on the "
+            "distance, and the weightings hardly differ: give a mode its own step_length, such as "
+            "pdr.Mode('upstairs', step_length=pdr.known_length(0.29, 0.05), climbs=1)",
+            stacklevel=3,
+        )
 
 
 def check_config(config: object) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -299,6 +300,27 @@ def test_a_mode_changes_what_its_context_means_for_the_stages_before_the_filter(
     assert config.sensing.context_set.contexts[4].climbs == 1
     assert config.sensing.contexts is not None
     assert getattr(config.sensing.contexts, "context_set") == config.sensing.context_set  # noqa: B009
+
+
+def test_contexts_without_modes_keep_those_of_the_recipe_and_others_walk() -> None:
+    default = pdr.recipes.default()
+    model = pdr.ContextModel.load("context").renamed({"upstairs": "ramp"})
+    config = default.with_contexts(model)
+    kept = {mode.name: mode for mode in default.model.modes}
+    assert [mode.name for mode in config.model.modes] == list(config.contexts)
+    assert all(mode is kept[mode.name] for mode in config.model.modes if mode.name != "ramp")
+    ramp = config.model.modes[config.contexts.index("ramp")]
+    assert (ramp.moves, ramp.climbs, ramp.gait) == (True, 0, "walking")
+
+
+def test_modes_of_one_length_are_named_and_modes_of_two_lengths_are_not(model: pdr.ContextModel) -> None:
+    resting, level, treadmill = MODES
+    same = replace(treadmill, moves=True, gait=None, step_length=level.step_length)
+    with pytest.warns(UserWarning, match="the 2 modes that move have the same step length"):
+        pdr.recipes.default().with_contexts(model, [resting, level, same])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        pdr.recipes.default().with_contexts(model, MODES)
 
 
 def test_a_mode_of_an_unknown_context_is_refused(model: pdr.ContextModel) -> None:

@@ -27,7 +27,11 @@ from pdr_filter.values import WINDOW_SIGNALS, Context, FunctionFeatures, JoinedF
 
 NAMES = {"stationary": "resting", "walking": "level", "running": "jog"}
 PEOPLE = ["anna", "ben", "carla"]
-MODES = [pdr.Mode("level"), pdr.Mode("resting", moves=False), pdr.Mode("jog", gait="running")]
+MODES = [
+    pdr.Mode("level"),
+    pdr.Mode("resting", moves=False),
+    pdr.Mode("jog", gait="running", step_length=pdr.known_length(0.9, 0.1)),
+]
 
 
 def with_labels(recording: pdr.Recording, names: Mapping[str, str], carrying: str | None = None) -> pdr.Recording:
