@@ -12,6 +12,7 @@ from sklearn.base import clone
 from sklearn.ensemble import HistGradientBoostingClassifier, RandomForestClassifier
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
+from sklearn.utils.validation import has_fit_parameter
 
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.blend import Blend
@@ -100,7 +101,7 @@ def fit_forest(Z: FloatArray, y: TextArray, weight: FloatArray, n_trees: int = 5
 class FitOfObject:
     """Fit of a classifier object with `fit`, `predict_proba` and `classes_`, such as a scikit-learn classifier.
 
-    Each fit uses an untrained copy of the object. Weights are not passed, because not all objects accept them.
+    Each fit uses an untrained copy of the object. The weights are passed if `fit` accepts `sample_weight`.
     """
 
     classifier: Any
@@ -111,7 +112,8 @@ class FitOfObject:
         Raise ValueError if the fitted object cannot be used.
         """
         fitted: Any = clone(self.classifier, safe=False)
-        fitted.fit(Z, y)
+        weights = {"sample_weight": weight} if has_fit_parameter(fitted, "sample_weight") else {}
+        fitted.fit(Z, y, **weights)
         if not hasattr(fitted, "classes_"):
             raise ValueError(
                 f"classifier must have classes_ after fit, but {type(fitted).__name__} has none: set it in fit"
