@@ -298,7 +298,7 @@ def over(numerator: float, denominator: float, digits: int) -> str:
 
 
 def weighting_tables(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
-    """Recipe x weighting: the wide table, what has no place in it, and the README's extract."""
+    """Recipe x weighting: the wide table, and what has no place in it."""
     rows = [(recipe, weighting) for recipe in recipes for weighting in WEIGHTINGS]
     of_row = [[r for r in records if (r.recipe, r.weighting) == row] for row in rows]
     names = [f"`{recipe}` {weighting.upper()}" for recipe, weighting in rows]
@@ -312,14 +312,19 @@ def weighting_tables(tables: Tables, records: Sequence[Scored], recipes: Sequenc
     ):
         titles = ["recipe", *(c.title for c in columns), title]
         tables.write(name, titles, list(zip(names, *found, last, strict=True)), about)
-    steps, *others = [[cell.split(" ±")[0] for cell in column] for column in main]
+
+
+def readme_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
+    """Each recipe once, with its own weighting, that of its paper."""
+    of_row = [[r for r in records if (r.recipe, r.weighting) == (recipe, OWN)] for recipe in recipes]
+    names = [f"`{recipe}` {pdr.recipes.RECIPES[recipe](None).tracker.weighting.upper()}" for recipe in recipes]
+    steps, *others = [[cell.split(" ±")[0] for cell in cells(c, of_row)] for c in MAIN]
+    speed = [over(total(r, "recorded_s"), total(r, "spent_s"), 0) for r in of_row]
+    false = [over(60 * total(r, "n_false"), total(r, "outside_s"), 1) for r in of_row]
     titles = ["recipe", "steps %", "false steps a minute", "corridors: distance %", "position m", "end %"]
     titles += ["mall: distance %", "position m", "end %", "x real time"]
-    short = list(zip(names, steps, false, *others, speed, strict=True))
-    kept = [
-        row for row, (recipe, weighting) in zip(short, rows, strict=True) if "default" in recipe or weighting == "imm"
-    ]
-    tables.write("recipes_readme", titles, kept, "Bold: not distinguishable from the best of all.")
+    rows = list(zip(names, steps, false, *others, speed, strict=True))
+    tables.write("recipes_readme", titles, rows, "Bold: not distinguishable from the best.")
 
 
 # --- Tables of the recipes, each with its own weighting --------------------------------------------------------------
@@ -374,7 +379,7 @@ def tables_of_recipes(tables: Tables, arguments: argparse.Namespace) -> None:
     records = [r for found in Parallel(arguments.jobs)(jobs) for r in found]
     if arguments.every > 1 or tuple(arguments.recipes) != RECIPES:
         tables = Tables(tables.command, None)
-    for write in (weighting_tables, step_tables, track_table):
+    for write in (weighting_tables, readme_table, step_tables, track_table):
         write(tables, records, arguments.recipes)
 
 
