@@ -1,0 +1,380 @@
+"""HC, WC and IMM where contexts change: distances of people and sites that no classifier has seen.
+
+usage: python -m tests.studies.weightings [distances] [paper] [figure] [--data DATA] [--cache FOLDER]
+
+distances: the steps, windows and step lengths of a configuration are the same for all weightings. The reference is the
+distance of these steps with the length of their true context, so that only errors of the contexts count. Classifiers:
+the relevance vector machine, the forest and the blend of both in the default recipe, and the recipe martinelli2018 with
+its own classifier and lengths. Each is trained without the people that it is scored on. Sets: recordings of MotionSense
+joined to walks through all contexts; difronzo, with its real changes; terrain, a sensor at the leg that no classifier
+has seen; ipin2023, stairs with the phone in the hand, where the barometer gives the truth; tyrex, level walking of a
+held-out site. A step is uncertain if the second-highest probability of its window is at least 0.8 of the highest. A
+change is between two steps of different contexts. Errors of the recordings of one person
+are averaged first; intervals are those of Student's t over people.
+
+paper: Tables V and VI of Martinelli et al. 2018 with the bias and the spread of their errors, and what remains if a
+constant were subtracted.
+
+figure: docs/images/weightings.png, errors near changes of each person.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+import pdr_filter as pdr
+from models.training import context_training as contexts
+from models.training.context_training import PLANS, ContextPlan, labelled_windows
+from models.training.data_sets import recordings_of
+from pdr_filter.classifiers.blend import Blend
+from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.evaluate.comparison import second_over_first
+from pdr_filter.evaluate.distance import distance_scores
+from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.offline.training.cross_validation import LabelledWindows
+from pdr_filter.recipes import default, martinelli2018, with_context_model
+from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts, shipped_model
+from pdr_filter.sensing.features.barometer import ClimbRate
+from pdr_filter.tracking.whole_recording import run_sensing
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, Step
+from pdr_filter.values.recording import Recording
+from tests.benchmarks.common import Tables, paths, run
+from tests.benchmarks.weightings import (
+    DOWN,
+    LAG_STEPS,
+    STAIRS_MPS,
+    UP,
+    WALKING,
+    WC_THRESHOLD,
+    Walk,
+    cached,
+    mixed_walk,
+    tracked,
+    updates_of,
+    walk_of,
+)
+
+CLASSIFIERS = ("rvm", "forest", "blend", "martinelli2018")
+WEIGHTINGS = ("HC", "WC 0.8", "WC always", "IMM online", "IMM lagged", "IMM smoothed")
+PLAN_OF = {plan.name: plan for plan in PLANS}
+N_FOLDS = 4  # groups of people who are held out together
+FIGURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "weightings.png"
+NEAR_S = 3.0  # steps at most this far from a change of context are near it
+
+
+# --- Walks of people who are held out --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Training:
+    """Training windows of the default and of martinelli2018, from which people are held out."""
+
+    data: Path
+    cache: Path | None
+
+    def windows(self, plan: ContextPlan) -> LabelledWindows:
+        """All windows that a shipped model is trained on."""
+
+        def made() -> LabelledWindows:
+            return plan.of(labelled_windows(recordings_of(self.data, plan.datasets), feature_set=plan.feature_set))
+
+        return cached(self.cache, f"windows_{plan.name}", made)
+
+    def models(self, people: Sequence[str], name: str) -> dict[str, ContextModel]:
+        """The models of all classifiers, trained without some people."""
+
+        def without(shipped: str) -> ContextModel:
+            plan = PLAN_OF[shipped]
+            if not people:
+                return shipped_model(shipped)
+            return contexts.model_without(shipped_model(shipped), plan, self.windows(plan), people)
+
+        blend = cached(self.cache, f"blend_{name}", lambda: without("context"))
+        found = {"blend": blend}
+        for part, indices in PLAN_OF["context"].parts.items():
+            machines = tuple(blend.machine.parts[i] for i in indices)
+            machine = machines[0] if len(machines) == 1 else Blend(machines)
+            alone = shipped_model(f"context_{part}")
+            found[part] = replace(blend, machine=machine, temperature=alone.temperature, slip=alone.slip)
+        paper = cached(self.cache, f"martinelli_{name}", lambda: without("context_martinelli_rvm"))
+        return found | {"martinelli2018": paper}
+
+
+def configs(recording: Recording, models: Mapping[str, ContextModel]) -> dict[str, Config]:
+    """The configuration of each classifier."""
+    own = {name: with_context_model(default(recording.subject), models[name]) for name in CLASSIFIERS[:-1]}
+    paper = martinelli2018(recording.subject)
+    stage = paper.sensing.contexts
+    assert isinstance(stage, LearnedContexts)
+    stage = replace(stage, models=replace(stage.models, with_gyroscope=models["martinelli2018"]))
+    return own | {"martinelli2018": replace(paper, sensing=replace(paper.sensing, contexts=stage))}
+
+
+def joined(training: Training) -> Iterator[tuple[Recording, str, Mapping[str, ContextModel]]]:
+    """Recordings of MotionSense that follow each other, two walks of each of twelve people."""
+    people = sorted({str(p) for p in training.windows(PLAN_OF["context"]).person if str(p).startswith("motionsense/")})
+    for k in range(N_FOLDS):
+        fold = people[k::N_FOLDS]
+        models = training.models(fold, f"motionsense_{k}")
+        for person in fold:
+            for number in (0, 1):
+                yield mixed_walk(training.data, "s" + person.split("/")[1][-2:], number), person, models
+
+
+def difronzo(training: Training) -> Iterator[tuple[Recording, str, Mapping[str, ContextModel]]]:
+    """Walks of four people with real changes, the phone in a trouser pocket."""
+    recordings = [pdr.read(path) for path in recordings_of(training.data, ("difronzo",))]
+    for person in sorted({str(r.subject.id) for r in recordings}):
+        models = training.models([f"difronzo/{person}"], f"difronzo_{person}")
+        yield from ((r, f"difronzo/{person}", models) for r in recordings if r.subject.id == person)
+
+
+def unseen(training: Training, site: str) -> Iterator[tuple[Recording, str, Mapping[str, ContextModel]]]:
+    """Recordings of a site that no model has seen."""
+    of_site = list[str]()
+    if site in PLAN_OF["context"].datasets:
+        known = training.windows(PLAN_OF["context"]).person
+        of_site = sorted({str(p) for p in known if str(p).startswith(f"{site}/")})
+    models = training.models(of_site, site)
+    for path in paths(training.data, site):
+        recording = pdr.read(path)
+        yield recording, f"{site}/{recording.subject.id or recording.name.split('_')[2]}", models
+
+
+SETS = {
+    "joined walks": joined,
+    "difronzo": difronzo,
+    "terrain": lambda training: unseen(training, "terrain"),
+    "ipin2023, stairs": lambda training: unseen(training, "ipin2023"),
+    "tyrex, level": lambda training: unseen(training, "tyrex"),
+}
+
+
+# --- Distances -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Distances:
+    """Step lengths of one walk by each weighting, and by the true contexts."""
+
+    walk: Walk
+
+    @property
+    def person(self) -> str:
+        """Person who walked."""
+        return self.walk.person
+
+    @cached_property
+    def time_s(self) -> FloatArray:
+        """Times of the steps, (K,)."""
+        return np.array([e.time_s for e in self.walk.events if isinstance(e, Step)])
+
+    @cached_property
+    def known_m(self) -> FloatArray:
+        """Lengths of the steps in their true contexts, (K,)."""
+        return self.walk.length_m[np.arange(len(self.walk.label)), self.walk.label]
+
+    @cached_property
+    def found_m(self) -> dict[str, FloatArray]:
+        """Lengths of the steps (K,) by each weighting."""
+        walk, model = self.walk, self.walk.config.model
+        hc = tracked(walk.events, walk.config, "hc")
+        found = {"HC": np.diff([u.walked_m for u in hc], prepend=0.0)}
+        for name, threshold in (("WC 0.8", WC_THRESHOLD), ("WC always", 0.0)):
+            updates = updates_of(WeightedTracker(model, threshold), walk.events)
+            found[name] = np.diff([u.walked_m for u in updates], prepend=0.0)
+        imm = tracked(walk.events, walk.config, "imm")
+        prob = np.array([u.mode_prob for u in imm])
+        hindsight = walk.config.in_hindsight()
+        later = np.array([u.mode_prob for u in tracked(walk.events, hindsight, "imm")])
+        return found | {
+            "IMM online": np.array([u.step_length_m for u in imm]),
+            "IMM lagged": (smoothed_mode_prob(prob, model.transition_prob, LAG_STEPS) * walk.length_m).sum(axis=1),
+            "IMM smoothed": (smoothed_mode_prob(later, hindsight.model.transition_prob) * walk.length_m).sum(axis=1),
+        }
+
+    @cached_property
+    def is_uncertain(self) -> BoolArray:
+        """Mask (K,) of the steps whose window has two contexts that are nearly equally probable."""
+        prob = np.array([u.context_prob for u in tracked(self.walk.events, self.walk.config, "hc")])
+        return np.asarray(second_over_first(prob) >= WC_THRESHOLD)
+
+    def error_percent(self, weighting: str, use: BoolArray | None = None) -> float:
+        """Error of the distance of some steps, NaN if these have no distance."""
+        use = np.ones(len(self.known_m), dtype=bool) if use is None else use
+        known_m = self.known_m[use].sum()
+        return 100 * float(self.found_m[weighting][use].sum() / known_m - 1) if known_m > 1 else np.nan
+
+    @cached_property
+    def is_near_change(self) -> BoolArray:
+        """Mask (K,) of the steps near a change of context."""
+        changes = np.flatnonzero(np.diff(self.walk.label))
+        change_s = self.time_s[np.concatenate([changes, changes + 1])]
+        return (np.abs(self.time_s[:, None] - change_s) <= NEAR_S).any(axis=1)
+
+    def in_context(self, context: str) -> BoolArray:
+        """Mask (K,) of the steps in a context."""
+        return np.asarray(self.walk.label == CONTEXTS.index(context))
+
+
+def climbing(recording: Recording, person: str, config: Config) -> Walk:
+    """A walk whose truth is the climb rate of the barometer, which the classifier does not get."""
+    assert recording.barometer is not None
+    found = run_sensing(config.sensing, replace(recording, barometer=None))[1]
+    time_s = np.array([e.time_s for e in found if isinstance(e, Step)])
+    climb, pressure = ClimbRate(), recording.barometer
+    _, climbs = climb.update(climb.init(), pressure.time_s, pressure.values[:, 0])
+    middle_s = np.array([c.time_s - climb.window_s / 2 for c in climbs])
+    rate_mps = np.interp(time_s, middle_s, [c.climb_rate_mps for c in climbs])
+    label = np.where(rate_mps > STAIRS_MPS, UP, np.where(rate_mps < -STAIRS_MPS, DOWN, WALKING))
+    return Walk(recording, person, config, found, label)
+
+
+def walks_of(training: Training, name: str) -> dict[str, list[Distances]]:
+    """Walks of a set by classifier."""
+    found: dict[str, list[Distances]] = {classifier: [] for classifier in CLASSIFIERS}
+    for recording, person, models in SETS[name](training):
+        for classifier, config in configs(recording, models).items():
+            walk = (
+                climbing(recording, person, config)
+                if "stairs" in name
+                else walk_of(recording, person, config, "level" in name)
+            )
+            if len(walk.label) >= 20:
+                found[classifier].append(Distances(walk))
+    return found
+
+
+def over_people(values: Sequence[float], people: Sequence[str]) -> str:
+    """Mean over people of the mean absolute error of each, with the half width of its 95 % interval; - without any."""
+    from scipy.stats import t as student
+
+    e, who = np.abs(np.asarray(values, dtype=float)), np.asarray(people)
+    each = np.array([np.nanmean(e[who == p]) for p in np.unique(who) if np.isfinite(e[who == p]).any()])
+    if not len(each):
+        return "-"
+    half = student.ppf(0.975, len(each) - 1) * each.std(ddof=1) / np.sqrt(len(each)) if len(each) > 1 else np.nan
+    return f"{each.mean():.1f}" + ("" if np.isnan(half) else f" ± {half:.1f}")
+
+
+def distances(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Errors of the distance by set, classifier and weighting, and by context."""
+    training = Training(arguments.data, arguments.cache)
+    rows, by_context = list[list[object]](), list[list[object]]()
+    for name in SETS:
+        for classifier, walks in walks_of(training, name).items():
+            people = [w.person for w in walks]
+            uncertain = 100 * np.mean(np.concatenate([w.is_uncertain for w in walks]))
+            about = f"{name} ({len(walks)} of {len(set(people))})"
+            for weighting in WEIGHTINGS:
+                whole = [w.error_percent(weighting) for w in walks]
+                near = [w.error_percent(weighting, w.is_near_change) for w in walks]
+                cells = [f"{np.mean(whole):+.1f}", over_people(whole, people), over_people(near, people)]
+                rows.append([about, classifier, f"{uncertain:.1f}", weighting, *cells])
+                if name == "joined walks":
+                    each = [
+                        over_people([w.error_percent(weighting, w.in_context(c)) for w in walks], people)
+                        for c in ("walking", "upstairs", "downstairs", "running")
+                    ]
+                    by_context.append([classifier, weighting, *each])
+            print(f"{name}, {classifier}: done", flush=True)
+    about = (
+        "Error of the distance in % against the same steps in their true contexts: bias, and mean absolute error over "
+        "people with 95 % interval. Near changes: within 3 s of a change of context. Uncertain: share of the steps."
+    )
+    columns = [
+        "walks (people)",
+        "classifier",
+        "uncertain %",
+        "weighting",
+        "bias",
+        "whole walk",
+        "within 3 s of a change",
+    ]
+    tables.write("weightings_study", columns, rows, about)
+    columns = ["classifier", "weighting", "walking", "upstairs", "downstairs", "running"]
+    tables.write("weightings_contexts", columns, by_context, "Joined walks: mean absolute error in % over people.")
+
+
+# --- The paper -------------------------------------------------------------------------------------------------------
+
+# Table V: error of the total distance of each of the 15 subjects, %.
+TABLE_V = {
+    "HC": (0.6, -3.3, -5.7, -3.0, -6.9, -7.8, -3.6, -6.0, -4.5, -7.5, -13.6, -13.5, -7.8, -7.5, -13.1),
+    "WC": (5.1, 1.2, 4.5, -3.3, -10.3, -9.0, 0.0, -7.5, -0.3, -6.0, -3.0, -3.9, 1.8, 1.2, -6.1),
+}
+# Table VI: error of the distance in each context, mean of the subjects, %.
+TABLE_VI = {
+    "HC": {"walking": -8.5, "upstairs": 6.2, "downstairs": -5.5, "running": -4.8},
+    "WC": {"walking": -5.1, "upstairs": 3.4, "downstairs": -4.2, "running": -3.3},
+}
+
+
+def bias_and_spread(errors: Sequence[float]) -> list[str]:
+    """Cells: root mean square, bias and spread."""
+    scores = distance_scores(errors)
+    return [f"{scores.rmse_percent:.2f}", f"{scores.bias_percent:+.2f}", f"{scores.spread_percent:.2f}"]
+
+
+def paper(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Tables V and VI beside the joined walks with martinelli2018."""
+    walks = walks_of(Training(arguments.data, arguments.cache), "joined walks")["martinelli2018"]
+    errors: dict[str, list[float]] = {f"paper, {name}": list(found) for name, found in TABLE_V.items()}
+    gain = float(np.mean(TABLE_V["WC"]) - np.mean(TABLE_V["HC"]))
+    errors[f"paper, HC {gain:+.1f} points"] = [e + gain for e in TABLE_V["HC"]]
+    people = sorted({w.person for w in walks})
+    for weighting in WEIGHTINGS:
+        of_person = [[w.error_percent(weighting) for w in walks if w.person == p] for p in people]
+        errors[f"ours, {weighting}"] = [float(np.mean(each)) for each in of_person]
+    rows = [[name, str(len(found)), *bias_and_spread(found)] for name, found in errors.items()]
+    about = "Error of the total distance in % (Table V), over people. Ours: martinelli2018 on the joined walks."
+    tables.write("martinelli2018_table_v", ["", "people", "RMSE", "bias", "spread"], rows, about)
+    names = list(TABLE_VI["HC"])
+    rows = [[f"paper, {name}", *(f"{found[c]:+.1f}" for c in names)] for name, found in TABLE_VI.items()]
+    for weighting in WEIGHTINGS:
+        means = [np.nanmean([w.error_percent(weighting, w.in_context(c)) for w in walks]) for c in names]
+        rows.append([f"ours, {weighting}", *(f"{mean:+.1f}" for mean in means)])
+    tables.write("martinelli2018_table_vi", ["", *names], rows, "Mean error of the distance in each context, %.")
+
+
+def figure(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Errors of HC, WC and IMM over people, on the whole walk and near changes."""
+    del tables
+    import matplotlib.pyplot as plt
+
+    from pdr_filter.report import palette
+
+    training = Training(arguments.data, arguments.cache)
+    shown = {"HC": palette.ORANGE, "WC 0.8": palette.INK, "IMM online": palette.BLUE, "IMM smoothed": "#117733"}
+    drawing, panels = plt.subplots(1, 2, figsize=(10, 4), sharey=True, layout="constrained")
+    for axes, name in zip(panels, ("joined walks", "difronzo"), strict=True):
+        for row, walks in enumerate(walks_of(training, name).values()):
+            people = sorted({w.person for w in walks})
+            for k, (weighting, colour) in enumerate(shown.items()):
+                each = [
+                    np.nanmean([abs(w.error_percent(weighting, w.is_near_change)) for w in walks if w.person == p])
+                    for p in people
+                ]
+                y = row + 0.18 * (k - 1.5)
+                axes.plot(each, np.full(len(each), y), ".", color=colour, alpha=0.4)
+                axes.plot(np.mean(each), y, "|", markersize=14, markeredgewidth=2.5, color=colour, label=weighting)
+        axes.set(yticks=range(len(CLASSIFIERS)), yticklabels=CLASSIFIERS, title=f"{name}, {len(people)} people")
+        axes.set_xlabel("error of the distance within 3 s of a change (%)")
+        axes.set_xscale("symlog", linthresh=1.0)
+        axes.spines[["top", "right"]].set_visible(False)
+    handles, labels = panels[0].get_legend_handles_labels()
+    panels[1].legend(handles[: len(shown)], labels[: len(shown)], frameon=False)
+    panels[0].invert_yaxis()
+    drawing.savefig(FIGURE, dpi=150)
+
+
+if __name__ == "__main__":
+    run(__doc__, distances, paper, figure, cache=None)
