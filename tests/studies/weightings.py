@@ -65,9 +65,21 @@ from tests.benchmarks.weightings import (
 CLASSIFIERS = ("rvm", "forest", "blend", "martinelli2018")
 WEIGHTINGS = ("HC", "WC 0.8", "WC always", "IMM online", "IMM lagged", "IMM smoothed")
 PLAN_OF = {plan.name: plan for plan in PLANS}
-N_FOLDS = 4  # groups of people who are held out together
+N_FOLDS = 4  # of people who are held out together, as in the training of the shipped models
 FIGURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "weightings.png"
 NEAR_S = 3.0  # steps at most this far from a change of context are near it
+
+
+# Table V: error of the total distance of each of the 15 subjects, %.
+TABLE_V = {
+    "HC": (0.6, -3.3, -5.7, -3.0, -6.9, -7.8, -3.6, -6.0, -4.5, -7.5, -13.6, -13.5, -7.8, -7.5, -13.1),
+    "WC": (5.1, 1.2, 4.5, -3.3, -10.3, -9.0, 0.0, -7.5, -0.3, -6.0, -3.0, -3.9, 1.8, 1.2, -6.1),
+}
+# Table VI: error of the distance in each context, mean of the subjects, %.
+TABLE_VI = {
+    "HC": {"walking": -8.5, "upstairs": 6.2, "downstairs": -5.5, "running": -4.8},
+    "WC": {"walking": -5.1, "upstairs": 3.4, "downstairs": -4.2, "running": -3.3},
+}
 
 
 # --- Walks of people who are held out --------------------------------------------------------------------------------
@@ -118,13 +130,19 @@ def configs(recording: Recording, models: Mapping[str, ContextModel]) -> dict[st
     return own | {"martinelli2018": replace(paper, sensing=replace(paper.sensing, contexts=stage))}
 
 
+def folds(training: Training, dataset: str) -> Iterator[tuple[list[str], Mapping[str, ContextModel]]]:
+    """People of a data set who are held out together, with the models. People of both scored sets are in each fold."""
+    known = {str(person) for person in training.windows(PLAN_OF["context"]).person}
+    of_set = {name: sorted(p for p in known if p.startswith(f"{name}/")) for name in contexts.SCORED_DATASETS}
+    for k in range(N_FOLDS):
+        held = [person for people in of_set.values() for person in people[k::N_FOLDS]]
+        yield of_set[dataset][k::N_FOLDS], training.models(held, f"fold_{k}")
+
+
 def joined(training: Training) -> Iterator[tuple[Recording, str, Mapping[str, ContextModel]]]:
     """Recordings of MotionSense that follow each other, two walks of each of twelve people."""
-    people = sorted({str(p) for p in training.windows(PLAN_OF["context"]).person if str(p).startswith("motionsense/")})
-    for k in range(N_FOLDS):
-        fold = people[k::N_FOLDS]
-        models = training.models(fold, f"motionsense_{k}")
-        for person in fold:
+    for people, models in folds(training, "motionsense"):
+        for person in people:
             for number in (0, 1):
                 yield mixed_walk(training.data, "s" + person.split("/")[1][-2:], number), person, models
 
@@ -132,9 +150,8 @@ def joined(training: Training) -> Iterator[tuple[Recording, str, Mapping[str, Co
 def difronzo(training: Training) -> Iterator[tuple[Recording, str, Mapping[str, ContextModel]]]:
     """Walks of four people with real changes, the phone in a trouser pocket."""
     recordings = [pdr.read(path) for path in recordings_of(training.data, ("difronzo",))]
-    for person in sorted({str(r.subject.id) for r in recordings}):
-        models = training.models([f"difronzo/{person}"], f"difronzo_{person}")
-        yield from ((r, f"difronzo/{person}", models) for r in recordings if r.subject.id == person)
+    for people, models in folds(training, "difronzo"):
+        yield from ((r, p, models) for r in recordings if (p := f"difronzo/{r.subject.id}") in people)
 
 
 def unseen(training: Training, site: str) -> Iterator[tuple[Recording, str, Mapping[str, ContextModel]]]:
@@ -266,56 +283,37 @@ def over_people(values: Sequence[float], people: Sequence[str]) -> str:
 
 
 def distances(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Errors of the distance by set, classifier and weighting, and by context."""
+    """Errors of the distance by set, classifier and weighting: whole walks, near changes, bias, and by context."""
     training = Training(arguments.data, arguments.cache)
-    rows, by_context = list[list[object]](), list[list[object]]()
+    whole, near, bias, by_context = (list[list[str]]() for _ in range(4))
     for name in SETS:
         for classifier, walks in walks_of(training, name).items():
             people = [w.person for w in walks]
             uncertain = 100 * np.mean(np.concatenate([w.is_uncertain for w in walks]))
-            about = f"{name} ({len(walks)} of {len(set(people))})"
-            for weighting in WEIGHTINGS:
-                whole = [w.error_percent(weighting) for w in walks]
-                near = [w.error_percent(weighting, w.is_near_change) for w in walks]
-                cells = [f"{np.mean(whole):+.1f}", over_people(whole, people), over_people(near, people)]
-                rows.append([about, classifier, f"{uncertain:.1f}", weighting, *cells])
-                if name == "joined walks":
-                    each = [
-                        over_people([w.error_percent(weighting, w.in_context(c)) for w in walks], people)
-                        for c in ("walking", "upstairs", "downstairs", "running")
-                    ]
-                    by_context.append([classifier, weighting, *each])
+            about = [f"{name} ({len(walks)} of {len(set(people))})", classifier]
+            errors = {w: [walk.error_percent(w) for walk in walks] for w in WEIGHTINGS}
+            changes = {w: [walk.error_percent(w, walk.is_near_change) for walk in walks] for w in WEIGHTINGS}
+            whole.append([*about, f"{uncertain:.1f}", *(over_people(e, people) for e in errors.values())])
+            near.append([*about, *(over_people(e, people) for e in changes.values())])
+            bias.append([*about, *(f"{np.mean(e):+.1f}, {np.std(e, ddof=1):.1f}" for e in errors.values())])
+            if name == "joined walks":
+                for context in TABLE_VI["HC"]:
+                    each = [[walk.error_percent(w, walk.in_context(context)) for walk in walks] for w in WEIGHTINGS]
+                    by_context.append([context, classifier, *(over_people(e, people) for e in each)])
             print(f"{name}, {classifier}: done", flush=True)
-    about = (
-        "Error of the distance in % against the same steps in their true contexts: bias, and mean absolute error over "
-        "people with 95 % interval. Near changes: within 3 s of a change of context. Uncertain: share of the steps."
-    )
-    columns = [
-        "walks (people)",
-        "classifier",
-        "uncertain %",
-        "weighting",
-        "bias",
-        "whole walk",
-        "within 3 s of a change",
-    ]
-    tables.write("weightings_study", columns, rows, about)
-    columns = ["classifier", "weighting", "walking", "upstairs", "downstairs", "running"]
-    tables.write("weightings_contexts", columns, by_context, "Joined walks: mean absolute error in % over people.")
+    mean = "Mean absolute error of the distance in %, over people, with 95 % interval"
+    columns = ["walks (people)", "classifier", "uncertain %", *WEIGHTINGS]
+    tables.write("weightings_study", columns, whole, f"{mean}. Uncertain: share of the steps.")
+    short = [[cell.split(" ±")[0] for cell in row] for row in whole if row[0].startswith(("joined", "difronzo"))]
+    tables.write("weightings_readme", columns, short, "Mean absolute error of the distance in %, over people.")
+    columns.remove("uncertain %")
+    tables.write("weightings_changes", columns, near, f"{mean}, of the steps within 3 s of a change of context.")
+    tables.write("weightings_bias", columns, bias, "Bias and spread over walks, %.")
+    columns[0] = "context"
+    tables.write("weightings_contexts", columns, sorted(by_context), f"Joined walks. {mean}.")
 
 
 # --- The paper -------------------------------------------------------------------------------------------------------
-
-# Table V: error of the total distance of each of the 15 subjects, %.
-TABLE_V = {
-    "HC": (0.6, -3.3, -5.7, -3.0, -6.9, -7.8, -3.6, -6.0, -4.5, -7.5, -13.6, -13.5, -7.8, -7.5, -13.1),
-    "WC": (5.1, 1.2, 4.5, -3.3, -10.3, -9.0, 0.0, -7.5, -0.3, -6.0, -3.0, -3.9, 1.8, 1.2, -6.1),
-}
-# Table VI: error of the distance in each context, mean of the subjects, %.
-TABLE_VI = {
-    "HC": {"walking": -8.5, "upstairs": 6.2, "downstairs": -5.5, "running": -4.8},
-    "WC": {"walking": -5.1, "upstairs": 3.4, "downstairs": -4.2, "running": -3.3},
-}
 
 
 def bias_and_spread(errors: Sequence[float]) -> list[str]:
