@@ -3,6 +3,7 @@
 from . import batch as batch
 from . import datasets as datasets
 from . import evaluate as evaluate
+from . import imm as imm
 from . import protocols as protocols
 from . import recipes as recipes
 from . import simulate as simulate

@@ -154,7 +154,7 @@ def package_of(module: str) -> str:
 
 
 # Modules outside the packages: names for users and `python -m pdr_filter`. Nothing in the package imports them.
-FOR_USERS = ["protocols", "testing", "__main__"]
+FOR_USERS = ["imm", "protocols", "testing", "__main__"]
 
 
 def test_there_are_eighteen_packages_and_beside_them_only_names_for_users() -> None:

@@ -51,6 +51,9 @@ class Compared:
         Errors of the tracks, from `evaluate.comparison_table`.
     in_contexts : Table or None
         Errors by context, from `evaluate.context_errors`; None without context labels.
+    by_contexts : Table or None
+        Errors of the distance that are due to contexts, from `evaluate.weighting_errors`; None without labels of steps,
+        and for recipes.
     """
 
     recording: Recording
@@ -58,6 +61,7 @@ class Compared:
     rmse_m: dict[str, float]
     errors: Table
     in_contexts: Table | None
+    by_contexts: Table | None
 
     def summary(self) -> dict[str, Any]:
         """Return the results of all tracks as JSON values: the name of the recording, and a summary for each track."""
@@ -96,6 +100,14 @@ class Setting:
         if self.fixes is not None and n_files > 1:
             raise ValueError(f"--fixes are of one recording, got {n_files} recordings: compare them one by one")
 
+    def config(self, recording: Recording, name: str) -> Config:
+        """Return the configuration of a recipe with the given models."""
+        import pdr_filter as pdr
+
+        changed = context_changes(self.model, self.transitions)
+        config = changed(pdr.recipes.for_recording(name, recording))
+        return config if self.fixes is None else config.in_world_frame()
+
     def tracks(
         self, recording: Recording, where: dict[str, Any], progress: Callable[[float], None]
     ) -> dict[str, Track]:
@@ -106,29 +118,37 @@ class Setting:
         import pdr_filter as pdr
         from pdr_filter.io.fix_files import fixes_of_file
 
-        names = self.recipe or ["default"]
-        changed = context_changes(self.model, self.transitions)
-
-        def config_of(name: str) -> Config:
-            config = changed(pdr.recipes.for_recording(name, recording))
-            return config if self.fixes is None else config.in_world_frame()
-
         options: dict[str, Any] = {
             **where,
             "gnss": where["gnss"] or "off",
             "person": self.person,
             "fixes": () if self.fixes is None else fixes_of_file(self.fixes, self.fix_std_m),
         }
-        if len(names) == 1:
-            return pdr.evaluate.weighting_tracks(recording, config_of(names[0]), progress, **options)
+        first, *others = self.recipe or ["default"]
+        if not others:
+            return pdr.evaluate.weighting_tracks(recording, self.config(recording, first), progress, **options)
         tracks: dict[str, Track] = {}
-        for i, name in enumerate(names):
+        for i, name in enumerate(self.recipe or ()):
 
             def show(fraction: float, i: int = i) -> None:
-                progress((i + fraction) / len(names))
+                progress((i + fraction) / (1 + len(others)))
 
-            tracks[name] = pdr.track(recording, config_of(name), progress=show, **options)
+            tracks[name] = pdr.track(recording, self.config(recording, name), progress=show, **options)
         return tracks
+
+    def by_contexts(self, recording: Recording) -> Table | None:
+        """Return the errors of the weightings that are due to contexts, or None if no context of a step is known.
+
+        They need no known length, and have the step lengths of the recipe.
+        """
+        import pdr_filter as pdr
+
+        names = self.recipe or ["default"]
+        try:
+            config = self.config(recording, names[0])
+            return None if len(names) > 1 else pdr.evaluate.weighting_errors(recording, config)
+        except ValueError:
+            return None
 
 
 def compare(
@@ -140,7 +160,8 @@ def compare(
         bool,
         typer.Option(
             "--truth",
-            help="Also show the position error against the ground truth of the recording, after rigid alignment.",
+            help="Also show mean errors over persons, and the position error of each recording after rigid alignment "
+            "to its ground truth.",
         ),
     ] = False,
     out: Annotated[
@@ -174,7 +195,8 @@ def compare(
         in_contexts = None if labels is None or not len(labels) else pdr.evaluate.context_errors(recording, tracks)
         is_known = truth and bool(np.isfinite(errors.rmse_m).all())
         rmse_m = dict(zip(tracks, errors.rmse_m.tolist(), strict=True)) if is_known else {}
-        found = Compared(recording, tracks, rmse_m, errors, in_contexts)
+        by_contexts = None if out is None or in_contexts is None else setting.by_contexts(recording)
+        found = Compared(recording, tracks, rmse_m, errors, in_contexts, by_contexts)
         if truth and not is_known:
             without.append(recording.name)
         if out is not None:
@@ -258,7 +280,7 @@ def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
     """Write the tables of study, recordings and contexts as CSV and LaTeX, and return the files that were replaced."""
     import numpy as np
 
-    from pdr_filter.evaluate import write_tables
+    from pdr_filter.evaluate import study_rows, write_tables
     from pdr_filter.values import table
 
     def joined(parts: Sequence[tuple[str, Table]]) -> Table:
@@ -270,40 +292,31 @@ def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
     labelled = [(found.recording.name, found.in_contexts) for found in compared if found.in_contexts is not None]
     if labelled:
         tables["contexts"] = joined(labelled)
+    weighted = [(found.recording.name, found.by_contexts) for found in compared if found.by_contexts is not None]
+    if weighted:
+        tables["weightings"] = joined(weighted)
     before = console.existing(*(out / f"{name}{suffix}" for name in tables for suffix in (".csv", ".tex")))
     for name, rows in tables.items():
-        write_tables(rows, out / name, caption=_CAPTIONS[name])
+        write_tables(rows, out / name, 2, _CAPTIONS[name], study_rows(study) if name == "study" else None)
     return before
 
 
 _CAPTIONS = {
-    "study": r"Mean errors over persons, with 95\,\% intervals, and differences to the last track.",
+    "study": r"Mean absolute errors over persons, $\pm$ half of the 95\,\% interval.",
     "recordings": "Errors of each recording.",
     "contexts": "Errors by context.",
+    "weightings": "Error of the distance against the same steps with known contexts.",
 }
 
 
 def _print_study(study: Table) -> None:
-    """Print mean errors. The column of intervals is omitted for a single person, because an interval needs several."""
-    has_interval = bool((study["low"] == study["low"]).any())  # NaN differs from itself
-    columns = ["error", "track", "recordings", "persons", "bias", "mean absolute"]
-    columns += ["95 % interval of the mean"] if has_interval else []
-    shown = console.new_table(*columns, "difference to the last", n_keys=2)
-    for row in study:
-        difference = "" if row["difference"] != row["difference"] else _with_interval(row, "difference")
-        counts = str(row["n_recordings"]), str(row["n_people"])
-        interval = (_range(row["low"], row["high"]),) if has_interval else ()
-        numbers = f"{row['bias']:+.2f}", f"{row['mean']:.2f}", *interval, difference
-        shown.add_row(str(row["measure"]), str(row["name"]), *counts, *numbers)
+    """Print mean errors with their 95 % intervals."""
+    from pdr_filter.evaluate import study_rows
+
+    rows = study_rows(study)
+    shown = console.new_table(*rows[0], n_keys=2)
+    for row in rows:
+        shown.add_row(*map(str, row.values()))
+    has_interval = any("±" in str(row["mean"]) for row in rows)
+    shown.caption = f"mean absolute errors over persons{', ± half of the 95 % interval' if has_interval else ''}"
     console.print_table(shown)
-
-
-def _with_interval(row: Any, name: str) -> str:
-    """Return a value, followed by its interval in brackets if it is known."""
-    interval = _range(row[f"{name}_low"], row[f"{name}_high"])
-    return f"{row[name]:+.2f}" + (f" ({interval})" if interval else "")
-
-
-def _range(low: float, high: float) -> str:
-    """Return an interval as text, or an empty string if it is unknown (NaN)."""
-    return "" if low != low else f"{low:.2f} to {high:.2f}"

@@ -77,6 +77,7 @@ Height = Annotated[
 
 
 _TEXT = {name: text.split(". ")[0].replace("`", "").rstrip(".") + "." for name, text in texts().items()}
+_HEADING = _TEXT.get("heading_rad", "").replace("in rad", "in degrees")
 Gnss = Annotated[GnssUse | None, typer.Option(help=_TEXT.get("gnss"))]
 Online = Annotated[
     bool,
@@ -103,7 +104,7 @@ class PlacementOptions:
         typer.Option(metavar="SOURCE", help=f"{_TEXT.get('north')} One of {', '.join(get_args(NorthUse))}."),
     ] = None
     origin: Annotated[str | None, typer.Option(metavar="LAT,LON", help=_TEXT.get("origin"))] = None
-    heading: Annotated[str | None, typer.Option(metavar="DEG", help=_TEXT.get("heading_rad"))] = None
+    heading: Annotated[str | None, typer.Option(metavar="DEG", help=_HEADING)] = None
     plan: Annotated[Path | None, typer.Option(metavar="GEOJSON", help=_TEXT.get("plan"))] = None
     start: Annotated[
         str | None, typer.Option(metavar="PLACE", help=f"{_TEXT.get('start')} A position is EAST,NORTH in m.")

@@ -38,6 +38,7 @@ from pdr_filter.evaluate.steps import f1_score as f1_score
 from pdr_filter.evaluate.steps import matched_steps as matched_steps
 from pdr_filter.evaluate.steps import step_scores as step_scores
 from pdr_filter.evaluate.study import context_errors as context_errors
+from pdr_filter.evaluate.study import study_rows as study_rows
 from pdr_filter.evaluate.study import study_table as study_table
 from pdr_filter.evaluate.tables import Markdown as Markdown
 from pdr_filter.evaluate.tables import latex as latex

@@ -8,6 +8,8 @@ from typing import cast
 import numpy as np
 
 from pdr_filter.evaluate.comparison import MEASURES, length_error_percent, wrong_context_percent
+from pdr_filter.evaluate.tables import heading
+from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.values import BoolArray, FloatArray, Table, TrackRows, table
 from pdr_filter.values.recording import Recording
 
@@ -61,7 +63,8 @@ def _in_context(recording: Recording, labels: Table, track: TrackRows) -> tuple[
     if segments is not None:
         inside = _inside(labels, 0.5 * (segments.start_s + segments.end_s))
         legs = length_error_percent(recording, track, cast(Table, segments[(segments.distance_m > 0) & inside]))
-    time_s, distance_m = float((labels.end_s - labels.start_s).sum()), float(track.step_length_m[walked].sum())
+    time_s = float((labels.end_s - labels.start_s).sum())
+    distance_m = float(np.diff(track.walked_m, prepend=0.0)[walked].sum())
     return time_s, wrong_context_percent(track, labels), int(walked.sum()), distance_m, legs
 
 
@@ -156,6 +159,56 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
             "files to a recording (docs/formats.md)"
         )
     return table({key: np.array([row[key] for row in found]) for key in found[0]})
+
+
+def study_rows(study: Table, digits: int = 2) -> list[dict[str, object]]:
+    """Return a study as the rows of a table to print, with a value and its interval in one cell.
+
+    Parameters
+    ----------
+    study : Table
+        Result of `study_table`.
+    digits : int, default 2
+        Number of decimals.
+
+    Returns
+    -------
+    list of dict
+        A row for each measure and track, for `latex` and `markdown`. The columns are the measure, the track, the
+        numbers of recordings and persons, the bias, the mean absolute error and the difference to the last track, both
+        with the half width of their 95 % interval. Cells without a value are empty.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> legs = [pdr.simulate.Leg("walking", distance_m=20.0)]
+    >>> walks = [pdr.simulate.simulate(legs, seed=seed) for seed in (1, 2)]
+    >>> rows = [pdr.evaluate.comparison_table(walk, {"default": pdr.track(walk)}) for walk in walks]
+    >>> list(pdr.evaluate.study_rows(pdr.evaluate.study_table(rows))[0])
+    ['error', 'track', 'recordings', 'persons', 'bias', 'mean', 'difference to default']
+    """
+
+    def cell(value: float, high: float, sign: str = "") -> str:
+        if value != value:
+            return ""
+        return f"{value:{sign}.{digits}f}" + (f" ± {high - value:.{digits}f}" if high == high else "")
+
+    def shown(name: str) -> str:
+        return name.upper() if name in WEIGHTINGS else name
+
+    last = shown(str(study["name"][-1]))
+    return [
+        {
+            "error": heading(str(row["measure"])),
+            "track": shown(str(row["name"])),
+            "recordings": int(row["n_recordings"]),
+            "persons": int(row["n_people"]),
+            "bias": f"{row['bias']:+.{digits}f}",
+            "mean": cell(row["mean"], row["high"]),
+            f"difference to {last}": cell(row["difference"], row["difference_high"], "+"),
+        }
+        for row in study
+    ]
 
 
 def _interval(values: FloatArray) -> tuple[float, float, float]:

@@ -92,12 +92,9 @@ def latex(
     if label is not None and caption is None:
         raise ValueError(f"label {label!r} needs a caption, because LaTeX numbers captions: give caption, too")
     names, cells = _contents(rows)
-    if "measure" in names:  # this column of a study contains column names
-        k = names.index("measure")
-        cells = [[heading(str(cell)) if i == k else cell for i, cell in enumerate(row)] for row in cells]
     cells = [row for row in cells if not all(map(_is_nan, filter(_is_float, row))) or not any(map(_is_float, row))]
     kept = [k for k in range(len(names)) if not cells or not all(_is_nan(row[k]) for row in cells)]
-    align = "".join("l" if any(isinstance(row[k], str) for row in cells) else "r" for k in kept)
+    align = "".join("l" if any(_is_text(row[k]) for row in cells) else "r" for k in kept)
     head = " & ".join(_latex_cell(heading(names[k]), digits) for k in kept)
     body = [" & ".join(_latex_cell(row[k], digits) for k in kept) for row in cells]
     lines = [rf"\begin{{tabular}}{{{align}}}", r"\toprule", rf"{head} \\", r"\midrule"]
@@ -117,11 +114,17 @@ def heading(name: str) -> str:
     return text[:1].upper() + text[1:] + (f" ({unit})" if unit else "")
 
 
-def write_tables(rows: Table, stem: str | Path, digits: int = 2, caption: str | None = None) -> tuple[Path, Path]:
+def write_tables(
+    rows: Table,
+    stem: str | Path,
+    digits: int = 2,
+    caption: str | None = None,
+    shown: Sequence[Mapping[str, object]] | None = None,
+) -> tuple[Path, Path]:
     """Write a table as STEM.csv, with all digits, and as STEM.tex, with rounded floats, and return both paths.
 
-    With a caption, the LaTeX table has the label "tab:STEM". NaN is an empty cell in the .csv. Missing folders are
-    created.
+    `shown` replaces the rows of the .tex, such as `study_rows(study)`. With a caption, the LaTeX table has the label
+    "tab:STEM". NaN is an empty cell in the .csv. Missing folders are created.
     """
     stem = Path(stem)
     stem.parent.mkdir(parents=True, exist_ok=True)
@@ -131,13 +134,15 @@ def write_tables(rows: Table, stem: str | Path, digits: int = 2, caption: str | 
         writer.writerow(rows.dtype.names or ())
         writer.writerows(["" if value != value else value for value in row] for row in rows.tolist())
     label = None if caption is None else f"tab:{stem.name}"
-    as_tex.write_text(latex(rows, digits, caption, label) + "\n", encoding="utf-8")
+    as_tex.write_text(latex(rows if shown is None else shown, digits, caption, label) + "\n", encoding="utf-8")
     return as_csv, as_tex
 
 
 _UNITS = {"percent": "%", "m": "m", "s": "s", "mps": "m/s", "rad": "rad", "deg": "deg", "hz": "Hz"}
 _ACRONYMS = {"rmse", "nees", "nis", "hc", "wc", "imm"}
-_LATEX = str.maketrans({c: rf"\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "~": r"\~{}", "^": r"\^{}"})
+_LATEX = str.maketrans(
+    {c: rf"\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "~": r"\~{}", "^": r"\^{}", "±": r"$\pm$"}
+)
 
 
 def _contents(rows: Table | Sequence[Mapping[str, object]]) -> tuple[list[str], list[list[object]]]:
@@ -150,6 +155,11 @@ def _contents(rows: Table | Sequence[Mapping[str, object]]) -> tuple[list[str], 
 
 def _is_float(value: object) -> bool:
     return isinstance(value, float | np.floating)
+
+
+def _is_text(value: object) -> bool:
+    """Return True for a word, and False for a number or a number as text, such as "+1.2 ± 0.3"."""
+    return isinstance(value, str) and value[:1] not in "+-0123456789"
 
 
 def _is_nan(value: object) -> bool:

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
-from pdr_filter.evaluate import comparison_table, context_errors, latex, markdown, study_table, write_tables
+from pdr_filter.evaluate import comparison_table, context_errors, latex, markdown, study_rows, study_table, write_tables
 from pdr_filter.evaluate.comparison import MEASURES
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import Table, table
@@ -117,7 +117,7 @@ def test_latex_has_words_and_units_for_columns_and_no_empty_rows_or_columns() ->
     lines = latex(rows).splitlines()
     assert lines[0] == r"\begin{tabular}{llrr}"
     assert lines[2] == r"Measure & Name & People & Low \\"
-    assert lines[4:] == [r"RMSE (m) & hc & 2 & 1.50 \\", r"\bottomrule", r"\end{tabular}"]
+    assert lines[4:] == [r"rmse\_m & hc & 2 & 1.50 \\", r"\bottomrule", r"\end{tabular}"]
     assert str(markdown(rows)).count("\n") == 3
     assert latex(rows[:1]) == latex(table({name: np.array([value]) for name, value in rows[0].items()}))
 
@@ -135,11 +135,14 @@ def test_compare_writes_tables_of_all_recordings(tmp_path: Path) -> None:
     files = [str(tmp_path / f"walk{seed}.zip") for seed in (1, 2)]
     ran = CliRunner().invoke(app, ["compare", *files, "--truth", "--out", str(out)])
     assert ran.exit_code == 0, ran.output
-    assert "step_error_percent" in ran.output
+    assert "Step error (%)" in ran.output
     rows = list(csv.DictReader((out / "study.csv").open()))
     assert {row["name"] for row in rows} == {"hc", "wc", "imm"}
     assert (out / "study.tex").read_text().startswith(r"\begin{table}")
+    assert "difference to IMM" in (out / "study.tex").read_text().replace("Difference", "difference")
     assert len(list(csv.DictReader((out / "recordings.csv").open()))) == 6
+    known = [row for row in csv.DictReader((out / "weightings.csv").open()) if row["weighting"] == "contexts known"]
+    assert [float(row["error_percent"]) for row in known] == [0, 0]
     assert {row["context"] for row in csv.DictReader((out / "contexts.csv").open())} >= {"walking"}
     again = CliRunner().invoke(app, ["compare", *files, "--truth", "--out", str(out)])
     assert all(name in again.output.replace("\n", "") for name in ("study.csv", "recordings.tex", "contexts.csv"))
@@ -192,3 +195,20 @@ def test_recordings_that_do_not_name_their_person_are_of_different_people(tmp_pa
     files = [str(tmp_path / f"walk{k}.zip") for k in (1, 2)]
     assert CliRunner().invoke(app, ["compare", *files, "--truth", "--out", str(tmp_path)]).exit_code == 0
     assert {row["n_people"] for row in csv.DictReader((tmp_path / "study.csv").open())} == {"2"}
+
+
+def test_distances_by_context_add_up_to_the_walked_distance() -> None:
+    walk = simulate([Leg("walking", distance_m=20.0), Leg("upstairs", duration_s=8.0)], seed=3)
+    track = pdr.track(walk)
+    inside = (track.time_s >= walk.truth.labels.start_s[0]) & (track.time_s < walk.truth.labels.end_s[-1])
+    walked_m = np.diff(track.walked_m, prepend=0.0)[inside].sum()
+    assert context_errors(walk, {"imm": track}).distance_m.sum() == pytest.approx(walked_m)
+
+
+def test_a_printed_study_has_a_value_and_its_interval_in_one_cell() -> None:
+    study = study_table([errors((1.0, 0.0)), errors((3.0, 1.0))], ["x", "y"])
+    first, last = study_rows(study)
+    assert first["error"] == "Step error (%)" and first["mean"].startswith("2.00 ± 12.7")
+    assert first["difference to b"].startswith("+1.50 ± ") and last["difference to b"] == ""
+    (alone, _) = study_rows(study_table([errors((1.0, 0.0))]))
+    assert alone["mean"] == "1.00"

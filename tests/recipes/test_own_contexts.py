@@ -328,6 +328,8 @@ def test_a_mode_of_an_unknown_context_is_refused(model: pdr.ContextModel) -> Non
         pdr.recipes.default().with_contexts(model, [*MODES, pdr.Mode("flying")])
     with pytest.raises(ValueError, match="need exactly one mode for each"):
         pdr.recipes.default().with_weighting("hc").with_contexts(model, MODES[:2])
+    with pytest.raises(ValueError, match=r"step_length of mode 'up' must be a StepLengthFit, got 0\.7.*known_length"):
+        pdr.Mode("up", step_length=cast(Any, 0.7))
     with pytest.raises(ValueError, match="climbs of 'up' must be"):
         pdr.Mode("up", climbs=2)
     with pytest.raises(ValueError, match="gait of 'up' must be"):

@@ -196,12 +196,12 @@ def update(
         Mean of each mode.
     cov : (..., M, n, n) array
         Covariance of each mode.
-    z : (..., d) array
-        Measurement of each pedestrian.
-    H : (d, n) array
-        Measurement matrix.
-    R : (..., d, d) array
-        Covariance of the measurement noise of each pedestrian.
+    z : (..., d) or (..., M, d) array
+        Measurement of each pedestrian, or of each mode of each pedestrian.
+    H : (d, n) or (..., M, d, n) array
+        Measurement matrix, of all modes or of each mode.
+    R : (..., d, d) or (..., M, d, d) array
+        Covariance of the measurement noise of each pedestrian, or of each mode of each pedestrian.
 
     Returns
     -------
@@ -216,6 +216,8 @@ def update(
 
     Notes
     -----
+    `z` is of each mode if it has as many axes as `mean`, and `R` if it has as many axes as `cov`.
+
     y = z - H x;  S = H P H' + R;  K = P H' S^-1;  x = x + K y;  P = (I - K H) P (I - K H)' + K R K'.
 
     Joseph's form of the covariance stays symmetric and positive in spite of rounding.
@@ -229,10 +231,11 @@ def update(
     >>> x[0], P[0], nis
     (array([0.5]), array([[0.5]]), array([0.5]))
     """
-    innovation = z[..., None, :] - mean @ H.T
-    R_ = R[..., None, :, :]
+    z_ = z if z.ndim == mean.ndim else z[..., None, :]
+    R_ = R if R.ndim == cov.ndim else R[..., None, :, :]
+    innovation = z_ - (mean @ H.T if H.ndim == 2 else np.matmul(H, mean[..., None])[..., 0])
     HP = H @ cov
-    S_inverse, log_det_S = _inverse(HP @ H.T + R_)
+    S_inverse, log_det_S = _inverse(HP @ H.swapaxes(-1, -2) + R_)
     K = HP.swapaxes(-1, -2) @ S_inverse
     updated_mean = mean + np.matmul(K, innovation[..., None])[..., 0]
     I_KH = np.eye(mean.shape[-1]) - K @ H
@@ -244,12 +247,15 @@ def update(
 
 def _inverse(S: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the inverse (..., d, d) and the log determinant (...) of innovation covariances."""
+    if S.shape[-1] == 1:
+        return 1.0 / S, np.log(S[..., 0, 0])
     if S.shape[-1] != 2:
         return np.asarray(np.linalg.inv(S), dtype=float), np.linalg.slogdet(S)[1]
     # Most measurements are positions. LAPACK would be called once for each of thousands of pedestrians.
     a, b, c, d = S[..., 0, 0], S[..., 0, 1], S[..., 1, 0], S[..., 1, 1]
     det = a * d - b * c
-    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    adjugate = np.empty_like(S)
+    adjugate[..., 0, 0], adjugate[..., 0, 1], adjugate[..., 1, 0], adjugate[..., 1, 1] = d, -b, -c, a
     return adjugate / det[..., None, None], np.log(det)
 
 

@@ -108,6 +108,12 @@ class Mode:
     gait: Gait | None = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.step_length, StepLengthFit):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise ValueError(
+                f"step_length of mode {self.name!r} must be a StepLengthFit, got {self.step_length!r}: give a length "
+                "in m with its deviations as pdr.known_length(0.7, 0.05), or a model with its parameters as "
+                "pdr.StepLengthFit(model, theta, theta_cov, residual_std_m)"
+            )
         object.__setattr__(self, "context", self.context or self.name)
         object.__setattr__(self, "moves", self.moves and self.context != IRREGULAR)
         object.__setattr__(self, "gait", self.meaning.gait)  # also checks climbs and gait
