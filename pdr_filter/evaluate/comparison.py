@@ -11,8 +11,7 @@ from pdr_filter.evaluate.consistency import ellipse_coverage, nees
 from pdr_filter.evaluate.distance import percent_error
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.evaluate.tracks import end_error_percent, first_of_path, moved_m, path_m, position_rmse_m, positions_at
-from pdr_filter.offline.calibration.segments import STRAIGHT
-from pdr_filter.values import FloatArray, Table, TrackRows, rigid_fit, table
+from pdr_filter.values import FloatArray, Table, TrackRows, limits, rigid_fit, table
 from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.recording import Recording
 
@@ -245,7 +244,7 @@ def length_error_percent(recording: Recording, track: TrackRows, segments: Table
     path = np.cumsum(of_step_m[:, None] * np.column_stack([np.sin(heading_rad), np.cos(heading_rad)]), axis=0)
     along = np.column_stack([track.walked_m, np.zeros(track.n_steps)])
     moved, walked = (moved_m(track.time_s, way, segments.start_s, segments.end_s) for way in (path, along))
-    is_straight = (moved > STRAIGHT * walked) & (recording.gyroscope is not None)
+    is_straight = (moved > limits.STRAIGHT * walked) & (recording.gyroscope is not None)
     return float(percent_error(np.where(is_straight, moved, walked).sum(), segments.distance_m.sum()))
 
 

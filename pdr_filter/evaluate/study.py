@@ -8,8 +8,7 @@ from typing import cast
 import numpy as np
 
 from pdr_filter.evaluate.comparison import MEASURES, length_error_percent, wrong_context_percent
-from pdr_filter.evaluate.tables import heading
-from pdr_filter.filter.imm.weighting import WEIGHTINGS
+from pdr_filter.evaluate.tables import ACRONYMS, heading
 from pdr_filter.values import BoolArray, FloatArray, Table, TrackRows, table
 from pdr_filter.values.recording import Recording
 
@@ -194,7 +193,7 @@ def study_rows(study: Table, digits: int = 2) -> list[dict[str, object]]:
         return f"{value:{sign}.{digits}f}" + (f" ± {high - value:.{digits}f}" if high == high else "")
 
     def shown(name: str) -> str:
-        return name.upper() if name in WEIGHTINGS else name
+        return name.upper() if name in ACRONYMS else name
 
     last = shown(str(study["name"][-1]))
     return [

@@ -109,7 +109,7 @@ def heading(name: str) -> str:
     """Return the heading of a column in words, with its unit in parentheses: "RMSE (m)" for `rmse_m`."""
     words = name.removeprefix("n_").split("_")
     unit = _UNITS.get(words[-1]) if len(words) > 1 else None
-    words = [word.upper() if word in _ACRONYMS else word for word in (words[:-1] if unit else words)]
+    words = [word.upper() if word in ACRONYMS else word for word in (words[:-1] if unit else words)]
     text = " ".join(words)
     return text[:1].upper() + text[1:] + (f" ({unit})" if unit else "")
 
@@ -121,10 +121,38 @@ def write_tables(
     caption: str | None = None,
     shown: Sequence[Mapping[str, object]] | None = None,
 ) -> tuple[Path, Path]:
-    """Write a table as STEM.csv, with all digits, and as STEM.tex, with rounded floats, and return both paths.
+    """Write a table as STEM.csv, with all digits, and as STEM.tex, with rounded floats.
 
-    `shown` replaces the rows of the .tex, such as `study_rows(study)`. With a caption, the LaTeX table has the label
-    "tab:STEM". NaN is an empty cell in the .csv. Missing folders are created.
+    Missing folders are created.
+
+    Parameters
+    ----------
+    rows : Table
+        Table with named columns.
+    stem : str or Path
+        Path without the suffix.
+    digits : int, default 2
+        Number of decimals of floats in the .tex.
+    caption : str, optional
+        Caption of the .tex, which then has the label "tab:STEM".
+    shown : sequence of mapping, optional
+        Rows of the .tex in place of `rows`, such as `study_rows(study)`.
+
+    Returns
+    -------
+    as_csv, as_tex : Path
+        Written files. NaN is an empty cell in the .csv.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from pdr_filter.evaluate import write_tables
+    >>> from pdr_filter.values import table
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     as_csv, as_tex = write_tables(table({"error_m": np.array([1.234])}), f"{folder}/errors")
+    ...     print(as_csv.read_text().split())
+    ['error_m', '1.234']
     """
     stem = Path(stem)
     stem.parent.mkdir(parents=True, exist_ok=True)
@@ -139,7 +167,7 @@ def write_tables(
 
 
 _UNITS = {"percent": "%", "m": "m", "s": "s", "mps": "m/s", "rad": "rad", "deg": "deg", "hz": "Hz"}
-_ACRONYMS = {"rmse", "nees", "nis", "hc", "wc", "imm"}
+ACRONYMS = {"rmse", "nees", "nis", "hc", "wc", "imm"}
 _LATEX = str.maketrans(
     {c: rf"\{c}" for c in "&%$#_{}"} | {"\\": r"\textbackslash{}", "~": r"\~{}", "^": r"\^{}", "±": r"$\pm$"}
 )

@@ -89,3 +89,6 @@ QUATERNION_NORM_RANGE = (0.98, 1.02)
 # more in a walk with the right sign, and -0.9 with the wrong sign. Attitudes never aligned with gravity are in between.
 UP_COSINE_WRONG_SIGN = -0.5
 UP_COSINE_DOUBTFUL = 0.5
+# A stretch of known walked distance has a turn if its displacement is below this share of the walked distance. One or
+# two steps around a corner at the ends of a leg of ten steps give 0.92. Half of the leg at a right angle gives 0.71.
+STRAIGHT = 0.85

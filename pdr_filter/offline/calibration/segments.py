@@ -15,7 +15,18 @@ import numpy as np
 
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
 from pdr_filter.recipes.step_length_calibration import UNNAMED, of_height, slices_of
-from pdr_filter.values import CONTEXTS, RADIUS_68, FloatArray, IntArray, Origin, Step, TrackRows, check_array, steps_of
+from pdr_filter.values import (
+    CONTEXTS,
+    RADIUS_68,
+    FloatArray,
+    IntArray,
+    Origin,
+    Step,
+    TrackRows,
+    check_array,
+    limits,
+    steps_of,
+)
 from pdr_filter.values.recording import Recording
 
 # Standard deviation of the distance between two clicked landmarks. Clicks are up to 0.8 s early or 0.1 s late, which is
@@ -36,9 +47,6 @@ MIN_WAYPOINT_TIME_S, GROUPED_M = 3.0, 10.0
 # GNSS fixes are thinned until they are this far apart, in metres and in multiples of the standard deviation of their
 # distance.
 MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS = 20.0, 4.0
-# A stretch of known walked distance has a turn if its displacement is below this share of the walked distance. One or
-# two steps around a corner at the ends of a leg of ten steps give 0.92. Half of the leg at a right angle gives 0.71.
-STRAIGHT = 0.85
 # Relative difference of detected and counted steps from which a note names a segment. Detected steps of careful walks
 # are within 5 %. The counted steps do not enter the calibration: lengths per counted step predict held-out walks no
 # better than lengths per detected step (ipol, 60 walks of 10 people: 4.4 and 4.3 % RMS), because a detector that misses
@@ -490,9 +498,9 @@ def _share_inside(track: TrackRows, stretch: _Stretch) -> FloatArray:
 
 
 def _is_bent(heading_rad: FloatArray, length_m: FloatArray) -> bool:
-    """Return True if a path has a turn: its displacement is less than the share `STRAIGHT` of its length."""
+    """Return True if a path has a turn: its displacement is less than the share `limits.STRAIGHT` of its length."""
     vector = np.exp(1j * heading_rad) * length_m
-    return abs(vector.sum()) < STRAIGHT * np.abs(vector).sum()
+    return abs(vector.sum()) < limits.STRAIGHT * np.abs(vector).sum()
 
 
 def step_contexts(track: TrackRows) -> FloatArray:
@@ -629,7 +637,7 @@ def _groups(place_m: FloatArray) -> list[tuple[int, int]]:
         far = np.flatnonzero(chord_m >= GROUPED_M)
         end = first + int(far[0]) if len(far) else last
         length_m = float(chord_m[end - first])
-        if length_m > MIN_WAYPOINT_DISTANCE_M and length_m >= STRAIGHT * (along_m[end] - along_m[first]):
+        if length_m > MIN_WAYPOINT_DISTANCE_M and length_m >= limits.STRAIGHT * (along_m[end] - along_m[first]):
             found.append((first, end))
             first = end
         else:  # the stretch has a turn: search for a straight one from the next waypoint on
