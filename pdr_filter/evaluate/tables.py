@@ -140,8 +140,8 @@ def write_tables(
 
     Returns
     -------
-    as_csv, as_tex : Path
-        Written files. NaN is an empty cell in the .csv.
+    tuple of Path
+        STEM.csv and STEM.tex. NaN is an empty cell in the .csv.
 
     Examples
     --------
