@@ -29,7 +29,7 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometer import STAIRS_MPS, Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
-from pdr_filter.sensing.vehicle_vibration import Stepless
+from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided
 from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing, is_moving
 from pdr_filter.values import (
     Fix,
@@ -120,6 +120,8 @@ class State:
         Second hypothesis while ranges fit two positions.
     conflict : FixConflict
         Position fixes that contradict the track.
+    undecided_s : float
+        Begin of the motion whose steps are not known yet, s, or infinity. Fixes of later times wait for them.
     finished : bool
         True after `finish`.
     """
@@ -146,6 +148,7 @@ class State:
     last_update: StepUpdate | None = None
     rival: RivalTracker | None = None
     conflict: FixConflict = field(default_factory=FixConflict)
+    undecided_s: float = math.inf
     finished: bool = False
 
     @property
@@ -468,16 +471,18 @@ def _process(
                 state, tracker=tracker, height=height_state, seen=state.seen.plus(context, context_set), window=context
             )
         elif isinstance(event, Stepless):
-            grown = pedestrian.over_stepless(state.tracker.pedestrian, event.duration_s)
-            tracker, updates = replace_unchecked(state.tracker, pedestrian=grown), ()
+            tracker, updates = _over_stepless(state.tracker, event.duration_s)
+            state = _with_rival(state, lambda rival, at=event: _over_stepless(rival, at.duration_s))
             state = replace_unchecked(state, tracker=tracker)
+        elif isinstance(event, Undecided):
+            state, updates = replace_unchecked(state, undecided_s=event.since_s), ()
         elif isinstance(event, Gap):
             tracker, updates = config.tracker.on_gap(state.tracker, event.duration_s)
             state = _with_rival(state, lambda rival, at=event: config.tracker.on_gap(rival, at.duration_s))
             if config.on_plan is not None:
                 particles = config.on_plan.on_gap(state.particles, event.duration_s, config.model)
                 state = replace_unchecked(state, particles=particles)
-            state = replace_unchecked(state, tracker=tracker, last_update=None)
+            state = replace_unchecked(state, tracker=tracker, last_update=None, undecided_s=math.inf)
         else:
             tracker, updates = config.tracker.on_step(state.tracker, event)
             state = _with_rival(state, lambda rival, at=event: config.tracker.on_step(rival, at))
@@ -495,6 +500,11 @@ def _process(
     n_past = max(bisect_right(state.climbs, state.sensing.processed_s, key=attrgetter("time_s")) - 1, 0)
     n_past = min(n_past, state.n_climbs_used)
     return replace_unchecked(state, climbs=state.climbs[n_past:], n_climbs_used=state.n_climbs_used - n_past), output
+
+
+def _over_stepless(tracker: Any, stepless_s: float) -> tuple[Any, tuple[()]]:
+    """Return the state of a tracker after a time of motion without a step, and no track rows."""
+    return replace_unchecked(tracker, pedestrian=pedestrian.over_stepless(tracker.pedestrian, stepless_s)), ()
 
 
 def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
@@ -583,8 +593,15 @@ def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State,
     if not state.waiting_fixes or due_s(config, state.waiting_fixes[0]) > until_s:
         return state, []
     n_due = bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f))
-    used, due = list[FixResult](), state.waiting_fixes[:n_due]
-    state = replace_unchecked(state, waiting_fixes=state.waiting_fixes[n_due:])
+    # the steps before a fix of a later time may still become known, as in the first seconds of a walk
+    due = [f for f in state.waiting_fixes[:n_due] if f.time_s < state.undecided_s or isinstance(f, Standstill)]
+    if not due:
+        return state, []
+    waiting = [
+        f for f in state.waiting_fixes[:n_due] if f.time_s >= state.undecided_s and not isinstance(f, Standstill)
+    ]
+    used = list[FixResult]()
+    state = replace_unchecked(state, waiting_fixes=(*waiting, *state.waiting_fixes[n_due:]))
     for fix in due:
         state, result = _use_fix(config, state, fix, until_s)
         used.append(result)

@@ -214,7 +214,7 @@ class PedestrianState:
         Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
     std_at_start_m : float
         Standard deviation of the position after the last used position fix, minus the distance walked until then, in m.
-        A gap adds its standard deviation.
+        A gap adds its standard deviation. Infinite before the first step and the first such fix.
     unstepped_var_m2 : float
         Variance added by motion without steps since the last used position fix, along each axis, m2.
     """
@@ -226,7 +226,7 @@ class PedestrianState:
     fixes: FixHistory = field(default_factory=FixHistory)
     path: PastPath = field(default_factory=PastPath)
     rival: Rival | None = None
-    std_at_start_m: float = 0.0
+    std_at_start_m: float = math.inf
     unstepped_var_m2: float = 0.0
 
     @property
@@ -266,6 +266,28 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
         consider_error_m=np.zeros((2 + len(model.modes), 2)),
     )
     return PedestrianState(estimates, model.frame)
+
+
+def before_step(state: PedestrianState, step: Step) -> PedestrianState:
+    """Return the state before a step, whose heading may have been lost (`with_reopened_rotation`).
+
+    The first step begins at the origin, so that motion or a gap before it adds nothing. It does if a position fix has
+    shown an earlier place.
+    """
+    if math.isfinite(state.std_at_start_m):
+        return with_reopened_rotation(state)
+    if state.frame.pairs:
+        return replace_unchecked(state, std_at_start_m=0.0)
+    cov = state.estimates.cov.copy()
+    cov[:, :HEADING_OFFSET] = cov[:, :, :HEADING_OFFSET] = 0.0
+    return replace_unchecked(
+        state,
+        estimates=replace_unchecked(state.estimates, cov=cov),
+        steps=replace_unchecked(state.steps, stepless_s=step.stepless_s),
+        path=PastPath(),
+        std_at_start_m=0.0,
+        unstepped_var_m2=0.0,
+    )
 
 
 def with_heading(
