@@ -42,6 +42,7 @@ from pdr_filter.values import (
     Origin,
     PositionFix,
     Standstill,
+    Step,
     read_only,
     received_s,
     replace_unchecked,
@@ -455,6 +456,9 @@ def _process(
     contexts = iter(with_climbs(windows, climbs, context_set))
     of_height = iter(height.window_log_evidence(windows, config.model)) if state.climbs else repeat(None)
     for known_s, event in events:
+        if isinstance(event, Step):  # all steps before it are known
+            begin_s = event.time_s - event.duration_s
+            state = replace_unchecked(state, undecided_s=max(state.undecided_s, begin_s))
         state, used = _use_due_fixes(config, state, known_s)
         output.fixes.extend(used)
         state = _with_pressure(config, state, known_s, output)
