@@ -597,26 +597,23 @@ def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State,
     if not state.waiting_fixes or due_s(config, state.waiting_fixes[0]) > until_s:
         return state, []
     n_due = bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f))
-    # the steps before a fix of a later time may still become known, as in the first seconds of a walk
-    due = [f for f in state.waiting_fixes[:n_due] if f.time_s < state.undecided_s or isinstance(f, Standstill)]
-    if not due:
-        return state, []
-    waiting = [
-        f for f in state.waiting_fixes[:n_due] if f.time_s >= state.undecided_s and not isinstance(f, Standstill)
-    ]
-    used = list[FixResult]()
-    state = replace_unchecked(state, waiting_fixes=(*waiting, *state.waiting_fixes[n_due:]))
-    for fix in due:
+    used, waiting = list[FixResult](), list[Fix]()
+    for fix in state.waiting_fixes[:n_due]:
+        # the steps before it may still become known, as in the first seconds of a walk
+        if fix.time_s >= state.undecided_s and not isinstance(fix, Standstill):
+            waiting.append(fix)
+            continue
         state, result = _use_fix(config, state, fix, until_s)
         used.append(result)
-    return state, used
+    return replace_unchecked(state, waiting_fixes=(*waiting, *state.waiting_fixes[n_due:])), used
 
 
 def due_s(config: Config, fix: Fix) -> float:
-    """Return the time at which a fix is used.
+    """Return the time from which on a fix is used.
 
-    A fix waits for the step at its time: compared with an earlier position, it would pull the track ahead. A standstill
-    does not wait, because it concerns later steps.
+    A fix waits for the step at its time: compared with an earlier position, it would pull the track ahead. While the
+    phone moves without known steps, it waits until they are known (`State.undecided_s`). A standstill does not wait,
+    because it concerns later steps.
     """
     if isinstance(fix, Standstill):
         return received_s(fix)

@@ -476,7 +476,7 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
     for fix in last:
         if (at_fix := steps.at(fix.time_s)) is not None:
             since_m = x[:HEADING_OFFSET] - at_fix[:HEADING_OFFSET]
-            var_m2 = fix.var_m2 + 0.5 * heading_var_rad2 * float(since_m @ since_m)
+            var_m2 = fix.var_m2 + min(0.5 * heading_var_rad2, 1.0) * float(since_m @ since_m)
             if var_m2 < fix.walked_var_m2:
                 turning_point = replace(fix, track_m=read_only(at_fix[:2]), var_m2=var_m2, walked_var_m2=0.0)
     mean, cov = estimates.mean.copy(), estimates.cov.copy()

@@ -42,7 +42,7 @@ def path_of(walk: pdr.Recording, config: pdr.Config) -> tuple[np.ndarray, np.nda
 
 def unstepped_m(track: pdr.Track) -> np.ndarray:
     """Return the sum (K,) of the standard deviations that motion without steps adds until each step."""
-    return np.sqrt(0.2 * np.asarray(track.steps.stepless_s)).cumsum()
+    return np.sqrt(stepless_var_m2(np.asarray(track.steps.stepless_s))).cumsum()
 
 
 def check_possible(online: pdr.Track, smoothed: pdr.Track) -> None:
