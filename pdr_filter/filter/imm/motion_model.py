@@ -272,10 +272,10 @@ class MotionNoise:
 
 
 # Variance rate of the position along each axis while the phone moves without a step, in m2/s. The maximum-likelihood
-# estimate from the errors between waypoints is 0.12 on ipin2023 and ms_indoor (45 legs with such motion, 299 s; a factor
-# of two either way costs 1.2 to 1.4 in log-likelihood). On tyrex, which was held out, eleven pauses give 0.08. In
-# simulated walks in a room, where bouts of one to three steps are not detected, it is 0.35. The displacement is a random
-# walk, because it does not grow in proportion to the time of handling.
+# estimate from the errors between waypoints is 0.12 on ipin2023 and ms_indoor (45 legs with such motion, 299 s; half of
+# it costs 1.4 in log-likelihood, and twice 2.4). On tyrex, which was held out, eleven pauses give 0.08. In simulated
+# walks in a room, where bouts of one to three steps are not detected, it is 0.35. The displacement is a random walk,
+# because it does not grow in proportion to the time of handling.
 _STEPLESS_M2_PER_S = 0.1
 
 

@@ -156,7 +156,7 @@ class StepUpdate:
         return replace_unchecked(
             self,
             position_m=read_only(place.position_m),
-            position_cov_m2=read_only(_within_reach(place.cov_m2, frame, self.reach_m)),
+            position_cov_m2=read_only(within_reach(place.cov_m2, frame, self.reach_m)),
             walking_heading_rad=place.heading_rad,
         )
 
@@ -470,7 +470,7 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
     (x, P), time_s = estimates.combined, steps.end_s
     heading_var_rad2 = float(P[HEADING_OFFSET, HEADING_OFFSET])
     lever_m = P[:HEADING_OFFSET, HEADING_OFFSET] / heading_var_rad2
-    centre_m = read_only(x[:HEADING_OFFSET] + [lever_m[NORTH], -lever_m[EAST]])
+    centre_m = read_only(x[:HEADING_OFFSET] + np.array([lever_m[NORTH], -lever_m[EAST]]))
     own_var_m2 = walked_var_m2(P) + 0.5 * float(np.trace(estimates.consider_cov_m2))
     turning_point = PairedPoint(centre_m, centre_m, own_var_m2, time_s=time_s)
     for fix in last:
@@ -568,7 +568,7 @@ def step_update(
         step=step,
         is_final=is_final,
         position_m=frozen(place.position_m),
-        position_cov_m2=frozen(_within_reach(place.cov_m2, updated.frame, updated.reach_m)),
+        position_cov_m2=frozen(within_reach(place.cov_m2, updated.frame, updated.reach_m)),
         of_start=None if updated.frame.is_joined else of_start,
         step_length_m=walked.length_m,
         walked_m=updated.estimates.distance_m,
@@ -582,7 +582,7 @@ def step_update(
     )
 
 
-def _within_reach(cov_m2: FloatArray, frame: Frame, reach_m: float) -> FloatArray:
+def within_reach(cov_m2: FloatArray, frame: Frame, reach_m: float) -> FloatArray:
     """Return a covariance (2, 2) that is at most the reach in the frame of the start, and unchanged in other frames.
 
     A lost heading is a rotation of the frame, and the reach does not contain the variance of fixes.
@@ -597,7 +597,7 @@ def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
     """
     place = track_place(state)
     place = place if state.frame.is_joined else state.frame.world(place)
-    return read_only(place.position_m), read_only(_within_reach(place.cov_m2, state.frame, state.reach_m))
+    return read_only(place.position_m), read_only(within_reach(place.cov_m2, state.frame, state.reach_m))
 
 
 def past_position(state: PedestrianState, time_s: float) -> FloatArray | None:

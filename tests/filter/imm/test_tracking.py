@@ -22,7 +22,12 @@ from pdr_filter.filter.imm.motion_model import (
     stepless_var_m2,
 )
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate, in_other_frame, over_stepless, present_position
+from pdr_filter.filter.imm.pedestrian_state import (
+    StepUpdate,
+    in_other_frame,
+    over_stepless,
+    present_position,
+)
 from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
