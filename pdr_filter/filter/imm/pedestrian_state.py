@@ -284,7 +284,6 @@ def before_step(state: PedestrianState, step: Step) -> PedestrianState:
         state,
         estimates=replace_unchecked(state.estimates, cov=cov),
         steps=replace_unchecked(state.steps, stepless_s=step.stepless_s),
-        path=PastPath(),
         std_at_start_m=0.0,
         unstepped_var_m2=0.0,
     )
