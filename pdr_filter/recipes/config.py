@@ -585,7 +585,7 @@ class Config:
 
     @cached_property
     def fix_delay_s(self) -> float:
-        """Longest time in s that a fix waits until the step during which it was measured is final."""
+        """Time in s after which the step during which a fix was measured is final, unless a bout has just begun."""
         waits_s = self.tracker.waits_for_windows * self.sensing.window_hop_s
         return self.sensing.step_latency_s + self.sensing.steps.first_step_s + waits_s
 

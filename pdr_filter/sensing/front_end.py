@@ -21,7 +21,7 @@ from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_gate import StepGate
-from pdr_filter.sensing.vehicle_vibration import Stepless, VehicleVibration, VehicleVibrationState
+from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided, VehicleVibration, VehicleVibrationState
 from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, ImuBlock, IntArray, Step, replace_unchecked
 
 
@@ -32,7 +32,7 @@ class Gap:
     duration_s: float
 
 
-Event = Step | WindowContext | Stepless | Gap
+Event = Step | WindowContext | Stepless | Undecided | Gap
 
 # The step frequency of a window is the median over this number of last steps, if the first of them is recent. The limit
 # in s allows for the slowest steps (three take 4 s) and the latency of the detector (0.9 s).

@@ -14,8 +14,9 @@ the present position.
 
 The position after a pause is less certain if the phone moved in the pause, because bouts of one to three steps are not
 detected. `update` therefore gives each step the time of motion since the previous step, beginning a second after its
-contact. Until the next step, each such second is an event of its own as soon as its steps would be known, so that fixes
-in the pause are compared with an uncertain position.
+contact. Until the next step, each such second is an event of its own as soon as its steps would be known. A fix of a
+time from which steps may still become known waits for them (`Undecided`). It is then compared with a position that has
+the steps before it and the uncertainty of the motion without steps.
 """
 
 from __future__ import annotations
@@ -56,6 +57,13 @@ class Stepless:
     duration_s: float = 1.0
 
 
+@dataclass(frozen=True)
+class Undecided:
+    """Begin of the motion whose steps are not known yet, in s, or infinity without such motion."""
+
+    since_s: float = np.inf
+
+
 @dataclass(frozen=True, eq=False)
 class VehicleVibrationState:
     """Seconds that are not judged yet, the current run of vibrating seconds, and the totals.
@@ -85,6 +93,8 @@ class VehicleVibrationState:
         Contact of the last known step, s. -inf before the first step.
     stepless_s : int
         Seconds since that contact that are judged to be motion without steps.
+    undecided_s : float
+        Begin of the motion whose steps are not known yet, s, or infinity.
     """
 
     n_samples: int = 0
@@ -98,6 +108,7 @@ class VehicleVibrationState:
     seen_s: int = 0
     last_contact_s: float = -np.inf
     stepless_s: int = 0
+    undecided_s: float = np.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,8 +260,8 @@ class VehicleVibration:
 
     def update(
         self, state: VehicleVibrationState, block: UniformBlock, steps: Sequence[tuple[int, Step]]
-    ) -> tuple[VehicleVibrationState, list[tuple[int, Step | Stepless]]]:
-        """Return the state after a block, its steps with their `stepless_s`, and its seconds of motion without steps.
+    ) -> tuple[VehicleVibrationState, list[tuple[int, Step | Stepless | Undecided]]]:
+        """Return the state after a block, its steps with their `stepless_s`, and its motion without known steps.
 
         Parameters
         ----------
@@ -265,9 +276,10 @@ class VehicleVibration:
         -------
         state : VehicleVibrationState
             New state. `moving_s` and `seen_s` count up to five seconds before the end of the block.
-        events : list of (int, Step or Stepless)
-            The steps, and a `Stepless` for each second after the last known step in which the phone moved. Each comes
-            with the number of the sample that revealed it.
+        events : list of (int, Step, Stepless or Undecided)
+            The steps, a `Stepless` for each second after the last known step in which the phone moved, and an
+            `Undecided` where the motion without known steps begins, is judged or ends. Each comes with the number of
+            the sample that revealed it.
         """
         x, y, z = block.specific_force_mps2.T
         magnitude = np.concatenate([state.rest, np.sqrt(x * x + y * y + z * z)])
@@ -279,7 +291,7 @@ class VehicleVibration:
             start_s=float(block.time_s[0]) if state.n_samples == 0 else state.start_s,
             rest=magnitude[n_whole * n :],
         )
-        events, n_known = list[tuple[int, Step | Stepless]](), 0
+        events, n_known = list[tuple[int, Step | Stepless | Undecided]](), 0
         spreads_mps2 = self._spread(magnitude[: n_whole * n].reshape(n_whole, n)) if n_whole else []
         for second, spread_mps2 in enumerate(spreads_mps2):
             end = (first + second + 1) * n
@@ -290,6 +302,10 @@ class VehicleVibration:
             n_before, state, n_known = state.stepless_s, self._judge(state, first + second), until
             if state.stepless_s > n_before:
                 events.append((end - 1, Stepless()))
+            since_s = self._undecided_s(state, first + second + 1)
+            if since_s != state.undecided_s:
+                events.append((end - 1, Undecided(since_s)))
+                state = replace_unchecked(state, undecided_s=since_s)
         state, found = self._with_steps(state, steps[n_known:], first + n_whole)
         return state, [*events, *found]
 
@@ -358,6 +374,12 @@ class VehicleVibration:
             seen_s=state.seen_s + 1,
             stepless_s=state.stepless_s + is_stepless,
         )
+
+    def _undecided_s(self, state: VehicleVibrationState, n_seconds: int) -> float:
+        """Return the begin of the motion whose steps are not known yet, after a number of seconds, or infinity."""
+        first_s = state.start_s + n_seconds - len(state.waiting_mps2)
+        begins_s = (first_s + k for k, (_, std_mps2) in enumerate(state.waiting_mps2) if std_mps2 > _WALKING_MPS2)
+        return next((begin_s for begin_s in begins_s if begin_s > state.last_contact_s + _STEP_S), np.inf)
 
     @property
     def _n_mean(self) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pdr_filter.filter.fixes.alignment import EYE, Place
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, stepless_var_m2
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate, present_position, track_place
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate, present_position, track_place, within_reach
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.stream_merging import SENSORS
 from pdr_filter.tracking.filtering import State
@@ -174,6 +174,8 @@ class Present(NamedTuple):
         Distance from the last contact to the position, m.
     speed_mps, speed_std_mps : float
         Walking speed and its standard deviation, m/s. 0 and NaN while the pedestrian stands.
+    reach_m : float
+        Largest possible standard deviation of the position, m (`PedestrianState.reach_m`).
     """
 
     time_s: float
@@ -182,6 +184,7 @@ class Present(NamedTuple):
     extrapolated_m: float
     speed_mps: float
     speed_std_mps: float
+    reach_m: float
 
 
 def present_place(config: Config, state: State) -> Present:
@@ -200,17 +203,20 @@ def present_place(config: Config, state: State) -> Present:
     """
     last, steps = _with_candidates(config, state)
     place = _place_after(state, last, bool(steps))
+    reach_m = state.tracker.pedestrian.reach_m if last is None or not steps else last.reach_m
     speed_mps, speed_std_mps, extrapolated_m, silent_s = 0.0, math.nan, 0.0, _silent_s(config, state)
     if last is not None and not state.finished and not silent_s and _is_walking(config, state, last, bool(steps)):
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
         extrapolated_m = speed_mps * max(_newest_accelerometer_s(state) - last.step.time_s, 0.0)
         place = _extrapolated(place, extrapolated_m, _turned_since(state, last))
+        reach_m += extrapolated_m
     else:
         var_m2 = config.model.noise.gap_var_m2(_stepless_s(config, state, last) + silent_s)
         # the tracker already has the part of this motion that is certain to have no step
         var_m2 = max(float(var_m2 - stepless_var_m2(state.tracker.pedestrian.steps.stepless_s)), 0.0)
         place = replace(place, cov_m2=place.cov_m2 + var_m2 * EYE)
-    return Present(_newest_s(state), place, steps, extrapolated_m, speed_mps, speed_std_mps)
+        reach_m += math.sqrt(var_m2)
+    return Present(_newest_s(state), place, steps, extrapolated_m, speed_mps, speed_std_mps, reach_m)
 
 
 def _with_candidates(config: Config, state: State) -> tuple[StepUpdate | None, tuple[ProvisionalStep, ...]]:
@@ -292,7 +298,8 @@ def _in_output_frame(config: Config, state: State, present: Present) -> Present:
     particles = None if stage is None else stage.place(state.particles, present_position(pedestrian))
 
     def in_world(place: Place) -> Place:
-        return place if frame.is_joined else frame.world(place)
+        place = place if frame.is_joined else frame.world(place)
+        return replace(place, cov_m2=within_reach(place.cov_m2, frame, present.reach_m))
 
     def converted(place: Place) -> Place:
         if particles is None or state.particles is None:

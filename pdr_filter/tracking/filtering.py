@@ -29,7 +29,7 @@ from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometer import STAIRS_MPS, Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
-from pdr_filter.sensing.vehicle_vibration import Stepless
+from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided
 from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing, is_moving
 from pdr_filter.values import (
     Fix,
@@ -42,6 +42,7 @@ from pdr_filter.values import (
     Origin,
     PositionFix,
     Standstill,
+    Step,
     read_only,
     received_s,
     replace_unchecked,
@@ -120,6 +121,8 @@ class State:
         Second hypothesis while ranges fit two positions.
     conflict : FixConflict
         Position fixes that contradict the track.
+    undecided_s : float
+        Begin of the motion whose steps are not known yet, s, or infinity. Fixes of later times wait for them.
     finished : bool
         True after `finish`.
     """
@@ -146,6 +149,7 @@ class State:
     last_update: StepUpdate | None = None
     rival: RivalTracker | None = None
     conflict: FixConflict = field(default_factory=FixConflict)
+    undecided_s: float = math.inf
     finished: bool = False
 
     @property
@@ -452,6 +456,9 @@ def _process(
     contexts = iter(with_climbs(windows, climbs, context_set))
     of_height = iter(height.window_log_evidence(windows, config.model)) if state.climbs else repeat(None)
     for known_s, event in events:
+        if isinstance(event, Step):  # all steps before it are known
+            begin_s = event.time_s - event.duration_s
+            state = replace_unchecked(state, undecided_s=max(state.undecided_s, begin_s))
         state, used = _use_due_fixes(config, state, known_s)
         output.fixes.extend(used)
         state = _with_pressure(config, state, known_s, output)
@@ -468,16 +475,18 @@ def _process(
                 state, tracker=tracker, height=height_state, seen=state.seen.plus(context, context_set), window=context
             )
         elif isinstance(event, Stepless):
-            grown = pedestrian.over_stepless(state.tracker.pedestrian, event.duration_s)
-            tracker, updates = replace_unchecked(state.tracker, pedestrian=grown), ()
+            tracker, updates = _over_stepless(state.tracker, event.duration_s)
+            state = _with_rival(state, lambda rival, at=event: _over_stepless(rival, at.duration_s))
             state = replace_unchecked(state, tracker=tracker)
+        elif isinstance(event, Undecided):
+            state, updates = replace_unchecked(state, undecided_s=event.since_s), ()
         elif isinstance(event, Gap):
             tracker, updates = config.tracker.on_gap(state.tracker, event.duration_s)
             state = _with_rival(state, lambda rival, at=event: config.tracker.on_gap(rival, at.duration_s))
             if config.on_plan is not None:
                 particles = config.on_plan.on_gap(state.particles, event.duration_s, config.model)
                 state = replace_unchecked(state, particles=particles)
-            state = replace_unchecked(state, tracker=tracker, last_update=None)
+            state = replace_unchecked(state, tracker=tracker, last_update=None, undecided_s=math.inf)
         else:
             tracker, updates = config.tracker.on_step(state.tracker, event)
             state = _with_rival(state, lambda rival, at=event: config.tracker.on_step(rival, at))
@@ -495,6 +504,11 @@ def _process(
     n_past = max(bisect_right(state.climbs, state.sensing.processed_s, key=attrgetter("time_s")) - 1, 0)
     n_past = min(n_past, state.n_climbs_used)
     return replace_unchecked(state, climbs=state.climbs[n_past:], n_climbs_used=state.n_climbs_used - n_past), output
+
+
+def _over_stepless(tracker: Any, stepless_s: float) -> tuple[Any, tuple[()]]:
+    """Return the state of a tracker after a time of motion without a step, and no track rows."""
+    return replace_unchecked(tracker, pedestrian=pedestrian.over_stepless(tracker.pedestrian, stepless_s)), ()
 
 
 def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
@@ -583,19 +597,23 @@ def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State,
     if not state.waiting_fixes or due_s(config, state.waiting_fixes[0]) > until_s:
         return state, []
     n_due = bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f))
-    used, due = list[FixResult](), state.waiting_fixes[:n_due]
-    state = replace_unchecked(state, waiting_fixes=state.waiting_fixes[n_due:])
-    for fix in due:
+    used, waiting = list[FixResult](), list[Fix]()
+    for fix in state.waiting_fixes[:n_due]:
+        # the steps before it may still become known, as in the first seconds of a walk
+        if fix.time_s >= state.undecided_s and not isinstance(fix, Standstill):
+            waiting.append(fix)
+            continue
         state, result = _use_fix(config, state, fix, until_s)
         used.append(result)
-    return state, used
+    return replace_unchecked(state, waiting_fixes=(*waiting, *state.waiting_fixes[n_due:])), used
 
 
 def due_s(config: Config, fix: Fix) -> float:
-    """Return the time at which a fix is used.
+    """Return the time from which on a fix is used.
 
-    A fix waits for the step at its time: compared with an earlier position, it would pull the track ahead. A standstill
-    does not wait, because it concerns later steps.
+    A fix waits for the step at its time: compared with an earlier position, it would pull the track ahead. While the
+    phone moves without known steps, it waits until they are known (`State.undecided_s`). A standstill does not wait,
+    because it concerns later steps.
     """
     if isinstance(fix, Standstill):
         return received_s(fix)

@@ -9,7 +9,7 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import MotionNoise, bounded_position_cov, reach_m
 from pdr_filter.filter.imm.past_path import turned
-from pdr_filter.filter.imm.pedestrian_state import PAUSE_S, track_place
+from pdr_filter.filter.imm.pedestrian_state import PAUSE_S, track_place, within_reach
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.extrapolation import present_place
 from pdr_filter.tracking.filtering import State
@@ -95,7 +95,8 @@ def walked_path(config: Config, state: State) -> WalkedPath:
         place_m[:, first:], cov_m2[:, first:] = turned(turn, place_m[:, first:], cov_m2[:, first:])
     cov_m2 = cov_m2[[0, 1, 1, 2]].T.reshape(-1, 2, 2)
     start_std_m = np.inf if pedestrian.frame.is_known else math.sqrt(pedestrian.unstepped_var_m2)
-    known = slice(len(time_s) - len(ahead))  # the present row has the covariance of `OnlineFilter.now`
+    known, new = slice(len(time_s) - len(ahead)), slice(len(time_s) - len(ahead), None)
+    cov_m2[new] = within_reach(cov_m2[new], pedestrian.frame, present.reach_m)  # as in `OnlineFilter.now`
     cov_m2[known] = _bounded(cov_m2[known], time_s[known], place_m[:, known], config.model.noise, start_std_m)
     return WalkedPath(read_only(time_s), read_only(place_m.T), read_only(cov_m2), n_steps)
 

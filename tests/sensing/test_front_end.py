@@ -95,8 +95,8 @@ def test_a_window_is_classified_apart_from_the_steps_of_its_hop() -> None:
             assert not any(isinstance(event, WindowContext) for _, event in first)
             assert (held.described is None) == (len(first) > 0)
             early, rest = sensing.update_held(early, held)
-        assert [(s, type(event), event.time_s) for s, event in [*first, *rest]] == [
-            (s, type(event), event.time_s) for s, event in events
+        assert [(s, type(event), getattr(event, "time_s", s)) for s, event in [*first, *rest]] == [
+            (s, type(event), getattr(event, "time_s", s)) for s, event in events
         ]
         n_windows += sum(isinstance(event, WindowContext) for _, event in events)
     assert n_windows > 10

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.vehicle_vibration import Stepless, VehicleVibration, VehicleVibrationState
+from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided, VehicleVibration, VehicleVibrationState
 from pdr_filter.values import Step
 
 VIBRATION = VehicleVibration()
@@ -127,6 +127,21 @@ def test_motion_before_the_first_step_counts_and_that_of_a_second_after_a_step_d
     assert before_s == pytest.approx([5.0 - STEP_S, 7.5 - STEP_S - 6.0], abs=0.02)
 
 
+def undecided_of(steps: list[tuple[int, Step]], *parts: UniformBlock) -> list[list[float]]:
+    """Begin of the motion without known steps, each with the number of seconds after which it became known."""
+    _, events = VIBRATION.update(VIBRATION.init(), joined(*parts), steps)
+    return [[(n + 1) / 100, round(e.since_s, 1)] for n, e in events if isinstance(e, Undecided)]
+
+
+def test_motion_is_undecided_until_its_steps_are_known_or_excluded() -> None:
+    quiet, moving = shaking(10, jitter_mps2=0.03), swaying(3, 0.5)
+    assert undecided_of([], quiet) == []
+    excluded = [[11, 10], [16, 11], [17, 12], [18, np.inf]]
+    assert undecided_of([], quiet, moving, quiet) == excluded
+    known = known_steps([10.5, 11.0, 11.5, 12.0, 12.5], late_s=2.0)
+    assert undecided_of(known, quiet, moving, quiet) == [[11, 10], [13, 12], [14, np.inf]]
+
+
 def test_the_end_of_the_samples_and_a_gap_keep_the_motion_since_the_last_step() -> None:
     state = after(joined(swaying(20, 0.5), QUIET), known_steps([5.0]))
     _, ((_, last),) = VIBRATION.finish(state, known_steps([22.0]))
@@ -147,7 +162,7 @@ def test_the_state_is_the_same_however_the_samples_are_cut(seed: int, edges: lis
     block = joined(shaking(30, seed=seed), swaying(15, 0.4), QUIET, shaking(21, seed=seed))
     steps = known_steps(sorted(rng.uniform(5.0, 45.0, 3)), late_s=float(rng.uniform(0.9, 9.0)))
     (whole, events), cut, n = VIBRATION.update(VIBRATION.init(), block, steps), VIBRATION.init(), 0
-    of_parts: list[tuple[int, Step | Stepless]] = []
+    of_parts: list[tuple[int, Step | Stepless | Undecided]] = []
     for part in cut_uniform(block, sorted({*edges, *range(100, 7000, 100)})):
         cut, found = VIBRATION.update(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
         of_parts += found

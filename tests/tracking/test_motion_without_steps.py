@@ -52,8 +52,9 @@ def test_ranges_in_a_small_room_are_used_although_steps_are_missed_and_the_error
         track = pdr.track(walk, fixes=ranges(walk, seed))
         squares.append(normalised_squares(walk, track).mean())
         outcomes += [fix.outcome for fix in track.fixes]
-    assert np.mean(squares) < 4.0  # 2 is right; 20 without the variance of motion without steps
-    assert outcomes.count("rejected") < 0.12 * len(outcomes)
+    assert np.mean(squares) < 3.0  # 2 is right; 20 without the variance of motion without steps
+    # 1 % is right; 11 % if ranges of the first seconds of a bout do not wait for its steps
+    assert outcomes.count("rejected") <= 0.025 * len(outcomes)
 
 
 def pushed(walk: pdr.Recording, fixes: list[pdr.RangeFix], longest: int) -> list[pdr.StepUpdate]:

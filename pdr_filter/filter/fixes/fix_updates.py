@@ -312,7 +312,8 @@ def _on_first_positions(
         align(half, state.steps.n_final, frame.rotation_prior_var_rad2, frame.compass) if frame.is_settled else None
     )
     if alignment is None:
-        return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
+        state = with_reopened_rotation(replace(state, frame=frame))
+        return state, "placed" if len(agreeing) == 1 else "turned", np.nan
     squares = least_squares_error(agreeing, frame.rotation_prior_var_rad2)
     state = in_other_frame(state, alignment)
     fixes = replace(state.fixes, n_errors=degrees_of_freedom(agreeing), squares=squares)

@@ -14,13 +14,13 @@ from pdr_filter.filter.imm.pedestrian_model import ModeLengths, PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
+    before_step,
     initial_state,
     on_standstill_step,
     over_gap,
     step_update,
     with_heading,
     with_reach_after_fix,
-    with_reopened_rotation,
     with_step,
     with_withheld_length,
 )
@@ -132,7 +132,7 @@ class ImmTracker:
         section 11.6.6.
         """
         model, imm = self.model, self.arithmetic
-        previous = with_reopened_rotation(state.pedestrian)
+        previous = before_step(state.pedestrian, step)
         mixed = self._mixed(previous.estimates)
         turned, drifted_cov = with_heading(
             replace_unchecked(previous, estimates=mixed), step, model.directions, model.noise

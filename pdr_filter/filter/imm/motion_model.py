@@ -278,11 +278,11 @@ class MotionNoise:
 
 
 # Variance rate of the position along each axis while the phone moves without a step, in m2/s. The maximum-likelihood
-# estimate from 63 pauses of 30 simulated walks in a room, where bouts of one to three steps are not detected, is 0.35.
-# From eleven pauses with a continuous reference (tyrex), where the person mostly stays in place with a busy hand, it is
-# 0.10. The value is the geometric mean. The displacement is a random walk, because it does not grow in proportion to
-# the time of handling.
-_STEPLESS_M2_PER_S = 0.2
+# estimate from the errors between waypoints is 0.12 on ipin2023 and ms_indoor (45 legs with such motion, 299 s; half of
+# it costs 1.4 in log-likelihood, and twice 2.4). On tyrex, which was held out, eleven pauses give 0.08. In simulated
+# walks in a room, where bouts of one to three steps are not detected, it is 0.35. The displacement is a random walk,
+# because it does not grow in proportion to the time of handling.
+_STEPLESS_M2_PER_S = 0.1
 
 
 def stepless_var_m2(stepless_s: FloatArray | float) -> FloatArray:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Alignment, Place, moved
+from pdr_filter.filter.fixes.alignment import Alignment, Place, moved, walked_var_m2
 from pdr_filter.filter.fixes.fix_history import FixHistory
 from pdr_filter.filter.fixes.frame import Frame
 from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint
@@ -156,7 +156,7 @@ class StepUpdate:
         return replace_unchecked(
             self,
             position_m=read_only(place.position_m),
-            position_cov_m2=read_only(_within_reach(place.cov_m2, frame, self.reach_m)),
+            position_cov_m2=read_only(within_reach(place.cov_m2, frame, self.reach_m)),
             walking_heading_rad=place.heading_rad,
         )
 
@@ -214,7 +214,7 @@ class PedestrianState:
         Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
     std_at_start_m : float
         Standard deviation of the position after the last used position fix, minus the distance walked until then, in m.
-        A gap adds its standard deviation.
+        A gap adds its standard deviation. Infinite before the first step and the first such fix.
     unstepped_var_m2 : float
         Variance added by motion without steps since the last used position fix, along each axis, m2.
     """
@@ -226,7 +226,7 @@ class PedestrianState:
     fixes: FixHistory = field(default_factory=FixHistory)
     path: PastPath = field(default_factory=PastPath)
     rival: Rival | None = None
-    std_at_start_m: float = 0.0
+    std_at_start_m: float = math.inf
     unstepped_var_m2: float = 0.0
 
     @property
@@ -266,6 +266,27 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
         consider_error_m=np.zeros((2 + len(model.modes), 2)),
     )
     return PedestrianState(estimates, model.frame)
+
+
+def before_step(state: PedestrianState, step: Step) -> PedestrianState:
+    """Return the state before a step, whose heading may have been lost (`with_reopened_rotation`).
+
+    The first step begins at the origin, so that motion or a gap before it adds nothing. It does if a position fix has
+    shown an earlier place.
+    """
+    if math.isfinite(state.std_at_start_m):
+        return with_reopened_rotation(state)
+    if state.frame.pairs:
+        return replace_unchecked(state, std_at_start_m=0.0)
+    cov = state.estimates.cov.copy()
+    cov[:, :HEADING_OFFSET] = cov[:, :, :HEADING_OFFSET] = 0.0
+    return replace_unchecked(
+        state,
+        estimates=replace_unchecked(state.estimates, cov=cov),
+        steps=replace_unchecked(state.steps, stepless_s=step.stepless_s),
+        std_at_start_m=0.0,
+        unstepped_var_m2=0.0,
+    )
 
 
 def with_heading(
@@ -415,9 +436,9 @@ def with_reach_after_fix(state: PedestrianState, fix: Fix) -> PedestrianState:
     """Return the state after a used fix, with the standard deviation that a fix of the position has given it."""
     if not isinstance(fix, PositionFix | RangeFix):
         return state
-    estimates = state.estimates
-    std_m = float(worst_std_m(position_cov(estimates.combined[1], estimates.consider_cov_m2)))
-    return replace_unchecked(state, std_at_start_m=std_m - estimates.distance_m, unstepped_var_m2=0.0)
+    cov_m2 = present_position(state)[1] if state.frame.is_of_start else track_place(state).cov_m2
+    start_m = float(worst_std_m(cov_m2)) - state.estimates.distance_m
+    return replace_unchecked(state, std_at_start_m=start_m, unstepped_var_m2=0.0)
 
 
 # The square of 50 degrees. Above it the rotation to the fixes is estimated again; below it the walking directions
@@ -429,9 +450,10 @@ _LOST_HEADING_VAR_RAD2 = 0.75
 def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
     """Return the state with an unknown rotation to the frame of the fixes if the heading has been lost.
 
-    Applies to a track in the frame of the fixes or of the start. The present position becomes the first point pair for
-    the new estimate of the rotation. The variance of the heading becomes its prior. A rotation that is unknown since an
-    earlier loss stays unknown until a fix arrives.
+    Applies to a track in the frame of the fixes or of the start. The variance of the heading becomes the prior of the
+    new rotation, about its first point pair. This is the last fix since an earlier loss, or the centre about which the
+    heading error has rotated the track so far, whichever is more certain. The error of that centre is independent of
+    the heading error. A rotation that is unknown since an earlier loss stays unknown until a fix arrives.
     """
     frame, is_placed = state.frame, state.frame.is_known or state.frame.is_of_start
     # the first step defines the heading, so that it cannot be lost before
@@ -441,12 +463,21 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
         # No fix has arrived since the heading was lost, so keep the open frame. To open a new one at each step would
         # treat the persistent heading error as independent between steps.
         return state
+    last = frame.agreeing[-1:]
     state = with_joined_frame(state)
     frame, steps, estimates = state.frame, state.steps, state.estimates
-    x, P = estimates.combined
-    var_m2 = 0.5 * float(np.trace(position_cov(P, estimates.consider_cov_m2)))
-    time_s = steps.end_s
-    turning_point = PairedPoint(read_only(x[:2]), read_only(x[:2]), var_m2, time_s=time_s)
+    (x, P), time_s = estimates.combined, steps.end_s
+    heading_var_rad2 = float(P[HEADING_OFFSET, HEADING_OFFSET])
+    lever_m = P[:HEADING_OFFSET, HEADING_OFFSET] / heading_var_rad2
+    centre_m = read_only(x[:HEADING_OFFSET] + np.array([lever_m[NORTH], -lever_m[EAST]]))
+    own_var_m2 = walked_var_m2(P) + 0.5 * float(np.trace(estimates.consider_cov_m2))
+    turning_point = PairedPoint(centre_m, centre_m, own_var_m2, time_s=time_s)
+    for fix in last:
+        if (at_fix := steps.at(fix.time_s)) is not None:
+            since_m = x[:HEADING_OFFSET] - at_fix[:HEADING_OFFSET]
+            var_m2 = fix.var_m2 + min(0.5 * heading_var_rad2, 1.0) * float(since_m @ since_m)
+            if var_m2 < fix.walked_var_m2:
+                turning_point = replace(fix, track_m=read_only(at_fix[:2]), var_m2=var_m2, walked_var_m2=0.0)
     mean, cov = estimates.mean.copy(), estimates.cov.copy()
     mean[:, :LOG_SCALE] = x[:LOG_SCALE]
     cov[:, :LOG_SCALE] = cov[:, :, :LOG_SCALE] = 0.0
@@ -454,7 +485,7 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
     return replace_unchecked(
         state,
         estimates=replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=no_error_m),
-        frame=frame.reopened((turning_point,), float(P[HEADING_OFFSET, HEADING_OFFSET]), steps.n_final),
+        frame=frame.reopened((turning_point,), heading_var_rad2, steps.n_final),
         fixes=replace_unchecked(state.fixes, relocation=RelocationEvidence(), used=(), ranges=()),
         path=state.path.detached(P, time_s, x[:2].copy()),
     )
@@ -536,7 +567,7 @@ def step_update(
         step=step,
         is_final=is_final,
         position_m=frozen(place.position_m),
-        position_cov_m2=frozen(_within_reach(place.cov_m2, updated.frame, updated.reach_m)),
+        position_cov_m2=frozen(within_reach(place.cov_m2, updated.frame, updated.reach_m)),
         of_start=None if updated.frame.is_joined else of_start,
         step_length_m=walked.length_m,
         walked_m=updated.estimates.distance_m,
@@ -550,7 +581,7 @@ def step_update(
     )
 
 
-def _within_reach(cov_m2: FloatArray, frame: Frame, reach_m: float) -> FloatArray:
+def within_reach(cov_m2: FloatArray, frame: Frame, reach_m: float) -> FloatArray:
     """Return a covariance (2, 2) that is at most the reach in the frame of the start, and unchanged in other frames.
 
     A lost heading is a rotation of the frame, and the reach does not contain the variance of fixes.
@@ -565,7 +596,7 @@ def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
     """
     place = track_place(state)
     place = place if state.frame.is_joined else state.frame.world(place)
-    return read_only(place.position_m), read_only(_within_reach(place.cov_m2, state.frame, state.reach_m))
+    return read_only(place.position_m), read_only(within_reach(place.cov_m2, state.frame, state.reach_m))
 
 
 def past_position(state: PedestrianState, time_s: float) -> FloatArray | None:

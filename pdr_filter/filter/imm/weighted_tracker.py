@@ -21,13 +21,13 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
+    before_step,
     initial_state,
     on_standstill_step,
     over_gap,
     step_update,
     with_heading,
     with_reach_after_fix,
-    with_reopened_rotation,
     with_step,
     with_withheld_length,
 )
@@ -279,7 +279,7 @@ class WeightedTracker:
         """
         model, step = self.model, state.pending[0]
         context_prob, weights = self._weights(state, step, is_final)
-        previous = with_reopened_rotation(state.pedestrian)
+        previous = before_step(state.pedestrian, step)
         free_weights, n_new = weights, 0.0
         if previous.fixes.is_standing(step.time_s):
             previous, n_new = on_standstill_step(model, previous, step, free_weights)

@@ -13,9 +13,9 @@ from pdr_filter.filter.imm.pedestrian_state import PedestrianState, over_steples
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.front_end import Event, Gap
-from pdr_filter.sensing.vehicle_vibration import Stepless
+from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided
 from pdr_filter.tracking.filtering import due_s, parts
-from pdr_filter.values import Fix, FixOutcome, FloatArray, replace_unchecked
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Standstill, Step, replace_unchecked
 from pdr_filter.values.recording import Recording
 
 
@@ -73,10 +73,17 @@ class SensedWalk:
         tracker, waiting = config.tracker, sorted(fixes, key=lambda fix: due_s(config, fix))
         state, used, rows = tracker.init(), 0, []
         outcomes: list[FixOutcome] = []
+        undecided_s = np.inf
         for known_s, event in [*self.events, (np.inf, None)]:
             if known_s > until_s:
                 break
-            while used < len(waiting) and due_s(config, waiting[used]) <= known_s:
+            if event is None or isinstance(event, Step):
+                undecided_s = np.inf if event is None else max(undecided_s, event.time_s - event.duration_s)
+            while (
+                used < len(waiting)
+                and due_s(config, waiting[used]) <= known_s
+                and (waiting[used].time_s < undecided_s or isinstance(waiting[used], Standstill))
+            ):
                 state, outcome, _ = tracker.on_fix(state, waiting[used])
                 outcomes.append(outcome)
                 used += 1
@@ -86,6 +93,9 @@ class SensedWalk:
                 state, updates = tracker.on_gap(state, event.duration_s)
             elif isinstance(event, Stepless):
                 state = replace_unchecked(state, pedestrian=over_stepless(state.pedestrian, event.duration_s))
+                continue
+            elif isinstance(event, Undecided):
+                undecided_s = event.since_s
                 continue
             elif event is not None:
                 state, updates = tracker.on_step(state, event)

@@ -22,7 +22,13 @@ from pdr_filter.filter.imm.motion_model import (
     stepless_var_m2,
 )
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate, in_other_frame, over_stepless, present_position
+from pdr_filter.filter.imm.pedestrian_state import (
+    StepUpdate,
+    in_other_frame,
+    over_stepless,
+    present_position,
+    with_reopened_rotation,
+)
 from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
@@ -632,6 +638,39 @@ def test_motion_without_steps_adds_its_variance_once_to_the_position_and_to_the_
         np.testing.assert_allclose(added, stepless_var_m2(stepless_s) * np.eye(2), atol=1e-9)
         # the motion is not added to the step before the pause
         assert (first_var_m2(after) < np.diag(position_cov(state)) + 1e-6).all()
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+def test_motion_before_the_first_step_counts_only_after_a_position_fix(weighting: str) -> None:
+    filter_ = tracker(weighting)
+    first = replace(a_step(20.0), stepless_s=10.0)
+    window = WindowContext(22.0, sure(WALKING), EVEN_PRIOR)
+    usual, _ = run(filter_, [replace(first, stepless_s=0.0), window])
+    moved = replace_unchecked(filter_.init(), pedestrian=over_stepless(filter_.init().pedestrian, 4.0))
+    after, _ = run(filter_, [first, window], moved)
+    np.testing.assert_array_equal(position_cov(after), position_cov(usual))
+    fixed, outcome, _ = filter_.on_fix(moved, PositionFix(15.0, [0.0, 0.0], 0.25 * np.eye(2)))
+    after, _ = run(filter_, [first, window], fixed)
+    assert outcome == "used"
+    added = position_cov(after) - position_cov(usual) - position_cov(fixed)
+    np.testing.assert_allclose(added, stepless_var_m2(6.0) * np.eye(2), atol=1e-9)
+
+
+@pytest.mark.parametrize("since_m", [0.0, 6.0])
+def test_a_lost_heading_leaves_the_centre_of_its_rotation_and_its_variance_as_they_were(since_m: float) -> None:
+    state, _ = run(tracker("imm"), [a_step(1.0)])
+    known = state.pedestrian
+    mean, cov = known.estimates.mean.copy(), np.zeros_like(known.estimates.cov)
+    mean[:, :2] = 3.0, 4.0 + since_m
+    # the error of a heading offset rotates the part of the walk north of (3, 4), whose own variance is 0.5
+    by_error = np.array([since_m, 0.0, 1.0, 0.0])
+    cov[:] = np.outer(by_error, by_error) + np.diag([0.5, 0.5, 0.0, 0.01])
+    no_error_m = np.zeros_like(known.estimates.consider_error_m)
+    estimates = replace(known.estimates, mean=mean, cov=cov, consider_error_m=no_error_m)
+    reopened = with_reopened_rotation(replace_unchecked(known, estimates=estimates))
+    (centre,) = reopened.frame.pairs
+    np.testing.assert_allclose([*centre.track_m, *centre.world_m], [3.0, 4.0, 3.0, 4.0], atol=1e-9)
+    assert (centre.var_m2, reopened.frame.north_var_rad2) == pytest.approx((0.5, 1.0))
 
 
 def first_var_m2(state: State) -> np.ndarray:

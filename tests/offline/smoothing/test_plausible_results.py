@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
+from pdr_filter.filter.imm.motion_model import stepless_var_m2
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.uncertainty import worst_std_m
 
@@ -42,7 +44,7 @@ def path_of(walk: pdr.Recording, config: pdr.Config) -> tuple[np.ndarray, np.nda
 
 def unstepped_m(track: pdr.Track) -> np.ndarray:
     """Return the sum (K,) of the standard deviations that motion without steps adds until each step."""
-    return np.sqrt(0.2 * np.asarray(track.steps.stepless_s)).cumsum()
+    return np.sqrt(stepless_var_m2(np.asarray(track.steps.stepless_s))).cumsum()
 
 
 def check_possible(online: pdr.Track, smoothed: pdr.Track) -> None:
@@ -75,7 +77,7 @@ def test_with_fixes_no_position_is_less_certain_than_the_way_from_the_last_fix(m
     result, online = pdr.smooth(walk, fixes), pdr.track(walk, fixes=fixes)
     assert len(result.rejected) == 0 and not [note for note in result.notes if "did not converge" in note]
     assert result.track.distance_m == pytest.approx(online.distance_m, rel=0.05)
-    for track in (result.track,):
+    for track in (result.track, online):
         last = np.searchsorted(time_s, track.time_s, side="right") - 1
         walked_m = track.walked_m - np.interp(time_s[np.maximum(last, 0)], track.time_s, track.walked_m)
         # online, a fix is used after the steps that were detected before it arrived
@@ -98,3 +100,24 @@ def test_recordings_of_all_kinds_are_smoothed_to_possible_walks(data_dir: Path, 
                 <= track.walked_m + track.gap_before_s.cumsum() + unstepped_m(track) + 0.01
             ).all()
     assert smoothed.distance_m == pytest.approx(online.distance_m, rel=0.05)
+
+
+@pytest.mark.parametrize("missing", ["all", "middle"])
+def test_the_present_position_is_not_less_certain_than_the_way_since_the_last_used_fix(missing: str) -> None:
+    walk, truth = without_gyroscope(WALK, *LESS[missing]), WALK.truth.position
+    samples, online = pdr.merge_streams(walk), pdr.OnlineFilter(pdr.recipes.default(walk.subject))
+    used, distance_m = list[float](), 0.0
+    parts = np.searchsorted(samples.time_s, np.arange(0.0, walk.duration_s, 0.5)).tolist()
+    for first, end in itertools.pairwise(parts):
+        time_s, rate_radps = float(samples.time_s[first]), samples.angular_rate_radps
+        if int(time_s * 2) % 24 == 8:
+            place_m = [np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")]
+            online.add_fix(pdr.PositionFix(time_s, place_m, np.eye(2)))
+        online.push(samples.time_s[first:end], samples.specific_force_mps2[first:end], rate_radps[first:end])
+        now = online.now()
+        if len(used) < sum(fix.accepted for fix in now.fixes):
+            used, distance_m = [fix.time_s for fix in now.fixes if fix.accepted], now.distance_m
+        # steps that are not known yet, and the standard deviation of the fix with the steps until its use
+        ahead_m = len(now.provisional_steps) + 3.0 + 3.0 * bool(used)
+        assert now.position_std_m <= now.distance_m - distance_m + ahead_m
+    assert len(used) == 3
