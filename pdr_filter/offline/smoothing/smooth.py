@@ -741,8 +741,11 @@ def _smoothed(
     # no step is uncertain by a metre, except the last one of a standstill that the steps contradict
     step_std_m = worst_std_m(steps.cov_m2)
     withheld_m = np.where(step_std_m > 1.0, step_std_m, 0.0)
-    way_m = np.cumsum(np.append(0.0, length + np.sqrt(steps.gap_var_m2) + withheld_m))
-    start_std_m = worst_std_m(start_cov) if used.has_places else 0.0
+    unstepped_m = np.sqrt(steps.gap_var_m2)
+    start_std_m = worst_std_m(start_cov)
+    if not used.has_places:  # the first step begins at the origin
+        unstepped_m[:1] = start_std_m = 0.0
+    way_m = np.cumsum(np.append(0.0, length + unstepped_m + withheld_m))
     std_m = np.append(start_std_m, worst_std_m(position_cov))
     position_cov = bounded_position_cov(position_cov, reach_m(way_m, std_m)[1:])
     observations = observation_table(observed, used.row, found)
