@@ -31,7 +31,7 @@ def moving(n: int) -> np.ndarray:
 def with_field(motion: np.ndarray) -> np.ndarray:
     """Motion (n, 6) with a noisy magnetic field."""
     field = np.random.default_rng(3).normal(scale=0.3, size=(len(motion), 3))
-    return np.column_stack([motion, [20.0, 0.0, -40.0] + field])
+    return np.column_stack([motion, np.array([20.0, 0.0, -40.0]) + field])
 
 
 def watched(motion: np.ndarray) -> np.ndarray:

@@ -415,19 +415,22 @@ def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
     )
 
 
-def notes(state: HeightState, barometer: ClimbState) -> list[Note]:
-    """Return warnings about an unknown storey, a stuck or coarse barometer, and a large change of the air."""
+def notes(state: HeightState, barometer: ClimbState, is_absence_named: bool = False) -> list[Note]:
+    """Return warnings about an unknown storey, a stuck or coarse barometer, and a large change of the air.
+
+    `is_absence_named` is True if another warning names the times without samples of the barometer.
+    """
     found, known = list[Note](), state.known
-    cause, is_odd = "the pressure has gaps", False
+    cause, is_odd = "" if is_absence_named else "the pressure has gaps", False
     if barometer.stuck_s >= _NOTABLE_STUCK_S:
         cause, is_odd = f"the barometer gave one value for {barometer.stuck_s:.0f} s in total", True
     elif math.isnan(known.pressure_s):
         cause = "there is no barometer"
     elif _COARSE_HPA < barometer.quantum_hpa < math.inf:
         cause, is_odd = f"the pressure is rounded to {barometer.quantum_hpa:.2g} hPa", True
-    elif state.step_s - known.pressure_s > PRESSURE_AGE_S:
+    elif state.step_s - known.pressure_s > PRESSURE_AGE_S and not is_absence_named:
         cause = f"the pressure ends at {known.pressure_s:.0f} s"
-    if is_floor_unknown(np.array(known.height_std_m)):
+    if cause and is_floor_unknown(np.array(known.height_std_m)):
         words = f"height and storey are unknown, ± {known.height_std_m:.0f} m at the end: "
         words += f"{cause}, and nothing else shows stairs; "
         found.append(Note("height", words + "record the pressure, or give fixes with floors"))

@@ -67,7 +67,7 @@ def rounded(time_s: FloatArray, hpa: FloatArray) -> tuple[FloatArray, FloatArray
 
 FAULTS: dict[str, tuple[Change | None, str]] = {
     "missing": (None, "there is no barometer"),
-    "lost": (lost, "the pressure ends at 59 s"),
+    "lost": (lost, "barometer: no samples since 5"),
     "stuck": (stuck, "the barometer gave one value for"),
     "rounded": (rounded, "the pressure is rounded to 1 hPa"),
 }
