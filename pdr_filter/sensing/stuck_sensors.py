@@ -83,6 +83,7 @@ class WatchdogState:
     dead: _Flags = _NONE
     start_s: float = np.nan
 
+
 def init_watchdog() -> WatchdogState:
     """Return the state of the detection of stuck sensors before the first row."""
     nothing = np.full(_N_COLUMNS, np.nan)

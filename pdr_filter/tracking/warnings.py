@@ -173,14 +173,18 @@ def notes_of_rides(rides: Rides, vertices: FloatArray | None) -> Iterator[Note]:
 
 
 def conflict_notes(conflict: FixConflict) -> Iterator[Note]:
-    """Return a warning if most position fixes contradict the walk."""
-    if conflict.is_majority:
+    """Return a warning if many position fixes contradict the walk."""
+    if conflict.is_doubtful:
         n = conflict.n_used + conflict.n_rejected
         words = (
             f"{conflict.n_rejected} of {n} position fixes contradict the walk, so that its place and direction are "
-            "doubtful. Their axes are probably mirrored or exchanged, or they are of another walk: "
+            "doubtful. Their axes are probably mirrored or exchanged, they are of another walk, or less accurate than "
+            "stated: "
         )
-        yield Note("fixes", words + "check that positions are (east, north) in m, and latitude before longitude")
+        yield Note(
+            "fixes",
+            words + "check that positions are (east, north) in m, latitude before longitude, and their accuracy",
+        )
 
 
 def _fix_notes(state: State) -> Iterator[Note]:
