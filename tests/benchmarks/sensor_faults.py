@@ -1,4 +1,4 @@
-"""Sensors that are missing, stop, stick, begin late, are noisy or rounded, or have a late clock: errors of the track, and its notes.
+"""Sensors that are missing, stop, stick, begin late, are noisy or rounded, or have a late clock: errors and notes.
 
 usage: python -m tests.benchmarks.sensor_faults [simulated] [recordings] [--walks 4] [--data ../shared/data] [--print]
 
@@ -280,7 +280,7 @@ def smoothed(recording: Recording, **options: Any) -> Track:
 
 
 def cells(walks: Sequence[Walk], sensor: str, fault: str) -> list[object]:
-    """Return the cells of a row: medians over the walks, and the first note on the sensor that only the fault causes."""
+    """Return the cells of a row: medians over the walks, and the first note on the sensor that the fault causes."""
     online: list[Figures] = []
     later: list[Figures] = []
     refusal = ""
