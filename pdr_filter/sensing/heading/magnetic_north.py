@@ -42,8 +42,6 @@ _DIAGONAL = np.diag_indices(_F)
 # Prior standard deviation of the Earth's field on the horizontal axes and on the vertical one, uT. The World Magnetic
 # Model has a horizontal field of 0 to 42 uT, 27 uT in the root mean square, and a vertical field of at most 67 uT.
 _EARTH_STD_UT = 20.0, 20.0, 45.0
-# Largest horizontal and vertical field of the World Magnetic Model, uT.
-_EARTH_MOST_UT = np.array([42.0, 67.0])
 # Prior of the hard iron: a mixture of normal densities, by their probabilities and by their standard deviations in
 # units of `iron_std_ut`. The first one is for calibrated magnetometers. With 7 uT, the others have 28 and 140 uT, for
 # a calibration that became wrong and for raw data. Public recordings of raw data have 20 to 300 uT.
@@ -285,8 +283,6 @@ class MagneticNorth:
         x = weight * (P @ Xf)
         log_evidence = np.log(_IRON_PROB) + 0.5 * (np.linalg.slogdet(P)[1] + np.log(prior).sum(axis=1))
         log_evidence += 0.5 * weight * (x @ Xf)
-        too_strong_ut = np.maximum(np.column_stack([np.hypot(x[:, 0], x[:, 1]), np.abs(x[:, 2])]) - _EARTH_MOST_UT, 0.0)
-        log_evidence -= 0.5 * ((too_strong_ut / self.disturbance_ut) ** 2).sum(axis=1)
         prob = np.exp(log_evidence - log_evidence.max())
         prob /= prob.sum()
         residual_ut2 = ff - 2.0 * (x @ Xf) + ((x @ XX) * x).sum(axis=1)
