@@ -337,7 +337,7 @@ def test_locations_have_the_scatter_about_the_shape_of_the_walk_if_it_is_twice_t
     heading_rad = 0.5 * np.pi * np.floor(time_s / 50.0)
     walk_m = np.cumsum(13.0 * np.column_stack([np.sin(heading_rad), np.cos(heading_rad)]), axis=0)
     found = []
-    for _ in range(20):
+    for _ in range(8):
         place_m = walk_m @ np.array([[0.6, -0.8], [0.8, 0.6]]) + rng.normal(scale=3.0 * actual, size=walk_m.shape)
         fixes = [PositionFix(t, p, 9.0 * np.eye(2), correlation_s=20.0) for t, p in zip(time_s, place_m, strict=True)]
         part = np.zeros(len(fixes), dtype=np.int64)
