@@ -126,6 +126,7 @@ def uniform_block(
         specific_force_mps2=np.column_stack([np.zeros(n), np.zeros(n), magnitude]),
         angular_rate_radps=zeros if rate is None else rate,
         angular_rate_known=np.full(n, rate is not None),
+        turn_known=np.full(n, rate is not None),
         magnetic_field_ut=zeros if field is None else field,
         magnetic_field_known=np.full(n, field is not None),
         gap_before_s=gap_before_s,

@@ -31,7 +31,7 @@ from pdr_filter.values.recording import Recording
 
 # Columns of the buffered rows: time, specific force, angular rate, magnetic field, and the ages of the last finite
 # angular rate and magnetic field.
-_FORCE, _RATE, _FIELD, _MOTION = slice(1, 4), slice(4, 7), slice(7, 10), slice(1, 7)
+_FORCE, _RATE, _FIELD, _MOTION, _VALUES = slice(1, 4), slice(4, 7), slice(7, 10), slice(1, 7), slice(1, 10)
 _RATE_AGE, _FIELD_AGE = 10, 11
 _N_COLUMNS = 12
 
@@ -45,6 +45,14 @@ _LIMITS = np.repeat([np.inf, MAX_FORCE_MPS2, MAX_RATE_RADPS, MAX_FIELD_UT], [1, 
 _ROWS_AT_ONCE = 4000
 # A note is written when this many rows in a row are rejected, or when this many arrive and no uniform sample results.
 _MIN_REJECTED_ROWS = 200
+# Resolution of an accelerometer from which a note is written. With 1 m/s2, directions of two of three real walks
+# change by more than 10 degrees. With 0.5 m/s2 they do not change, and distances change by 0.2 %.
+_COARSE_MPS2 = 0.7
+_WITHOUT_RATE, _WITHOUT_FIELD = "used without angular rate", "used without magnetic field"
+# Range of each axis of the specific force in a hop (0.2 s) below which the phone rests, m/s2. In 30 walks of ipin2023,
+# humolire and ms_indoor, a phone in such a hop turns by 0.005 rad (root mean square), which is less than the heading
+# drift. Without noise the sensor may be stuck.
+_REST_MPS2 = 0.3
 # Time without angular rate from which a note is written: the heading is then uncertain by 0.5 rad (`HeadingDrift`).
 _MISSING_RATE_S = 0.25
 
@@ -66,6 +74,8 @@ class UniformBlock:
         Angular rate in the sensor frame, shape (N, 3), rad/s.
     angular_rate_known : BoolArray
         True where the angular rate was measured or bridged, shape (N,).
+    turn_known : BoolArray
+        True where the angular rate is known, or the specific force shows that the phone rests, shape (N,).
     magnetic_field_ut : FloatArray
         Magnetic field in the sensor frame, shape (N, 3), uT.
     magnetic_field_known : BoolArray
@@ -79,7 +89,7 @@ class UniformBlock:
     >>> import numpy as np
     >>> from pdr_filter.sensing.conditioning import UniformBlock
     >>> rows, known = np.zeros((4, 3)), np.ones(4, dtype=bool)
-    >>> block = UniformBlock(np.arange(4) / 100, rows, rows, known, rows, ~known, gap_before_s=np.inf)
+    >>> block = UniformBlock(np.arange(4) / 100, rows, rows, known, known, rows, ~known, gap_before_s=np.inf)
     >>> len(block.time_s)
     4
     """
@@ -88,6 +98,7 @@ class UniformBlock:
     specific_force_mps2: FloatArray
     angular_rate_radps: FloatArray
     angular_rate_known: BoolArray
+    turn_known: BoolArray
     magnetic_field_ut: FloatArray
     magnetic_field_known: BoolArray
     gap_before_s: float
@@ -116,6 +127,10 @@ class IntakeReport:
         Rows dropped because the accelerometer was stuck while the phone moved.
     n_dead_rate : int
         Rows whose angular rate was discarded because the gyroscope was stuck while the phone moved.
+    n_dead_field : int
+        Rows whose magnetic field was discarded because the magnetometer was stuck while the phone turned.
+    resolution_mps2 : float
+        Smallest nonzero change of the specific force between two rows, m/s2. Infinite before the first.
     n_wild_field : int
         Rows whose magnetic field was discarded because it is beyond the range of any phone.
     n_gaps : int
@@ -128,6 +143,8 @@ class IntakeReport:
         Uniform samples emitted.
     n_without_rate : int
         Uniform samples with unknown angular rate.
+    n_without_turn : int
+        Those of these in which the phone may have turned.
     n_rejected_times : int
         Rows rejected since the last accepted row, because their times contradict it.
     rate_hz : float
@@ -146,12 +163,15 @@ class IntakeReport:
     n_clock_glitches: int = 0
     n_dead_force: int = 0
     n_dead_rate: int = 0
+    n_dead_field: int = 0
+    resolution_mps2: float = np.inf
     n_wild_field: int = 0
     n_gaps: int = 0
     longest_gap_s: float = 0.0
     lost_s: float = 0.0
     n_emitted: int = 0
     n_without_rate: int = 0
+    n_without_turn: int = 0
     n_rejected_times: int = 0
     rate_hz: float = 100.0
     first_time_s: float = np.nan
@@ -175,15 +195,18 @@ class IntakeReport:
                 f"{how_many(self.n_implausible, 'sample')} beyond {MAX_FORCE_MPS2:g} m/s2 or {MAX_RATE_RADPS:g} rad/s, "
                 "the range of phone sensors, treated as missing: an impact, a wrong unit or a damaged file"
             )
-        for sensor, n_dead, treatment in (
-            ("accelerometer", self.n_dead_force, "dropped"),
-            ("gyroscope", self.n_dead_rate, "used without angular rate"),
+        for stuck, n_dead, treatment in (
+            ("an axis of the accelerometer was stuck at one value while the phone moved", self.n_dead_force, "dropped"),
+            ("an axis of the gyroscope was stuck at one value while the phone moved", self.n_dead_rate, _WITHOUT_RATE),
+            ("the magnetometer was stuck at one value while the phone turned", self.n_dead_field, _WITHOUT_FIELD),
         ):
             if n_dead:
-                found.append(
-                    f"an axis of the {sensor} was stuck at one value while the phone moved: {n_dead} of "
-                    f"{self.n_received} samples were {treatment}"
-                )
+                found.append(f"{stuck}: {n_dead} of {self.n_received} samples were {treatment}")
+        if _COARSE_MPS2 < self.resolution_mps2 < np.inf:
+            found.append(
+                f"the accelerometer is rounded to {self.resolution_mps2:.2g} m/s2, probably by the app: walking "
+                "directions are less certain than stated; record it without rounding"
+            )
         if self.n_wild_field:
             found.append(
                 f"{how_many(self.n_wild_field, 'magnetic field')} beyond {MAX_FIELD_UT:g} uT, the range of phone "
@@ -218,7 +241,7 @@ class IntakeReport:
                 f"{how_many(self.n_gaps, 'gap')} ({self.lost_s:.1f} s in all, longest "
                 f"{self.longest_gap_s:.1f} s): steps in gaps are unknown, so the covariance was inflated"
             )
-        missing_s = self.n_without_rate / self.rate_hz
+        missing_s = self.n_without_turn / self.rate_hz
         if not self.has_gyroscope:
             found.append("no gyroscope: the heading is unknown; only steps, contexts and distance can be trusted")
         elif missing_s > _MISSING_RATE_S:
@@ -417,17 +440,17 @@ class Conditioner:
         usable, n_not_finite, n_implausible, n_wild_field = _usable(raw)
         accepted = accept_rows(state.clock, usable, self.max_gap_s)
         timed = accepted.rows
-        measured, n_dead_force, n_dead_rate = timed[:, _MOTION], 0, 0
-        watchdog, motion = remove_stuck_values(state.watchdog, timed[:, 0], measured)
-        if motion is not measured:  # a sensor is stuck
-            is_dead = np.isnan(motion[:, 0])
-            n_dead_force = int(is_dead.sum())
-            n_dead_rate = int((np.isnan(motion[:, 3]) & ~np.isnan(timed[:, 4])).sum())
-            timed, motion = timed[~is_dead], motion[~is_dead]
-        rows = np.empty((len(motion), _N_COLUMNS))
-        rows[:, 0], rows[:, _FORCE] = timed[:, 0], motion[:, :3]
-        rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], motion[:, 3:], state.last_rate)
-        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], timed[:, _FIELD], state.last_field)
+        measured, n_dead_force, n_dead_rate, n_dead_field = timed[:, _VALUES], 0, 0, 0
+        watchdog, values = remove_stuck_values(state.watchdog, timed[:, 0], measured)
+        if values is not measured:  # a sensor is stuck
+            is_dead = np.isnan(values[:, 0])
+            lost = (np.isnan(values) & ~np.isnan(measured)).sum(axis=0).tolist()
+            n_dead_force, n_dead_rate, n_dead_field = lost[::3]
+            timed, values = timed[~is_dead], values[~is_dead]
+        rows = np.empty((len(values), _N_COLUMNS))
+        rows[:, 0], rows[:, _FORCE] = timed[:, 0], values[:, :3]
+        rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], values[:, 3:6], state.last_rate)
+        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], values[:, 6:], state.last_field)
         old = state.report
         report = replace_unchecked(
             old,
@@ -440,6 +463,8 @@ class Conditioner:
             n_rejected_times=accepted.clock.n_rejected_times,
             n_dead_force=old.n_dead_force + n_dead_force,
             n_dead_rate=old.n_dead_rate + n_dead_rate,
+            n_dead_field=old.n_dead_field + n_dead_field,
+            resolution_mps2=float(watchdog.resolution[0]),
             n_wild_field=old.n_wild_field + n_wild_field,
         )
         if len(rows):
@@ -496,11 +521,14 @@ class Conditioner:
         at = np.minimum(np.searchsorted(rows[:, 0], grid[1:]), len(rows) - 1)
         rate_known = rows[at, _RATE_AGE] <= self.max_gap_s
         field_known = rows[at, _FIELD_AGE] <= self.max_gap_s
+        range_mps2 = np.ptp(means[:, 0:3].reshape(-1, hop_samples, 3), axis=1).max(axis=1)
+        turn_known = rate_known | np.repeat((range_mps2 > 0) & (range_mps2 < _REST_MPS2), hop_samples)
         output = UniformBlock(
             time_s=grid[1:] - 0.5 / self.rate_hz,
             specific_force_mps2=np.ascontiguousarray(means[:, 0:3]),
             angular_rate_radps=np.where(rate_known[:, None], means[:, 3:6], 0.0),
             angular_rate_known=rate_known,
+            turn_known=turn_known,
             magnetic_field_ut=np.where(field_known[:, None], means[:, 6:9], 0.0),
             magnetic_field_known=field_known,
             gap_before_s=state.gap_before_s if state.n_emitted == 0 else 0.0,
@@ -510,6 +538,7 @@ class Conditioner:
             state.report,
             n_emitted=state.report.n_emitted + len(rate_known),
             n_without_rate=state.report.n_without_rate + int((~rate_known).sum()),
+            n_without_turn=state.report.n_without_turn + int((~turn_known).sum()),
         )
         new = replace_unchecked(state, rows=rows[first_needed:], n_emitted=n_complete, report=report)
         return new, [output]

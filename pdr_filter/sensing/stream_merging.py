@@ -33,6 +33,8 @@ from pdr_filter.values.limits import GAP_INTERVALS
 
 Sensor = Literal["accelerometer", "gyroscope", "magnetometer", "barometer"]
 SENSORS: tuple[Sensor, ...] = get_args(Sensor)
+# Consequence of a time without the samples of a sensor.
+_LOST = {"accelerometer": "no steps are known there", "barometer": "heights and storeys are uncertain"}
 _COLUMNS = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3, "barometer": 1}
 # Largest number of buffered rows of each sensor: twice `wait_s` at the rate of the fastest phones, 2000 Hz.
 _MAX_ROWS = 20_000
@@ -62,7 +64,7 @@ def absences(spans_s: Mapping[Sensor, tuple[float, float]], wait_s: float) -> li
     earliest_s = min((first_s for first_s, _ in spans_s.values()), default=math.inf)
     latest_s = max((last_s for _, last_s in spans_s.values()), default=-math.inf)
     for sensor, (first_s, last_s) in spans_s.items():
-        lost = "no steps are known there" if sensor == "accelerometer" else "the other sensors are used without it"
+        lost = _LOST.get(sensor, "the other sensors are used without it")
         remedy = (
             f"so that {lost}: record it as long as the others; if it has samples there, put all sensors on one clock"
         )

@@ -317,8 +317,8 @@ def add_terrain_locations(
     accuracy_m: FloatArray,
 ) -> State:
     """Return the state with locations (N,), on the track clock, that only distinguish hills from storeys."""
-    last_s = float(state.places[-1, 0]) if len(state.places) else -np.inf
-    new = good_places(origin, time_s, latitude_deg, longitude_deg, accuracy_m, last_s)
+    last: list[tuple[float, float, float]] = [tuple(row) for row in state.places[-1:].tolist()]
+    new = good_places(origin, time_s, latitude_deg, longitude_deg, accuracy_m, *last)
     is_old = state.places[:, 0] < state.sensing.processed_s - _PLACES_S
     return replace_unchecked(state, places=np.concatenate([state.places[~is_old], new]))
 
@@ -345,9 +345,9 @@ def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArr
 def _with_spread(state: State, position_m: FloatArray, cov_m2: FloatArray) -> FloatArray:
     """Return the covariance (2, 2) of a position, including the possibility that another hypothesis is true.
 
-    The other hypothesis is the rival, or that most position fixes are right and the track is wrong.
+    The other hypothesis is the rival, or that rejected position fixes are right and the track is wrong.
     """
-    if state.conflict.is_majority:
+    if state.conflict.is_doubtful:
         cov_m2 = read_only(cov_m2 + state.conflict.cov_m2)
     if state.rival is None:
         return cov_m2
@@ -561,7 +561,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
             state = _with_passages(config, state, passages, output)
         else:
             height_at_step = height_state.known
-        if state.rival is not None or state.conflict.is_majority:
+        if state.rival is not None or state.conflict.is_doubtful:
             spread = _with_spread(state, update.position_m, update.position_cov_m2)
             update = replace_unchecked(update, position_cov_m2=spread)
         update = replace_unchecked(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -31,18 +31,22 @@ _UNFIT_DEVICE_PROB = 0.05
 _UNKNOWN_NUMBER = 20
 
 
-def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -> list[Note]:
+def notes_of(
+    config: Config, state: State, vertices: FloatArray | None = None, absent: Sequence[Note] = ()
+) -> list[Note]:
     """Return the warnings about a track so far, for a whole recording and for an app.
 
     `vertices` (K, 3) of a whole track are time, east and north. They give the position at which the track stops during
-    a ride.
+    a ride. `absent` are the warnings about sensors of a whole recording that begin or end too early or too late.
     """
-    notes = [Note("samples", text) for text in _sample_notes(state)]
+    absent = [*absent, *config.merger.absences(state.merger)]
+    notes = [*absent, *(Note("samples", text) for text in _sample_notes(state))]
     if state.finished and state.tracker.pedestrian.steps.n_final == 0:
         notes.append(Note("steps", criteria.NO_STEPS))
     has_gyroscope = state.sensing.conditioner.report.has_gyroscope
     notes += [*_sensor_notes(config, state), *_window_notes(state.seen), *_step_notes(state.walked, has_gyroscope)]
-    notes += [*config.notes, *height.notes(state.height, state.barometer)]
+    is_pressure_named = any(note.text.startswith("barometer") for note in absent)
+    notes += [*config.notes, *height.notes(state.height, state.barometer, is_pressure_named)]
     if config.on_plan is not None:
         notes += config.on_plan.notes(state.particles)
     return [*notes, *_frame_notes(config, state), *notes_of_rides(state.rides, vertices), *_fix_notes(state)]
@@ -76,7 +80,6 @@ def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
     if moving_s:
         yield Note("steps", f"for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time, {criteria.STEPLESS}")
     yield from (Note("sensors", text) for text in device_notes(config, state))
-    yield from config.merger.absences(state.merger)
     for sensor, stream in zip(SENSORS[1:], state.merger.streams[1:], strict=True):
         if stream.n_late:
             words = f"{sensor}: {stream.n_late} of {stream.n_received} samples were dropped, because they are "
@@ -170,14 +173,18 @@ def notes_of_rides(rides: Rides, vertices: FloatArray | None) -> Iterator[Note]:
 
 
 def conflict_notes(conflict: FixConflict) -> Iterator[Note]:
-    """Return a warning if most position fixes contradict the walk."""
-    if conflict.is_majority:
+    """Return a warning if many position fixes contradict the walk."""
+    if conflict.is_doubtful:
         n = conflict.n_used + conflict.n_rejected
         words = (
             f"{conflict.n_rejected} of {n} position fixes contradict the walk, so that its place and direction are "
-            "doubtful. Their axes are probably mirrored or exchanged, or they are of another walk: "
+            "doubtful. Their axes are probably mirrored or exchanged, they are of another walk, or less accurate than "
+            "stated: "
         )
-        yield Note("fixes", words + "check that positions are (east, north) in m, and latitude before longitude")
+        yield Note(
+            "fixes",
+            words + "check that positions are (east, north) in m, latitude before longitude, and their accuracy",
+        )
 
 
 def _fix_notes(state: State) -> Iterator[Note]:

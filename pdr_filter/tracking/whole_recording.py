@@ -321,7 +321,7 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
     if updates and updates[0].on_plan is not None:  # particles give no position before the first step
         start_m = position_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
     vertices = np.vstack([[start_s, *start_m], np.column_stack([track.time_s, track.position_m])])
-    notes = [*absences_in(recording.streams), *notes_of(config, state, vertices)]
+    notes = notes_of(config, state, vertices, absences_in(recording.streams))
     return replace(
         track,
         start_time_s=start_s,

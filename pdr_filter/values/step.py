@@ -50,7 +50,8 @@ class Step:
     device_heading_rad : float
         Mean heading of the phone during the step, rad, clockwise from its first heading, not wrapped.
     heading_unknown_s : float, default 0.0
-        Time without angular rate since the previous step, s. The heading is constant during that time.
+        Time without angular rate since the previous step in which the phone may have turned, s. The heading is constant
+        during that time.
     walking_heading_rad : float, default 0.0
         Walking direction measured from the samples, without the axes of the phone, rad. It has the zero of
         `device_heading_rad` and is not wrapped.

@@ -1,4 +1,4 @@
-"""Sensors that are missing, stop, stick, are late, noisy or rounded: errors of the track, and its notes.
+"""Sensors that are missing, stop, stick, begin late, are noisy or rounded, or have a late clock: errors and notes.
 
 usage: python -m tests.benchmarks.sensor_faults [simulated] [recordings] [--walks 4] [--data ../shared/data] [--print]
 
@@ -41,10 +41,10 @@ RESOLUTION = {"accelerometer": 0.5, "gyroscope": 0.05, "magnetometer": 5.0, "bar
 # Words of a note that show that it is about the sensor.
 WORDS = {
     "accelerometer": ("accelerometer",),
-    "gyroscope": ("gyroscope", "angular rate"),
-    "magnetometer": ("magnet",),
+    "gyroscope": ("gyroscope: ", "of the gyroscope", "no gyroscope", "angular rate for"),
+    "magnetometer": ("magnetometer",),
     "barometer": ("barometer", "pressure"),
-    "location": ("location", "fix"),
+    "location": ("location", "fixes"),
 }
 REAL = (
     "ipin2023/ipin2023_anon_trial51_rep02.zip",
@@ -98,8 +98,10 @@ FAULTS: dict[str, Fault] = {
     "stops half-way": lambda name, s: _part(s, s.time_s < _half_s(s)),
     "begins half-way": lambda name, s: _part(s, s.time_s >= _half_s(s)),
     "stuck from half-way": stuck,
-    "1 s late": lambda name, s: Samples(s.time_s + 1.0, s.values),
-    "10 s late": lambda name, s: Samples(s.time_s + 10.0, s.values),
+    "begins 1 s late": lambda name, s: _part(s, s.time_s >= s.time_s[0] + 1.0),
+    "begins 10 s late": lambda name, s: _part(s, s.time_s >= s.time_s[0] + 10.0),
+    "clock 1 s late": lambda name, s: Samples(s.time_s + 1.0, s.values),
+    "clock 10 s late": lambda name, s: Samples(s.time_s + 10.0, s.values),
     "noisy": noisy,
     "rounded": rounded,
 }
@@ -278,7 +280,7 @@ def smoothed(recording: Recording, **options: Any) -> Track:
 
 
 def cells(walks: Sequence[Walk], sensor: str, fault: str) -> list[object]:
-    """Return the cells of a row: medians over the walks, and the note of the first walk that has one on the fault."""
+    """Return the cells of a row: medians over the walks, and the first note on the sensor that the fault causes."""
     online: list[Figures] = []
     later: list[Figures] = []
     refusal = ""
@@ -303,8 +305,8 @@ def cells(walks: Sequence[Walk], sensor: str, fault: str) -> list[object]:
     height = f"{median(online, 'height_m')} ({median(online, 'height_std_m')})"
     height += f", {too_high} outside" if too_high else ""
     new = [note for f in online for note in f.notes]
-    notes = [note for note in new if any(word in note for word in WORDS[sensor])] or new
-    n_named = sum(bool(f.notes) for f in online)
+    notes = [note for note in new if any(word in note for word in WORDS[sensor])]
+    n_named = sum(any(word in note for note in f.notes for word in WORDS[sensor]) for f in online)
     note = f"{notes[0][:80]}... ({n_named} of {len(walks)})" if notes else "-"
     return [
         median(online, "distance_percent"),

@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import assert_same_bits, condition, cut, imu, joined
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import pdr_filter as pdr
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
+from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import ImuBlock, Samples
 from pdr_filter.values.recording import Recording
 
@@ -414,3 +418,29 @@ def test_a_gyroscope_on_another_clock_is_refused_by_name(offset_s: float) -> Non
         ValueError, match=r"gyroscope: its times, .* are outside those of the accelerometer.*remove the stream"
     ):
         merge_streams(recording(Samples(time_s + offset_s, linear(time_s))))
+
+
+def test_without_angular_rate_the_turn_is_known_while_the_noise_of_the_force_is_that_of_a_phone_at_rest() -> None:
+    time_s, rng = np.arange(600) / 100, np.random.default_rng(0)
+    scale = np.repeat([0.02, 0.5, 0.0], 200)[:, None]  # at rest, moved, and a constant force as of a stuck sensor
+    force = np.array([0.0, 0.0, 9.8]) + rng.normal(size=(600, 3)) * scale
+    block = imu(time_s, force, np.full((600, 3), np.nan))
+    state, blocks = condition(Conditioner(), [block])
+    turn_known = joined(blocks)["turn_known"]
+    assert turn_known[:180].all() and not turn_known[200:].any()
+    assert not joined(blocks)["angular_rate_known"].any()
+    assert state.report.n_without_turn < state.report.n_without_rate == len(turn_known)
+    for edges in ([1, 77, 333], [100, 101, 420]):
+        _, cut_blocks = condition(Conditioner(), cut(block, edges))
+        assert_same_bits(joined(cut_blocks), joined(blocks))
+
+
+def test_a_gyroscope_that_begins_a_second_late_at_rest_leaves_the_stated_position_as_it_is() -> None:
+    legs = [Leg("stationary", duration_s=4.0), Leg("walking", distance_m=30.0)]
+    walk = simulate(legs, carrying_mode="pocket", seed=3)
+    assert walk.gyroscope is not None
+    begun = walk.gyroscope.time_s >= 1.0
+    late = replace(walk, gyroscope=Samples(walk.gyroscope.time_s[begun], walk.gyroscope.values[begun]))
+    tracks = [pdr.track(recording, heading_rad=0.0) for recording in (walk, late)]
+    assert tracks[1].position_std_m[-1] == pytest.approx(tracks[0].position_std_m[-1], rel=0.1)
+    assert not any("angular rate for" in note for note in tracks[1].notes)

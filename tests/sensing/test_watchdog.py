@@ -28,15 +28,21 @@ def moving(n: int) -> np.ndarray:
     return np.array([0.0, 0.0, 9.8, 0.0, 0.0, 0.0]) + wave * [2.0, 2.0, 3.0, 0.5, 0.5, 0.5]
 
 
+def with_field(motion: np.ndarray) -> np.ndarray:
+    """Motion (n, 6) with a noisy magnetic field."""
+    field = np.random.default_rng(3).normal(scale=0.3, size=(len(motion), 3))
+    return np.column_stack([motion, np.array([20.0, 0.0, -40.0]) + field])
+
+
 def watched(motion: np.ndarray) -> np.ndarray:
-    return remove_stuck_values(init_watchdog(), np.arange(len(motion)) / RATE_HZ, motion)[1]
+    return remove_stuck_values(init_watchdog(), np.arange(len(motion)) / RATE_HZ, with_field(motion))[1]
 
 
 @pytest.mark.parametrize("axis", [3, 4, 5])
 def test_a_stuck_axis_of_the_gyroscope_makes_it_missing_until_it_changes_again(axis: int) -> None:
     motion = moving(2000)
     motion[500:1200, axis] = 0.3
-    missing = np.isnan(watched(motion)[:, 3:])
+    missing = np.isnan(watched(motion)[:, 3:6])
     assert (missing.all(axis=1) == missing.any(axis=1)).all()
     assert not missing[:600].any()
     assert missing[700:1200].all()
@@ -73,11 +79,42 @@ def test_the_detection_of_stuck_sensors_does_not_depend_on_blocks(cuts: list[int
     motion[300:900, 4] = 0.0
     motion[800:1300, 2] = 1.0
     motion[100:130, 3:] = np.nan
+    motion[:, 5] += 0.5
+    values = with_field(motion)
+    values[200:1100, 6:] = 1.0
     time_s, state, found = np.arange(1500) / RATE_HZ, init_watchdog(), list[np.ndarray]()
     for part in np.split(np.arange(1500), sorted(cuts)):
-        state, result = remove_stuck_values(state, time_s[part], motion[part])
+        state, result = remove_stuck_values(state, time_s[part], values[part])
         found.append(result)
-    np.testing.assert_array_equal(np.concatenate(found), watched(motion))
+    whole = remove_stuck_values(init_watchdog(), time_s, values)[1]
+    assert np.isnan(whole[:, 6]).any()
+    np.testing.assert_array_equal(np.concatenate(found), whole)
+
+
+def test_a_magnetometer_that_is_constant_over_a_turn_is_missing_and_one_on_a_straight_way_is_not() -> None:
+    turning = moving(2000)
+    turning[600:1200, 5] += 0.4
+    rows = with_field(turning)
+    rows[500:1500, 6:] = [20.0, 0.0, -40.0]
+    straight = with_field(moving(2000))
+    straight[500:1500, 6:] = [20.0, 0.0, -40.0]
+    time_s = np.arange(2000) / RATE_HZ
+    missing = np.isnan(remove_stuck_values(init_watchdog(), time_s, rows)[1][:, 6:]).all(axis=1)
+    assert missing[950:1500].all() and not missing[:700].any() and not missing[1550:].any()
+    assert not np.isnan(remove_stuck_values(init_watchdog(), time_s, straight)[1]).any()
+
+
+def test_a_coarse_accelerometer_is_not_stuck_while_it_rests_on_one_value() -> None:
+    motion = moving(3000)
+    motion[:, :3] *= 0.1
+    motion[:, 2] += 9.0
+    motion[1000:1600, :3] = motion[1000, :3]
+    motion[1000:1600, 3:] *= np.where(np.arange(600) % 300 < 50, 1.0, 0.1)[:, None]  # turns now and then
+    coarse = np.column_stack([np.round(motion[:, :3] / 0.5) * 0.5, motion[:, 3:]])
+    assert not np.isnan(watched(coarse)).any()
+    assert np.isnan(watched(motion)[1200:1600, :3]).any()  # a fine one is
+    coarse[2000:2900, :3] = coarse[2000, :3]
+    assert np.isnan(watched(coarse)[2600:2900, :3]).all()  # while the phone moves all the time
 
 
 # --- tracks -----------------------------------------------------------------------------------------------------------
@@ -130,3 +167,17 @@ def test_samples_of_a_stuck_gyroscope_are_counted_without_a_magnetometer() -> No
     motion[500:1200, 3] = 0.3
     state, _ = condition(Conditioner(), [imu(np.arange(2000) / RATE_HZ, motion[:, :3], motion[:, 3:])])
     assert 500 <= state.report.n_dead_rate <= 700
+
+
+def test_a_stuck_magnetometer_and_a_coarse_accelerometer_are_named_and_a_usual_phone_is_not(walk: Recording) -> None:
+    assert walk.magnetometer is not None and walk.accelerometer is not None
+    field, force = walk.magnetometer, walk.accelerometer
+    values = np.where(field.time_s[:, None] > 20.0, field.values[2000], field.values)
+    stuck = pdr.track(replace(walk, magnetometer=Samples(field.time_s, values)), north="magnetic")
+    coarse = pdr.track(replace(walk, accelerometer=Samples(force.time_s, np.round(force.values))))
+    usual = pdr.track(walk, north="magnetic")
+    assert any("magnetometer was stuck at one value while the phone turned" in note for note in stuck.notes)
+    assert any("accelerometer is rounded to 1 m/s2" in note for note in coarse.notes)
+    assert not any("stuck" in note or "rounded" in note for note in usual.notes)
+    assert not any("stuck" in note for note in coarse.notes)
+    assert coarse.distance_m == pytest.approx(usual.distance_m, rel=0.03)

@@ -191,6 +191,8 @@ def position_fixes(
 _GOOD_M = 10.0
 # Age up to which a location counts as the present position.
 _PRESENT_S = 2.0
+_MAX_SPEED_MPS = 2.0  # of a pedestrian
+_NO_PLACE = [math.nan, math.nan]
 
 
 def good_places(
@@ -199,34 +201,39 @@ def good_places(
     latitude_deg: FloatArray,
     longitude_deg: FloatArray,
     accuracy_m: FloatArray,
-    last_s: float = -math.inf,
+    last: tuple[float, float, float] = (-math.inf, math.nan, math.nan),
 ) -> FloatArray:
-    """Return time, east and north (P, 3) of the locations (N,) that are later than `last_s` and all earlier ones.
+    """Return time, east and north (P, 3) of the locations (N,) that are later than the row `last` and all earlier ones.
 
-    East and north are NaN if the coordinates are not a place on Earth, or if the accuracy is unknown or above 10 m.
+    East and north are NaN if the coordinates are not a place on Earth, if the accuracy is unknown or above 10 m, or if
+    the location is farther from the one before than its accuracy and a pedestrian's speed allow: its accuracy is then
+    stated too small.
     """
     found = list[tuple[float, float, float]]()
+    last_s, *last_m = last
     # one location at a time: the bits of a vectorised sine depend on the length of the array
     for t, *place, accuracy in np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m]).tolist():
         if last_s < t < math.inf:
             is_good = _is_place(*place) and 0 < accuracy <= _GOOD_M
-            east_m, north_m = origin.east_north_m(*place).tolist() if is_good else (math.nan, math.nan)
-            last_s = t
-            found.append((t, east_m, north_m))
+            place_m = origin.east_north_m(*place).tolist() if is_good else _NO_PLACE
+            if math.dist(place_m, last_m) > accuracy + _MAX_SPEED_MPS * (t - last_s):  # False if one is unknown
+                place_m = _NO_PLACE
+            last_s, last_m = t, place_m
+            found.append((t, place_m[0], place_m[1]))
     return np.array(found).reshape(-1, 3)
 
 
 def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
     """Return east and north in m of the last location at or before a time.
 
-    `places` (P, 3) are the result of `good_places`. The result is None if there is no such location, or if it is more
-    than 2 s old or not accurate, even if an earlier one is accurate.
+    `places` (P, 3) are the result of `good_places`. The result is None if there is no location in the last 2 s, or if
+    one of them is not accurate.
     """
-    k = int(np.searchsorted(places[:, 0], time_s, side="right")) - 1
-    if k < 0:
+    first, end = np.searchsorted(places[:, 0], time_s - _PRESENT_S), np.searchsorted(places[:, 0], time_s, side="right")
+    if first == end or np.isnan(places[first:end, 1]).any():
         return None
-    t, east_m, north_m = places[k].tolist()
-    return None if time_s - t > _PRESENT_S or math.isnan(east_m) else (east_m, north_m)
+    east_m, north_m = places[end - 1, 1:].tolist()
+    return east_m, north_m
 
 
 def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:

@@ -11,7 +11,13 @@ import numpy as np
 from pdr_filter.filter.fixes.frame_rotation import agreement_limit
 from pdr_filter.filter.fixes.repeated_fixes import Repetition, repetitions
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, Mode
-from pdr_filter.offline.smoothing.location_errors import joined_at_contacts, with_even_variances
+from pdr_filter.offline.smoothing.location_errors import (
+    MOST_SCATTER,
+    joined_at_contacts,
+    scatter_of,
+    with_even_variances,
+    with_scatter,
+)
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, is_uninformative
 from pdr_filter.offline.smoothing.preintegration import Increments
 from pdr_filter.offline.smoothing.problem import ObservedStates, mode_offsets, nearest_contact
@@ -121,8 +127,12 @@ def usable(
     is_used = is_place & inside
     n_fixes, of_places = len(places) - len(observed.locations), is_used[is_place]
     positions, number = _at_contacts(compress(places[:n_fixes], of_places[:n_fixes]), steps)
-    located = with_even_variances(list(compress(places[n_fixes:], of_places[n_fixes:])))
-    locations, of_location = _at_contacts(located, steps)
+    stated = with_even_variances(list(compress(places[n_fixes:], of_places[n_fixes:])))
+    located_s = np.array([f.time_s for f in stated])
+    walk_m = np.column_stack([np.interp(located_s, track.time_s, column) for column in track.position_m.T])
+    part = np.append(0, np.cumsum(steps.is_turned))[np.searchsorted(track.time_s, located_s)]
+    scatter = scatter_of(stated, walk_m, part)
+    locations, of_location = _at_contacts(with_scatter(stated, scatter), steps)
     of_closure, near, closures = _closures(track, observed)
     is_state = np.array([isinstance(f, HeadingFix | SpeedFix) for f in fixes], dtype=bool)
     at_state, at_measured = np.flatnonzero(inside & is_state), np.flatnonzero(inside & ~is_place & ~is_state)
@@ -172,6 +182,9 @@ def usable(
     notes = tuple(
         f"{kind} {name_list(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
     )
+    if scatter > MOST_SCATTER:
+        words = f"the locations scatter about the walk by {scatter:.0f} times their stated accuracy, which the phone "
+        notes = (*notes, words + "probably states too small: they are used with their scatter")
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
     columns = ([getattr(part, name) for part in (of_states, north)] for name in ObservedStates.__slots__)
     states = ObservedStates(*map(np.concatenate, columns))

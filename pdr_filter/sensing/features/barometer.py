@@ -249,8 +249,9 @@ class ClimbRate:
         second_m[np.concatenate([each, each + n - 1])] = 0.0  # those that span two windows
         own_var_m2 = sums(second_m * second_m) / (6.0 * (n - 2)) - rounding_m**2
         sensor_m = np.sqrt(np.maximum(own_var_m2, noise_m**2))
-        # A rate of repeated values is the difference of two rounded ones.
-        std_mps = np.sqrt(rate_var + 2.0 * (np.where(equal_s > 0, rounding_m, 0.0) / self.window_s) ** 2)
+        # A rate of repeated values is the difference of two rounded ones. So is each rate of a coarse sensor.
+        is_rounded = (equal_s > 0) | (quantum_hpa > _FINE_HPA)
+        std_mps = np.sqrt(rate_var + 2.0 * (np.where(is_rounded, rounding_m, 0.0) / self.window_s) ** 2)
         end_m = -self.scale_height_m * np.log(last_hpa / STANDARD_PRESSURE_HPA)
         end_std_m = np.hypot(sensor_m / np.sqrt(n_last), rounding_m * np.sqrt(np.maximum(equal_s / self.hop_s, 1.0)))
         columns = (samples[0, ends - 1], rate_mps, std_mps, n, end_m, end_std_m)

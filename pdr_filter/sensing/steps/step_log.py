@@ -173,7 +173,7 @@ class StepLog:
         new[_TIME], new[_MAGNITUDE], new[_VERTICAL] = block.time_s, magnitude, attitude.vertical_mps2
         new[_HEADING], new[_UNKNOWN] = (
             attitude.device_heading_rad,
-            unknown_before + np.cumsum(~block.angular_rate_known),
+            unknown_before + np.cumsum(~block.turn_known),
         )
         new[_BIAS_STD] = bias_std if len(bias_std) else 0.0
         return replace_unchecked(state, n_samples=state.n_samples + len(magnitude), signals=signals)

@@ -76,20 +76,20 @@ def test_a_resumed_filter_states_the_same_deviation_in_any_blocks(walk: Recordin
     assert set(online.notes) <= set(whole.notes)
 
 
-def test_a_majority_has_four_fixes_and_two_more_than_fit_after_any_rotation() -> None:
+def test_a_walk_is_doubtful_from_four_fixes_that_contradict_it_and_half_as_many_as_fit_not_by_rotation() -> None:
     away_m = np.array([3.0, 4.0])
 
     def after(n_used: int, n_rejected: int) -> FixConflict:
         found = FixConflict()
-        for outcome in ["placed", "turned", "used", "used", "used", "used"][:n_used] + ["rejected"] * n_rejected:
+        for outcome in ["placed", "turned", *(8 * ["used"])][:n_used] + ["rejected"] * n_rejected:
             found = found.plus(outcome, away_m)
         return found
 
-    assert [after(3, n).is_majority for n in (3, 4)] == [False, True]
-    assert [after(6, n).is_majority for n in (4, 5)] == [False, True]
+    assert [after(3, n).is_doubtful for n in (3, 4)] == [False, True]
+    assert [after(10, n).is_doubtful for n in (4, 5)] == [False, True]
     np.testing.assert_allclose(after(6, 6).cov_m2, 0.5 * 25.0 * np.eye(2))
-    assert not after(0, 6).cov_m2.any() and not after(6, 4).cov_m2.any()
-    assert not after(2, 6).plus("moved", away_m).is_majority
+    assert not after(0, 6).cov_m2.any() and not after(10, 4).cov_m2.any()
+    assert not after(2, 6).plus("moved", away_m).is_doubtful
 
 
 def test_speeds_in_km_per_hour_do_not_change_the_smoothed_walk_and_are_named(walk: Recording) -> None:

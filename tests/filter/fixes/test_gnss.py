@@ -22,7 +22,9 @@ from pdr_filter.filter.fixes.gnss import (
     MIN_ACCURACY_M,
     RADIUS_68,
     LocationState,
+    good_places,
     independent,
+    place_at,
     position_fixes,
 )
 from pdr_filter.simulate import Leg, simulate
@@ -487,3 +489,20 @@ def test_inaccurate_locations_rotate_and_shift_a_short_walk_without_bending_it(b
     assert {fix.outcome for fix in located.fixes} == {"placed", "turned"}
     apart_m = [np.linalg.norm(t.position_m[:, None] - t.position_m, axis=2) for t in (located, alone)]
     np.testing.assert_allclose(*apart_m, atol=1e-6)
+
+
+def test_a_location_that_jumps_farther_than_its_accuracy_shows_no_present_position_for_two_seconds() -> None:
+    origin, time_s, east_m = Origin(48.1, 11.6), np.arange(8.0), np.array([0.0, 1.0, 2.0, 3.0, 14.0, 15.0, 16.0, 17.0])
+    latitude_deg, longitude_deg = origin.latitude_longitude_deg(np.column_stack([east_m, np.zeros(8)]))
+
+    def places(accuracy_m: float, cut: int = 0) -> np.ndarray:
+        columns = time_s, latitude_deg, longitude_deg, np.full(8, accuracy_m)
+        first = good_places(origin, *(c[:cut] for c in columns))
+        last = [tuple(row) for row in first[-1:].tolist()]
+        return np.concatenate([first, good_places(origin, *(c[cut:] for c in columns), *last)])
+
+    assert np.isfinite(places(10.0)).all()  # 11 m in a second: 9 m of error and 2 m of walking
+    found = places(5.0)
+    assert [place_at(found, t) is None for t in (3.5, 4.0, 5.9, 6.0, 6.5)] == [False, True, True, True, False]
+    for cut in (3, 4, 5):
+        np.testing.assert_array_equal(places(5.0, cut), found)

@@ -14,7 +14,13 @@ from simulated_steps import simulated_walk
 
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing.linear_graph import Rows, graph_of, joint_covariances
-from pdr_filter.offline.smoothing.location_errors import errors_of, joined_at_contacts, with_even_variances
+from pdr_filter.offline.smoothing.location_errors import (
+    errors_of,
+    joined_at_contacts,
+    scatter_of,
+    with_even_variances,
+    with_scatter,
+)
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.problem import ObservedStates, Problem, pose_problem
 from pdr_filter.offline.smoothing.solve import linearised, solve
@@ -323,3 +329,21 @@ def test_a_fix_with_a_storey_sets_the_storeys_of_the_whole_walk() -> None:
     named = with_named_floors(track, [PositionFix(float(track.time_s[-1]), (0.0, 0.0), np.eye(2), floor=5)])
     assert (int(named.floor[0]), int(named.floor[-1])) == (4, 5)
     assert (named.floor_passages[0].from_floor, named.floor_passages[0].to_floor) == (4, 5)
+
+
+@pytest.mark.parametrize("actual", [0.5, 1.0, 5.0])
+def test_locations_have_the_scatter_about_the_shape_of_the_walk_if_it_is_twice_the_stated_one(actual: float) -> None:
+    rng, time_s = np.random.default_rng(1), np.arange(0.0, 300.0, 10.0)
+    heading_rad = 0.5 * np.pi * np.floor(time_s / 50.0)
+    walk_m = np.cumsum(13.0 * np.column_stack([np.sin(heading_rad), np.cos(heading_rad)]), axis=0)
+    found = []
+    for _ in range(8):
+        place_m = walk_m @ np.array([[0.6, -0.8], [0.8, 0.6]]) + rng.normal(scale=3.0 * actual, size=walk_m.shape)
+        fixes = [PositionFix(t, p, 9.0 * np.eye(2), correlation_s=20.0) for t, p in zip(time_s, place_m, strict=True)]
+        part = np.zeros(len(fixes), dtype=np.int64)
+        scatter = scatter_of(fixes, walk_m, part)
+        found.append(scatter)
+        factor = with_scatter(fixes, scatter)[3].var_m2 / fixes[3].var_m2
+        assert factor == pytest.approx(scatter**2 if actual == 5.0 else 1.0)
+    assert np.median(found) == pytest.approx(actual, rel=0.15)
+    assert scatter_of(fixes, walk_m, np.arange(len(fixes))) == 0.0  # the heading is lost between all of them

@@ -176,7 +176,7 @@ def walk(
     push = np.concatenate([np.full(round(100 * s), p) for _, s, p in seconds]) * np.cos(4 * np.pi * time_s)
     force = (STANDARD_GRAVITY_MPS2 + push)[:, None] * up
     known, none = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
-    block = UniformBlock(time_s, force, rates(n, turns), known, np.zeros((n, 3)), none, np.inf)
+    block = UniformBlock(time_s, force, rates(n, turns), known, known, np.zeros((n, 3)), none, np.inf)
     return block, AttitudeBlock(push, np.zeros((n, 2)), up, np.zeros(n))
 
 

@@ -73,7 +73,7 @@ def phone(
     force = np.einsum("nij,ni->nj", to_world, force_world)
     known = np.ones(n, dtype=bool)
     time_s, zeros = (np.arange(n) + 0.5) / 100, np.zeros((n, 3))
-    block = UniformBlock(time_s, force, zeros, known, zeros, ~known, np.inf)
+    block = UniformBlock(time_s, force, zeros, known, known, zeros, ~known, np.inf)
     attitude = AttitudeBlock(force_world[:, 2] - 9.8, force_world[:, :2], to_world[:, 2], heading)
     return block, attitude, ContextBlock(np.full(n, -1), np.broadcast_to(modes, n).copy())
 

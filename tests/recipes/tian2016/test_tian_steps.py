@@ -39,7 +39,7 @@ def phone(
     direction = np.tile(np.array(up) / np.linalg.norm(up), (n, 1))
     force = STANDARD_GRAVITY_MPS2 * (direction - user_g)
     time_s, zeros, known = (np.arange(n) + 0.5) / rate_hz, np.zeros((n, 3)), np.ones(n, dtype=bool)
-    block = UniformBlock(time_s, force, zeros, known, zeros, ~known, np.inf)
+    block = UniformBlock(time_s, force, zeros, known, known, zeros, ~known, np.inf)
     vertical = (force * direction).sum(axis=1) - STANDARD_GRAVITY_MPS2
     attitude = AttitudeBlock(vertical, np.zeros((n, 2)), direction, np.zeros(n))
     return block, attitude, ContextBlock(np.full(n, -1), np.broadcast_to(carrying_mode, n).copy())

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pdr_filter.sensing.features.barometer import (
     LIFT_MAX_MPS,
     OUTLIER_SHARE,
+    STAIRS_MPS,
     Climb,
     ClimbRate,
     ClimbState,
@@ -138,6 +139,16 @@ def test_a_fine_barometer_that_repeats_its_value_for_five_seconds_gives_no_climb
     assert (times_s >= 40.0).sum() >= 19
     state, _ = STAGE.update(STAGE.init(), time_s, hpa)
     assert state.stuck_s == pytest.approx(15.0, abs=0.2)
+
+
+@pytest.mark.parametrize(("quantum_hpa", "shows_stairs"), [(1.0, False), (0.01, True)])
+def test_a_step_of_a_coarse_barometer_is_no_climb_at_the_rate_of_stairs(quantum_hpa: float, shows_stairs: bool) -> None:
+    time_s = np.arange(0.0, 30.0, 0.1)
+    noise_hpa = np.random.default_rng(0).normal(scale=0.005, size=300)
+    hpa = np.round((1000.0 + np.where(time_s > 15.0, 0.6 * quantum_hpa, 0.0) + noise_hpa) / quantum_hpa) * quantum_hpa
+    climbs = [climb for climb in run(STAGE, time_s, hpa) if climb.time_s > 15.2]
+    assert all((climb.std_mps < 0.5 * STAIRS_MPS) == shows_stairs for climb in climbs)
+    assert all(abs(climb.climb_rate_mps) < 4.0 * climb.std_mps for climb in climbs)
 
 
 def test_equal_values_of_a_coarse_barometer_share_their_rounding_error() -> None:

@@ -40,7 +40,7 @@ def way(
     in_sensor = np.einsum("nji,nj->ni", to_frame, field) + (0.0 if iron_ut is None else iron_ut)
     time_s = (np.arange(n) + 1) / RATE_HZ
     known = np.ones(n, dtype=bool)
-    block = UniformBlock(time_s, np.zeros((n, 3)), np.zeros((n, 3)), known, in_sensor, known, 0.0)
+    block = UniformBlock(time_s, np.zeros((n, 3)), np.zeros((n, 3)), known, known, in_sensor, known, 0.0)
     attitude = AttitudeBlock(np.zeros(n), np.zeros((n, 2)), to_frame[:, 2], heading, quat=quat)
     # each becomes known a second after its contact
     contacts = np.arange(1, len(heading_rad) - 1) * STEP_S
@@ -180,6 +180,7 @@ def test_without_a_magnetic_field_north_is_unknown() -> None:
         block.specific_force_mps2,
         block.angular_rate_radps,
         block.angular_rate_known,
+        block.turn_known,
         np.zeros_like(block.magnetic_field_ut),
         np.zeros(len(block.time_s), dtype=bool),
         0.0,

@@ -89,6 +89,7 @@ def body(
         attitude.inv().apply(world),
         np.zeros((n, 3)),
         np.ones(n, bool),
+        np.ones(n, bool),
         np.zeros((n, 3)),
         np.zeros(n, bool),
         0.0,
