@@ -208,8 +208,10 @@ def _of_particles(track: Track) -> tuple[FloatArray, FloatArray]:
 
 def contradicted(tables: Tables, arguments: argparse.Namespace) -> None:
     """Right starts of all walks, and wrong starts and plans of walks of more than a minute."""
-    n_every = {"right fixes": 1, "right start": 1, "anywhere": 4, "start 20 m off": 2, "start 40 m off": 2}
-    n_every |= {"plan mirrored": 2, "another building, anywhere": 4}
+    # each case with its share of the walks: all, all of more than a minute, or every second one of these
+    n_every = dict.fromkeys(("right fixes", "right start"), 0)
+    n_every |= dict.fromkeys(("start 20 m off", "start 40 m off", "plan mirrored"), 1)
+    n_every |= dict.fromkeys(("anywhere", "another building, anywhere"), 2)
     rows = {case: [case] for case in n_every}
     with tempfile.TemporaryDirectory() as folder:
         for pattern in ("_f1_", "_b1_|_f[234]_|humolire"):
@@ -221,7 +223,7 @@ def contradicted(tables: Tables, arguments: argparse.Namespace) -> None:
                 rng, plan, first = np.random.default_rng(number), pdr.FloorPlan.read(walk.plan), walk.fixes[0]
                 other = "ms_indoor_site1_F2" if walk.plan.stem == "humolire" else "humolire"
                 for case, every in n_every.items():
-                    if every > 1 and (not is_long or n_long % (every // 2)):
+                    if every and (not is_long or n_long % every):
                         continue
                     used = plan
                     if case.startswith("another"):
@@ -247,17 +249,15 @@ def contradicted(tables: Tables, arguments: argparse.Namespace) -> None:
     columns = ["the start or the plan"]
     for group in ("ms_indoor, F1 (chosen on)", "other storeys, and humolire"):
         columns += [group, "noted", "beyond 3 deviations of the particles", "of the track"]
-    about = (
-        "Walks whose start (0.5 m) is given and whose direction is unknown, or, with right fixes, the waypoints of the "
+    about = "Walks whose start (0.5 m) is given and whose direction is unknown, or, with right fixes, the waypoints of "
+    about += "the first fifth. Right ones of all walks, wrong ones of those of more than a minute, anywhere of every "
+    about += (
+        "second of these. Error of the end and stated deviation in m, medians; walks with a note that the start or "
     )
     about += (
-        "first fifth. Right ones of all walks, wrong ones of those of more than a minute, anywhere of every second "
+        "the plan is contradicted; ends farther off than three deviations. The error in another building is that in "
     )
-    about += (
-        "of these. Error of the end and stated deviation in m, medians; walks with a note that the start or the plan "
-    )
-    about += "is contradicted; ends farther off than three deviations. The error in another building is that in its "
-    about += "coordinates."
+    about += "its coordinates."
     tables.write("floor_plans_contradicted", columns, list(rows.values()), about)
 
 
