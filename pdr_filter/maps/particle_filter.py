@@ -113,17 +113,15 @@ _OUTLIER_LOG_ODDS = math.log(1000.0)
 # the tracker. The old particles cannot represent the new rotation well, and the tracker has it in closed form.
 _MIN_SAMPLE_SHARE = 0.9
 # Log odds that no particle is at the true position. The initial value is 0 (even odds) if particles were drawn from a
-# whole area, because they are too few to cover every heading and scale at every position. At a known position the
-# initial value is one to a hundred. It never falls below that, because plans have errors. At a hundred to one, no
-# particle fits the steps, and they are drawn again. Upper limits of 2.3 to 9.2 gave the same medians on storey F1 of
-# the mall within 0.1 m.
-_LOST_IN_AREA_LOG_ODDS, _LEAST_LOST_LOG_ODDS, _MOST_LOST_LOG_ODDS = 0.0, -4.6, 4.6
-# Smallest log odds of a wrong start or plan: one to a thousand. Walks with a right start lose evidence as well, because
-# only few of the directions drawn at the start, and of the ways around each corner, remain. On storey F1 of ms_indoor,
-# the loss of 32 of 34 right starts is below 6.9, which is the limit of one in twenty. Below it, starts that are 40 m off
-# are as frequent as right ones (26 of 34). The upper limit, that of lost walks, lets a walk that has found its way back
-# regain its probability.
-_LEAST_WRONG_LOG_ODDS = -6.9
+# whole area, because they are too few to cover every heading and scale at every position. At a known position it is the
+# smallest one, because plans have errors. At a hundred to one, no particle fits the steps, and they are drawn again.
+# Upper limits of 2.3 to 9.2 gave the same medians on storey F1 of the mall within 0.1 m. The log odds of a wrong start
+# or plan have the same limits, so that a walk that has found its way back regains its probability.
+#
+# The smallest odds are one to a thousand. Walks with a right start lose evidence as well, because only few of the
+# directions drawn at the start, and of the ways around each corner, remain. On storey F1 of ms_indoor, 33 of 34 right
+# starts lose less than 6.9. Of the starts that are 40 m off, which lose less on short walks, 28 of 34.
+_LOST_IN_AREA_LOG_ODDS, _LEAST_LOST_LOG_ODDS, _MOST_LOST_LOG_ODDS = 0.0, -6.9, 4.6
 # A step contradicts the plan if its Bayes factor against free ground is below this value: a fifth of the particles met
 # walls. A step inside a room without a door, which costs `Terrain.stay_room`, is below it.
 _CONTRADICTED_LOG_FACTOR = math.log(0.8)
@@ -218,7 +216,7 @@ class ParticleState:
     last_fix_s: float = -math.inf
     last_grid_s: float = -math.inf
     lost_log_odds: float = 0.0
-    wrong_log_odds: float = _LEAST_WRONG_LOG_ODDS
+    wrong_log_odds: float = _LEAST_LOST_LOG_ODDS
     n_draws: int = 0
     events: tuple[PlanEvent, ...] = ()
     n_contradicted: int = 0
@@ -461,7 +459,7 @@ class ParticleFilter:
             log_share = math.log(float(state.weight @ np.exp(-cost)))
             lost_log_odds = max(state.lost_log_odds - log_share - mean_m * ground.mean_cost_per_m, _LEAST_LOST_LOG_ODDS)
             state, log_factor = _reweighted(state, ground.choice_cost(from_m, mean_m) - cost)
-            wrong_log_odds = max(state.wrong_log_odds - log_factor, _LEAST_WRONG_LOG_ODDS)
+            wrong_log_odds = max(state.wrong_log_odds - log_factor, _LEAST_LOST_LOG_ODDS)
             state = replace(
                 state,
                 lost_log_odds=lost_log_odds,
