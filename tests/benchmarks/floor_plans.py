@@ -3,8 +3,9 @@
 usage: python -m tests.benchmarks.floor_plans [whole] [wrong] [contradicted] [start] [radio] [--data ../shared/data]
 
 The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
-plan, not aligned. What staying in a room costs (`maps.crossing_costs`) was chosen on storey F1 of ms_indoor alone, how
-much a scan of Wi-Fi counts for particles, how uneven steps are and how often people choose a direction on F1 and B1.
+plan, not aligned. What staying in a room costs (`maps.crossing_costs`) and the smallest odds of a wrong start were
+chosen on storey F1 of ms_indoor alone, how much a scan of Wi-Fi counts for particles, how uneven steps are and how
+often people choose a direction on F1 and B1.
 The other storeys and humolire are other walks, but not untouched: what being outside costs, and that people choose
 every 6 m rather than 3, are judgements made after a look at humolire, and a term of the filter was dropped because it
 did not help on the other storeys. Waypoints are good to a metre, which is added to the covariances that are compared
