@@ -4,8 +4,8 @@ The times of locations often come from another clock than those of the samples: 
 watches and tables that are logged separately differ by seconds. All observations of one source are then late or early
 by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_PROB`, normal with the standard deviation
 `_SHIFT_STD_S`. A walk with turns determines the shift to a second or two. On a straight walk it looks like another
-start. The positions of such a walk are always uncertain by the way in sqrt(`_SHIFTED_PROB`) `_SHIFT_STD_S` = 1.4 s,
-which is 2 m along the walk. Rest before or after the walk, or a stop, removes or raises this.
+start, and the prior alone makes its positions uncertain by the distance walked in sqrt(`_SHIFTED_PROB`) `_SHIFT_STD_S`
+= 1.4 s, about 2 m. A rest before or after the walk decreases or increases this.
 
 Let F(d) be the least sum of squares of the walk whose observations are earlier by d, F its minimum at D, G = F(0) - F
 and I half of its second derivative there. With the prior information q = 1 / s^2 for s = `_SHIFT_STD_S`, a shift has
