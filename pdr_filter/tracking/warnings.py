@@ -191,7 +191,7 @@ def _fix_notes(state: State) -> Iterator[Note]:
     yield from conflict_notes(state.conflict)
     if state.n_rejected_fixes:
         words = f"fixes that do {criteria.REJECTED} were not used: {state.n_rejected_fixes}; check their accuracy, and "
-        yield Note("fixes", words + "that fixes and samples have one clock")
+        yield Note("fixes", words + "that fixes and samples have one clock (pdr_filter.smooth estimates a shift)")
     fixes = state.tracker.pedestrian.fixes
     stood = fixes.standstill_steps
     if n_walked := round(stood.n_contradicting):

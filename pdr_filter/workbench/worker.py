@@ -299,8 +299,8 @@ def _for_page(track: Track, plan: FloorPlan | None) -> Track:
 def _summary(track: Track, recording: Recording) -> dict[str, Any]:
     """Return the entry of a walk in the list of walks, as JSON values by name.
 
-    It has the unix time of its begin, duration, number of steps, distance, notes, frame and origin of the track. The
-    thumbnail `path` has at most `_N_POINTS` positions of the track in m.
+    It has the unix time of its begin, duration, number of steps, distance, notes, frame and origin of the track, and
+    whether the recording has waypoints. The thumbnail `path` has at most `_N_POINTS` positions of the track in m.
     """
     points = np.vstack([track.start_position_m, track.position_m])
     points = points[np.isfinite(points).all(axis=1)]
@@ -315,6 +315,7 @@ def _summary(track: Track, recording: Recording) -> dict[str, Any]:
         "notes": list(track.notes),
         "frame": track.frame,
         "origin": None if origin is None else [origin.latitude_deg, origin.longitude_deg],
+        "has_waypoints": recording.truth.waypoints is not None,
     }
 
 

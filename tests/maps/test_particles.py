@@ -215,7 +215,7 @@ def test_particles_spread_over_the_angle_turned_within_a_step(tmp_path: Path) ->
     assert across[1] - across[0] == pytest.approx(0.5**2 / 12, rel=0.15)
 
 
-@pytest.mark.parametrize(("in_room", "begun_at"), [(False, 1.0), (True, 1.0), (True, 4.5), (False, -4.6)])
+@pytest.mark.parametrize(("in_room", "begun_at"), [(False, 1.0), (True, 1.0), (True, 4.5), (False, -6.9)])
 def test_a_step_changes_the_odds_of_a_wrong_plan_by_its_bayes_factor_within_limits(
     tmp_path: Path, in_room: bool, begun_at: float
 ) -> None:
@@ -358,7 +358,7 @@ def test_a_walk_with_a_wrong_start_loses_its_probability_and_gives_a_note(plan: 
     # how long particles find a way on is chance: with this seed for a minute
     track = pdr.track(WALK, replace(config, on_plan=replace(config.on_plan, seed=2)))
     known = np.array([sum(c.share for c in clusters) for clusters in track.clusters])
-    assert known[0] == pytest.approx(0.99, abs=0.005)
+    assert known[0] == pytest.approx(0.999, abs=0.0005)
     assert known.min() < 0.1
     assert any("nothing on the plan fits" in note for note in track.notes)
 
@@ -390,6 +390,17 @@ def test_a_walk_with_the_right_start_has_no_note_about_the_plan(plan: pdr.FloorP
     track = pdr.track(WALK, begun(plan, pdr.PositionFix(0.0, [0.0, 0.0], 0.25 * np.eye(2))))
     assert not any("the plan" in note for note in track.notes)
     assert track.position_std_m[-1] < 3.0
+
+
+def test_the_right_start_of_a_real_walk_is_not_contradicted_while_its_direction_is_learnt(data_dir: Path) -> None:
+    """It loses 5.7 nats of evidence in 28 s: most of the directions drawn at the start lead into walls."""
+    recording = pdr.read(next((data_dir / "ms_indoor").glob("*f2_5dda40259191710006b57386*")))
+    first = recording.truth.waypoints[0]
+    start = pdr.PositionFix(0.0, [first.east_m, first.north_m], 0.25 * np.eye(2))
+    track = pdr.track(recording, plan=pdr.FloorPlan.read(data_dir / "maps" / "ms_indoor_site1_F2.geojson"), start=start)
+    assert not any("contradict the plan" in note for note in track.notes)
+    last, end_m = recording.truth.waypoints[-1], track.end_position_m
+    assert math.hypot(end_m[0] - last.east_m, end_m[1] - last.north_m) < 3.0 * track.position_std_m[-1] < 15.0
 
 
 def test_a_walk_starts_in_the_named_room(plan: pdr.FloorPlan) -> None:
@@ -463,7 +474,7 @@ def test_later_steps_improve_earlier_smoothed_positions(plan: pdr.FloorPlan) -> 
     early = slice(0, 40)
     assert np.median(errors_m(hindsight.track, WALK)[early]) < 0.6 * np.median(errors_m(online, WALK)[early])
     assert_allclose(hindsight.track.end_position_m, online.end_position_m, atol=1.0)
-    assert_allclose([clusters[0].share for clusters in hindsight.track.clusters], 0.99, atol=0.002)
+    assert_allclose([clusters[0].share for clusters in hindsight.track.clusters], 0.999, atol=0.002)
     with pytest.raises(ValueError, match="fixes alone"):
         pdr.smooth(WALK, plan=plan, start=start, start_heading_std_rad=0.1)
 

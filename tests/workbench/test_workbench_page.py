@@ -224,6 +224,11 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         assert browser.value(f"{REPORT}.contentDocument.querySelectorAll('.cross').length") == 3
         browser.click("#show-walk")
         browser.until(f"document.getElementById('show-walk').hidden && {READY}", 60)
+        # ground truth is used only if the user asks for it, and then the report says so
+        said = f"{REPORT}.contentDocument.body.textContent.includes('position fixes are ground truth of the recording')"
+        assert not browser.value(said)
+        browser.click("#truth_as_fixes")
+        browser.until(f"state.marks.walk.truth_as_fixes && {READY} && {said}", 60)
         assert [url for url in browser.asked_for if not url.startswith((address, "data:"))] == []
         assert [words for words in browser.complaints if "422" not in words] == []  # that of gpx
     # the command line has the same path
@@ -252,6 +257,7 @@ def test_every_page_can_be_seen_and_read(tmp_path: Path, width: int, theme: str)
             if page.startswith("walk"):  # the map must be visible without scrolling
                 top = f"{REPORT}.contentDocument.getElementById('map').getBoundingClientRect().top"
                 assert browser.value(f"{REPORT}.getBoundingClientRect().top + {top}") < 450
+                assert browser.value("byId('truth_as_fixes').disabled")  # the walk has no waypoints
             assert browser.value("document.documentElement.scrollWidth") == width, page
             unnamed = browser.value("""
                 [...document.querySelectorAll('button, select, input, [tabindex], iframe')].filter(e => !(e.ariaLabel

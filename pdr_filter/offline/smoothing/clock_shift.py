@@ -4,7 +4,8 @@ The times of locations often come from another clock than those of the samples: 
 watches and tables that are logged separately differ by seconds. All observations of one source are then late or early
 by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_PROB`, normal with the standard deviation
 `_SHIFT_STD_S`. A walk with turns determines the shift to a second or two. On a straight walk it looks like another
-start.
+start, and the prior alone makes its positions uncertain by the distance walked in sqrt(`_SHIFTED_PROB`) `_SHIFT_STD_S`
+= 1.4 s, about 2 m. A rest before or after the walk decreases or increases this.
 
 Let F(d) be the least sum of squares of the walk whose observations are earlier by d, F its minimum at D, G = F(0) - F
 and I half of its second derivative there. With the prior information q = 1 / s^2 for s = `_SHIFT_STD_S`, a shift has
@@ -63,21 +64,25 @@ class ClockShift(NamedTuple):
         Applied shift in s, positive if the times of the fixes are late. Zero unless the walk determines a shift.
     var_s2 : float
         Mean square error in s^2 of the applied shift. Zero if it does not matter.
+    probable_s : float
+        Shift in s that is more probable than none, and was not applied. Zero if there is none.
     """
 
     late_s: float = 0.0
     var_s2: float = 0.0
+    probable_s: float = 0.0
 
     def notes(self, what: str) -> tuple[str, ...]:
-        """Return a note on the shift of observations named `what`, or nothing if none was applied."""
-        if not self.late_s:
+        """Return a note on the shift of observations named `what`, or nothing if none is probable."""
+        shift_s = self.late_s or self.probable_s
+        if not shift_s:
             return ()
-        late = "late" if self.late_s > 0 else "early"
-        return (
-            f"the {what} are {abs(self.late_s):.1f} s {late} on the clock of the samples (± {self.var_s2**0.5:.1f} s), "
-            "and were shifted: their times are probably of another clock, as GPS time is 18 s ahead of UTC; put both "
-            "on one clock",
-        )
+        late = f"{abs(shift_s):.1f} s {'late' if shift_s > 0 else 'early'} on the clock of the samples"
+        cause = "their times are probably of another clock, as GPS time is 18 s ahead of UTC; put both on one clock"
+        if not self.late_s:
+            unsure = "were not shifted, because a walk without clear turns hardly shows this"
+            return (f"the {what} are perhaps {late} and {unsure}; positions are uncertain along the walk: {cause}",)
+        return (f"the {what} are {late} (± {self.var_s2**0.5:.1f} s), and were shifted: {cause}",)
 
 
 def estimated_shift(at: Callable[[float], ShiftedWalk]) -> ClockShift:
@@ -101,7 +106,9 @@ def estimated_shift(at: Callable[[float], ShiftedWalk]) -> ClockShift:
     if odds > _ODDS and abs(mean_s) > _MIN_SHIFT_S:
         return ClockShift(mean_s, var_s2)
     error_s2 = odds / (1.0 + odds) * (mean_s**2 + var_s2)
-    return ClockShift(0.0, error_s2 if error_s2 > _MIN_SHIFT_S**2 else 0.0)
+    if error_s2 < _MIN_SHIFT_S**2:
+        return ClockShift()
+    return ClockShift(0.0, error_s2, mean_s if odds > 1.0 and abs(mean_s) > _MIN_SHIFT_S else 0.0)
 
 
 def _posterior(gain: float, best_s: float, information: float) -> tuple[float, float, float]:

@@ -3,6 +3,7 @@
 
 const FIX_STD_M = 0.5, HEADING_STD_DEG = 5;
 const id = location.pathname.split("/").at(-1), base = `/walks/${id}`;
+const CHECKS = ["is_loop", "keep_on_plan", "truth_as_fixes"];
 let state = null; // version, marks and summary as the server gave them last
 let frame = null; // the report that is shown
 let mode = null; // steps that a user is taking: { button, steps, found, done }
@@ -216,10 +217,11 @@ function fill() {
     return element("li", {}, `${clock(fix[0])}: ${number(fix[1])}, ${number(fix[2])}${heading}`, std, remove);
   }));
   byId("calibrate").disabled = marks.fixes.length < 2;
-  for (const name of ["is_loop", "keep_on_plan"]) byId(name).checked = Boolean(marks.walk[name]);
+  for (const name of CHECKS) byId(name).checked = Boolean(marks.walk[name]);
   for (const name of ["person", "height_m"]) byId(name).value = marks.walk[name] ?? "";
   byId("plan").value = marks.walk.plan ?? "";
   byId("keep_on_plan").disabled = !marks.walk.plan;
+  byId("truth_as_fixes").disabled = !walk.has_waypoints && !marks.walk.truth_as_fixes;
   const origin = marks.walk.origin ?? [];
   byId("latitude").value = origin[0] ?? "";
   byId("longitude").value = origin[1] ?? "";
@@ -234,7 +236,7 @@ byId("numbers").addEventListener("submit", event => {
   const time = now(), place = ["east", "north"].map(name => Number(byId(name).value));
   if (time !== null) edit(marks => withFix(marks, [time, ...place, FIX_STD_M, null, null]));
 });
-for (const name of ["is_loop", "keep_on_plan"]) {
+for (const name of CHECKS) {
   byId(name).addEventListener("change", ({ target: { checked } }) => edit(marks => { marks.walk[name] = checked; }));
 }
 for (const name of ["person", "height_m", "plan"]) {

@@ -83,6 +83,18 @@ def test_a_walk_that_excludes_a_shift_has_none_and_no_error() -> None:
     assert shift_of(0.0, 0.0).late_s == 0.0
 
 
+@pytest.mark.parametrize(("late_s", "is_named"), [(7.0, False), (9.0, True), (-9.0, True)])
+def test_a_shift_that_is_more_probable_than_none_and_not_certain_is_named_and_not_applied(
+    late_s: float, is_named: bool
+) -> None:
+    found = shift_of(late_s, 0.15)
+    assert found.late_s == 0.0 and found.var_s2 > 0.0
+    # its posterior mean: the information against that of the prior of 10 s
+    assert found.probable_s == (pytest.approx(late_s * 0.15 / (0.15 + 0.01)) if is_named else 0.0)
+    words = f"{8.4375:.1f} s {'late' if late_s > 0 else 'early'}"
+    assert [words in note and "were not shifted" in note for note in found.notes("fixes")] == [True] * is_named
+
+
 def test_the_response_to_moved_fixes_is_the_difference_of_two_solutions(monkeypatch: pytest.MonkeyPatch) -> None:
     problems = []
     monkeypatch.setattr(smoothing, "solve", lambda problem: problems.append(problem) or solve(problem))

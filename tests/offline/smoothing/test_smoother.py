@@ -342,6 +342,15 @@ def test_without_fixes_the_track_is_that_of_dead_reckoning_with_a_growing_covari
     assert std[0][-1] > std[0][10] > 0
 
 
+def test_without_fixes_the_smoothed_deviation_of_walking_before_running_is_the_online_one() -> None:
+    """Each mode has its own uncertain step length. With "imm", smoothed mode probabilities begin to run earlier."""
+    legs = [Leg("stationary", duration_s=3.0), *(Leg(of, distance_m=15.0) for of in ("walking", "running"))]
+    walk = replace(simulate(legs, seed=1), magnetometer=None)
+    for weighting, within in (("hc", 0.02), ("imm", 0.25)):
+        online, smoothed = pdr.track(walk, weighting=weighting), smooth(walk, weighting=weighting).track
+        np.testing.assert_allclose(smoothed.position_std_m[10:], online.position_std_m[10:], rtol=within)
+
+
 def test_a_single_fix_gives_a_position_but_no_direction() -> None:
     fix = fixes_of(WALKED)[3]
     result = smooth(WALKED, [fix])
