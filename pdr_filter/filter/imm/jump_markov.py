@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -177,7 +178,7 @@ class JumpMarkovModel:
         prob = np.broadcast_to(prior, (*batch, n_modes))
         shape = (len(measured), *batch, n_modes)
         means, covs, probs, evidence = np.empty((*shape, n)), np.empty((*shape, n, n)), np.empty(shape), np.zeros(shape)
-        is_missing: BoolArray = np.asarray(~np.isfinite(measured).all(axis=-1))
+        is_missing = cast(BoolArray, np.isnan(measured).any(axis=-1, keepdims=True))
         any_missing = is_missing.reshape(len(measured), -1).any(axis=1)
         R = np.broadcast_to(self.R, (*batch, *self.R.shape))
         predicted = np.empty(shape)
@@ -186,7 +187,7 @@ class JumpMarkovModel:
             before_x, before_cov = predict(x, cov, self.F, self.Q)
             x, cov, evidence[k], _ = update(before_x, before_cov, measured[k], self.H, R)
             if any_missing[k]:
-                missing = is_missing[k, ..., None]
+                missing = is_missing[k]
                 evidence[k] = np.where(missing, 0.0, evidence[k])
                 x = np.where(missing[..., None], before_x, x)
                 cov = np.where(missing[..., None, None], before_cov, cov)
