@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.filter.imm.imm import mix, predict, update
-from pdr_filter.values import BoolArray, FloatArray, check_transition_prob
+from pdr_filter.values import FloatArray, check_transition_prob
 from pdr_filter.values.mixtures import combine, posterior_prob
 
 
@@ -178,16 +177,14 @@ class JumpMarkovModel:
         prob = np.broadcast_to(prior, (*batch, n_modes))
         shape = (len(measured), *batch, n_modes)
         means, covs, probs, evidence = np.empty((*shape, n)), np.empty((*shape, n, n)), np.empty(shape), np.zeros(shape)
-        is_missing = cast(BoolArray, np.isnan(measured).any(axis=-1, keepdims=True))
-        any_missing = is_missing.reshape(len(measured), -1).any(axis=1)
+        is_missing = np.isnan(measured) @ np.ones((d, 1)) > 0  # (T, ..., 1)
         R = np.broadcast_to(self.R, (*batch, *self.R.shape))
         predicted = np.empty(shape)
         for k in range(len(measured)):
             x, cov, predicted[k] = mix(x, cov, prob, self.transition_prob)
             before_x, before_cov = predict(x, cov, self.F, self.Q)
             x, cov, evidence[k], _ = update(before_x, before_cov, measured[k], self.H, R)
-            if any_missing[k]:
-                missing = is_missing[k]
+            if (missing := is_missing[k]).any():
                 evidence[k] = np.where(missing, 0.0, evidence[k])
                 x = np.where(missing[..., None], before_x, x)
                 cov = np.where(missing[..., None, None], before_cov, cov)
