@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.classifiers.base_classifier import Machine, row_by_row
+from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.model_files import Arrays
 from pdr_filter.values import FloatArray
 
@@ -46,7 +46,10 @@ class ForeignClassifier(Machine):
         return len(self.estimator.classes_)
 
     def _predict(self, rows: FloatArray) -> FloatArray:
-        return row_by_row(lambda row: self.estimator.predict_proba(row[None])[0], rows, self.n_classes)
+        result = np.empty((len(rows), self.n_classes))
+        for i, row in enumerate(rows):
+            result[i] = self.estimator.predict_proba(row[None])[0]
+        return result
 
     def to_arrays(self) -> Arrays:
         """Raise ValueError, because a classifier of another library contains code and cannot be stored as arrays."""
