@@ -49,6 +49,15 @@ class Method:
             "(imm). Default: the weighting of the recipe."
         ),
     ] = None
+    classifier: Annotated[
+        Literal["blend", "rvm", "forest", "boosted"] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Classifier of the contexts in the recipe default: relevance vector machines (rvm), extremely "
+            "randomised trees (forest), the mean of both (blend, the default), or logistic regression and boosted "
+            "trees (boosted).",
+        ),
+    ] = None
     model: Annotated[Path | None, typer.Option(help="Context model (.npz) for recordings with a gyroscope.")] = None
     transitions: Annotated[
         Path | None, typer.Option(help="Context transitions: transitions.json from pdr-filter train.")
@@ -67,19 +76,28 @@ class Method:
     loop: Loop = False
 
     def changes(self) -> Callable[[Config], Config]:
-        """Return a function that puts --model and --transitions into a configuration.
+        """Return a function that puts --classifier, --model and --transitions into a configuration.
 
-        ValueError or OSError for a recipe or file that cannot be used, before any recording is read.
+        ValueError or OSError for a recipe, file or combination that cannot be used, before any recording is read.
         """
         from pdr_filter import recipes
         from pdr_filter.classifiers.context_model import load_model
         from pdr_filter.classifiers.transition_files import load_transitions
 
         recipes.check_name(self.recipe)
+        if self.classifier is not None and (self.recipe != "default" or self.model is not None):
+            other = f"--recipe {self.recipe}" if self.model is None else f"--model {self.model}"
+            raise ValueError(
+                f"--classifier {self.classifier} chooses a model of the recipe default, but {other} has a model of its "
+                "own: omit one of the two"
+            )
         model = None if self.model is None else load_model(self.model)
         transitions = None if self.transitions is None else load_transitions(self.transitions)
 
         def changed(config: Config) -> Config:
+            if self.classifier is not None:
+                contexts = recipes.attitude_free_contexts(self.classifier)
+                config = replace(config, sensing=replace(config.sensing, contexts=contexts))
             if model is not None:
                 config = recipes.with_context_model(config, model)
             return config if transitions is None else recipes.with_transitions(config, transitions)
@@ -306,6 +324,7 @@ def track(
 def _check_one_table(method: Method, placement: PlacementOptions, output: OutputOptions, as_json: bool) -> None:
     """Raise ValueError for options of a single recording if many recordings are written to one table."""
     single_options = {
+        "--classifier": method.classifier,
         "--model": method.model,
         "--transitions": method.transitions,
         "--device": method.device,
