@@ -18,7 +18,7 @@ from models.training import context_training as contexts
 from models.training import guo2018_training as guo2018
 from models.training.data_sets import part_progress, recordings_of
 from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.offline.training.cross_validation import Progress, silent, train_one
+from pdr_filter.offline.training.cross_validation import Progress, calibrate_fits, fit_groups, silent
 from pdr_filter.offline.training.transition_training import (
     DEFAULT_MODEL,
     changing_recordings,
@@ -55,18 +55,22 @@ def _train_contexts(
     """
     cards: list[dict[str, Any]] = []
     default_without: Callable[[Sequence[str]], ContextModel] = shipped_model_without
-    share = 1 / len(contexts.PLANS)
+    share, n_done = 1 / len(contexts.PLANS), 0
     for kind in sorted({(plan.feature_set, plan.has_gyroscope) for plan in contexts.PLANS}):
         plans = [plan for plan in contexts.PLANS if (plan.feature_set, plan.has_gyroscope) == kind]
-        start, span = len(cards) * share, len(plans) * share
+        start, span = n_done * share, len(plans) * share
         windows = contexts.labelled_windows(paths, part_progress(progress, start, 0.2 * span), *kind)
         for i, plan in enumerate(plans):
             own, start_of_own = plan.of(windows), start + 0.2 * span + 0.8 * i * share
-            model = train_one(plan, own, part_progress(progress, start_of_own, 0.8 * share))
-            model.save(out_dir)
-            cards.append(model.card)
+            fits = fit_groups(plan, own, part_progress(progress, start_of_own, 0.8 * share))
+            model = calibrate_fits(plan, own, fits)
+            parts = (plan.fits_of_part(fits, part) for part in plan.parts)
+            for each in (model, *(calibrate_fits(of_part, own, of_fits) for of_part, of_fits in parts)):
+                each.save(out_dir)
+                cards.append(each.card)
             if plan.name == DEFAULT_MODEL:
                 default_without = partial(contexts.model_without, model, plan, own)
+        n_done += len(plans)
     return cards, default_without
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import MISSING, fields
 from typing import Any, Self, cast
 
@@ -82,14 +81,3 @@ class Machine(Stored, ABC):
     @abstractmethod
     def _predict(self, rows: FloatArray) -> FloatArray:
         """Return the probabilities (N, K) of rows (N, F) that have been checked."""
-
-
-def row_by_row(of_row: Callable[[FloatArray], FloatArray], rows: FloatArray, n_classes: int) -> FloatArray:
-    """Return the probabilities (N, K) of rows, computed one by one.
-
-    Sums over a batch can differ in the last bits from sums over a single row.
-    """
-    result = np.empty((len(rows), n_classes))
-    for i, row in enumerate(rows):
-        result[i] = of_row(row)
-    return result

@@ -1,7 +1,7 @@
-"""Blend of a linear classifier and boosted trees.
+"""Means of several classifiers: of their logits, or of their probabilities.
 
-The linear classifier extrapolates well beyond the training data, and the trees model interactions of features. On
-held-out people, their mean is better than either (docs/benchmarks.md).
+Classifiers of different kinds make different errors. A kernel machine extrapolates smoothly beyond the training data,
+and trees model interactions of features. On held-out people, their mean is better than each (docs/benchmarks.md).
 """
 
 from __future__ import annotations
@@ -13,53 +13,85 @@ import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.boosting import BoostedTrees
+from pdr_filter.classifiers.forest import Forest
+from pdr_filter.classifiers.kernel_machine import RelevanceVectors
 from pdr_filter.classifiers.model_files import Arrays, of_prefix, prefixed
 from pdr_filter.classifiers.softmax import SoftmaxRegression
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, softmax
 
-_LINEAR, _TREES = "linear_", "trees_"  # prefixes of the arrays
+_KINDS = "kinds"  # array of the kinds of the parts
+# Prefixes by the kinds of the parts, in files of earlier versions, which do not state the kinds.
+_FORMER = {"softmax": "linear_", "boosting": "trees_"}
+_TINY = 1e-300  # smallest probability of a part, whose logarithm is finite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blend(Machine):
-    """Mean of the logits of a linear classifier and of boosted trees.
+    """Mean of the logits of several classifiers with the same features and classes.
 
-    The probabilities p are proportional to (p_linear p_trees)^(1/2), with the probabilities of both classifiers.
+    The probabilities p are proportional to (p_1 p_2 ... p_n)^(1/n), with the probabilities p_i of the n parts.
     """
 
-    linear: SoftmaxRegression
-    trees: BoostedTrees
+    parts: tuple[Machine, ...]
 
     def __post_init__(self) -> None:
-        linear, trees = ((part.n_features, part.n_classes) for part in (self.linear, self.trees))
-        if linear != trees:
-            raise ValueError(f"both parts must have the same numbers of features and classes, got {linear} and {trees}")
+        shapes = sorted({(part.n_features, part.n_classes) for part in self.parts})
+        if len(shapes) != 1:
+            raise ValueError(f"all parts must have the same numbers of features and classes, got {shapes}")
 
     @property
     def n_features(self) -> int:
         """Number F of features."""
-        return self.linear.n_features
+        return self.parts[0].n_features
 
     @property
     def n_classes(self) -> int:
         """Number K of classes."""
-        return self.linear.n_classes
+        return self.parts[0].n_classes
 
     def _predict(self, rows: FloatArray) -> FloatArray:
-        relative = np.sqrt(self.linear.predict_proba(rows) * self.trees.predict_proba(rows))
-        return relative / relative.sum(axis=1, keepdims=True)
+        logits = [np.log(np.maximum(part.predict_proba(rows), _TINY)) for part in self.parts]
+        return softmax(np.add.reduce(logits) / len(logits))
 
     def to_arrays(self) -> Arrays:
-        """Return the arrays of both classifiers, with prefixed names, for `from_arrays`."""
-        return prefixed(_LINEAR, self.linear.to_arrays()) | prefixed(_TREES, self.trees.to_arrays())
+        """Return the kinds of the parts and their arrays, with prefixed names, for `from_arrays`."""
+        arrays: Arrays = {_KINDS: np.array([kind_of(part) for part in self.parts])}
+        for i, part in enumerate(self.parts):
+            arrays |= prefixed(f"{i}_", part.to_arrays())
+        return arrays
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> Self:
-        """Create the blend of a linear classifier and boosted trees from the arrays of `to_arrays`.
+        """Create the blend from the arrays of `to_arrays`. KeyError or ValueError for other arrays."""
+        if _KINDS not in arrays:
+            return cls(tuple(MACHINES[kind].from_arrays(of_prefix(p, arrays)) for kind, p in _FORMER.items()))
+        kinds = arrays[_KINDS].tolist()
+        return cls(tuple(MACHINES[kind].from_arrays(of_prefix(f"{i}_", arrays)) for i, kind in enumerate(kinds)))
 
-        KeyError or ValueError for other arrays.
-        """
-        return cls(
-            SoftmaxRegression.from_arrays(of_prefix(_LINEAR, arrays)),
-            BoostedTrees.from_arrays(of_prefix(_TREES, arrays)),
-        )
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mixture(Blend):
+    """Mean of the probabilities of several classifiers with the same features and classes.
+
+    Where the classifiers contradict each other, the mean is uncertain. The mean of the logits follows the most certain
+    one.
+    """
+
+    def _predict(self, rows: FloatArray) -> FloatArray:
+        return np.add.reduce([part.predict_proba(rows) for part in self.parts]) / len(self.parts)
+
+
+# Machines by their names in files.
+MACHINES: dict[str, type[Machine]] = {
+    "blend": Blend,
+    "boosting": BoostedTrees,
+    "forest": Forest,
+    "mixture": Mixture,
+    "relevance_vectors": RelevanceVectors,
+    "softmax": SoftmaxRegression,
+}
+
+
+def kind_of(machine: Machine) -> str:
+    """Return the name in files of the kind of a machine."""
+    return next(kind for kind, cls in MACHINES.items() if type(machine) is cls)

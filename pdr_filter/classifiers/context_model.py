@@ -15,13 +15,10 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine
-from pdr_filter.classifiers.blend import Blend
+from pdr_filter.classifiers.blend import MACHINES, kind_of
 from pdr_filter.classifiers.familiarity import Familiarity
-from pdr_filter.classifiers.forest import Forest
-from pdr_filter.classifiers.kernel_machine import RelevanceVectors
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
 from pdr_filter.classifiers.probability_calibration import slipped, tempered
-from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.values import (
     CARRYING_MODES,
     CONTEXTS,
@@ -45,13 +42,6 @@ FORMAT = ArtefactFormat("context_model", 2, "train it again, or use the version 
 HEADS: dict[str, tuple[str, ...]] = {"context": CONTEXTS, "carrying_mode": CARRYING_MODES}
 # Default labels of level walking, stairs up and stairs down, for models with familiarity of stairs.
 STAIRS_LABELS = ("walking", "upstairs", "downstairs")
-# Machines by their names in files.
-MACHINES: dict[str, type[Machine]] = {
-    "blend": Blend,
-    "forest": Forest,
-    "relevance_vectors": RelevanceVectors,
-    "softmax": SoftmaxRegression,
-}
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # a valid file name on all systems
 # Numbers and arrays that are stored as arrays of the same names.
 _NUMBERS = ("temperature", "slip", "feature_limit")
@@ -381,7 +371,7 @@ class ContextModel:
         description = {
             "name": self.name,
             "head": self.head,
-            "machine": next(kind for kind, cls in MACHINES.items() if isinstance(self.machine, cls)),
+            "machine": kind_of(self.machine),
             "feature_names": list(self.feature_names),
             "classes": list(self.classes),
             "labels": list(self.labels),

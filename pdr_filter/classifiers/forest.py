@@ -14,7 +14,7 @@ from pdr_filter.classifiers.trees import TreeMachine, Trees
 from pdr_filter.values import FloatArray
 
 if TYPE_CHECKING:
-    from sklearn.ensemble import RandomForestClassifier
+    from sklearn.ensemble import ExtraTreesClassifier, RandomForestClassifier
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ class Forest(TreeMachine):
         return self.probability.shape[1]
 
     @classmethod
-    def from_sklearn(cls, forest: RandomForestClassifier) -> Forest:
+    def from_sklearn(cls, forest: RandomForestClassifier | ExtraTreesClassifier) -> Forest:
         """Convert a fitted forest of scikit-learn to arrays. The classes keep the order of `forest.classes_`."""
         if forest.n_outputs_ != 1:
             raise ValueError(f"the forest must have one output, got {forest.n_outputs_}: train one forest for each")

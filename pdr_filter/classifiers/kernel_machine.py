@@ -5,15 +5,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from pdr_filter.classifiers.base_classifier import Machine, row_by_row
-from pdr_filter.values import FloatArray, IntArray, check_array, softmax
+from pdr_filter.classifiers.base_classifier import Machine
+from pdr_filter.values import FloatArray, IntArray, check_array, read_only, softmax
 
 KERNELS = ("rbf", "linear")
 LINKS = ("sigmoid", "softmax")
+# Number of rows that are evaluated together, whose arrays fit into the cache. Results do not depend on it.
+_BATCH_SIZE = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,11 +54,13 @@ class RelevanceVectors(Machine):
     weights: FloatArray
     cov_factor: FloatArray
     link: str = "sigmoid"  # the default is for files of version 0.1, which have no link
+    _squares: FloatArray = field(init=False, repr=False)  # (R,) squared norms of the vectors
 
     def __post_init__(self) -> None:
         self._make_read_only("vectors", "weights", "cov_factor")
         self._make_integers("basis")
         _check(self)
+        object.__setattr__(self, "_squares", read_only(np.add.reduce(self.vectors * self.vectors, axis=1)))
 
     @property
     def n_features(self) -> int:
@@ -69,29 +73,25 @@ class RelevanceVectors(Machine):
         return len(self.weights)
 
     def _predict(self, rows: FloatArray) -> FloatArray:
-        return row_by_row(self._predict_row, rows, self.n_classes)
+        of_logits = normalised_sigmoids if self.link == "sigmoid" else moderated_softmax
+        blocks = [rows[i : i + _BATCH_SIZE] for i in range(0, len(rows), _BATCH_SIZE)]
+        prob = [of_logits(*self._logits(np.ascontiguousarray(block))) for block in blocks]
+        return np.concatenate([np.zeros((0, self.n_classes)), *prob])
 
-    def _predict_row(self, row: FloatArray) -> FloatArray:
-        return (normalised_sigmoids if self.link == "sigmoid" else moderated_softmax)(*self._logits(row))
-
-    def _logits(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return mean and variance (K,) of the logits of a row (F,).
-
-        BLAS is not used, because its order of summation depends on the shapes.
-        """
-        phi = np.ones(len(self.vectors) + 1)
+    def _logits(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return mean and variance (N, K) of the logits of rows (N, F)."""
+        # One matrix-vector product per row, because products of a batch can differ in the last bits.
+        kernel = np.matmul(self.vectors, rows[:, :, None])[:, :, 0]
         if self.kernel == "rbf":
-            difference = self.vectors - features
-            phi[1:] = np.exp(np.einsum("rf,rf->r", difference, difference) / (-2.0 * self.width**2))
-        else:
-            phi[1:] = np.einsum("rf,f->r", self.vectors, features)
-        own = phi.take(self.basis)  # (K, m)
-        projected = np.einsum("kij,kj->ki", self.cov_factor, own)  # G phi
-        return np.einsum("km,km->k", self.weights, own), np.einsum("km,km->k", projected, projected)
+            distance = np.add.reduce(rows * rows, axis=1)[:, None] + self._squares - 2.0 * kernel  # squared
+            kernel = np.exp(np.maximum(distance, 0.0) / (-2.0 * self.width**2))
+        own = np.concatenate([np.ones((len(rows), 1)), kernel], axis=1).take(self.basis, axis=1)  # (N, K, m)
+        projected = np.matmul(self.cov_factor, own[..., None])[..., 0]  # G phi
+        return np.add.reduce(self.weights * own, axis=2), np.add.reduce(projected * projected, axis=2)
 
 
 def normalised_sigmoids(logit: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return class probabilities (K,) from one-against-all logits and their variances, (K,) each.
+    """Return class probabilities (..., K) from one-against-all logits and their variances, (..., K) each.
 
     p_k is proportional to sigma(kappa(variance_k) logit_k), with kappa(v) = (1 + pi v / 8)^(-1/2). This is the sigmoid
     sigma averaged over the uncertainty of the logit (MacKay 1992; Bishop 2006, eq. 4.153 and 4.154).
@@ -101,17 +101,17 @@ def normalised_sigmoids(logit: FloatArray, variance: FloatArray) -> FloatArray:
 
 
 def moderated_softmax(logit: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return class probabilities (K,) from competing logits and their variances, (K,) each.
+    """Return class probabilities (..., K) from competing logits and their variances, (..., K) each.
 
     The probability p_k of class k is proportional to 1 / sum_j exp(-kappa(variance_k + variance_j) (logit_k -
     logit_j)), with kappa(v) = (1 + pi v / 8)^(-1/2). The sum is over all classes j, and its term for j = k is 1 (a
     mean-field form of Lu, Ie and Sha 2020). Without variance p is the softmax. For two classes it is the moderated
     sigmoid of the difference.
     """
-    kappa = 1.0 / np.sqrt(1.0 + np.pi / 8.0 * (variance[:, None] + variance))
-    advantage = kappa * (logit - logit[:, None])  # [k, j]: of j over k
-    most = advantage.max(axis=1)  # not negative, because the advantage of a class over itself is 0
-    return softmax(-most - np.log(np.exp(advantage - most[:, None]).sum(axis=1)))
+    kappa = 1.0 / np.sqrt(1.0 + np.pi / 8.0 * (variance[..., None] + variance[..., None, :]))
+    advantage = kappa * (logit[..., None, :] - logit[..., None])  # [..., k, j]: of j over k
+    most = advantage.max(axis=-1)  # not negative, because the advantage of a class over itself is 0
+    return softmax(-most - np.log(np.exp(advantage - most[..., None]).sum(axis=-1)))
 
 
 def _check(machine: RelevanceVectors) -> None:

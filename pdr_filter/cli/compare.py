@@ -17,6 +17,7 @@ from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import (
     AsJson,
+    ClassifierName,
     Files,
     FixesFile,
     ModelFile,
@@ -83,6 +84,7 @@ class Setting:
             "weightings."
         ),
     ] = None
+    classifier: ClassifierName = None
     model: ModelFile = None
     transitions: TransitionsFile = None
     person: PersonFile = None
@@ -104,7 +106,7 @@ class Setting:
         """Return the configuration of a recipe with the given models."""
         import pdr_filter as pdr
 
-        changed = context_changes(self.model, self.transitions)
+        changed = context_changes(self.classifier, self.model, self.transitions, name)
         config = changed(pdr.recipes.for_recording(name, recording))
         return config if self.fixes is None else config.in_world_frame()
 

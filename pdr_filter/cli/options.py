@@ -5,9 +5,9 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_type_hints
 
 import typer
 
@@ -57,6 +57,14 @@ RangesFile = Annotated[
 AnchorsFile = Annotated[
     Path | None,
     typer.Option("--anchors", help="Positions of the anchors of --ranges: GeoJSON points, each with a name."),
+]
+ClassifierName = Annotated[
+    Literal["blend", "rvm", "forest", "boosted"] | None,
+    typer.Option(
+        metavar="NAME",
+        help="Classifier of the contexts in the recipe default: relevance vector machines (rvm), extremely randomised "
+        "trees (forest), the mean of both (blend, the default), or logistic regression and boosted trees (boosted).",
+    ),
 ]
 ModelFile = Annotated[Path | None, typer.Option(help="Context model (.npz) for recordings with a gyroscope.")]
 TransitionsFile = Annotated[
@@ -167,19 +175,33 @@ def _place(start: str | None) -> Any:
     return PositionFix(0.0, np.array([east_m, north_m]), np.eye(2))
 
 
-def context_changes(model: Path | None, transitions: Path | None) -> Callable[[Config], Config]:
-    """Return a function that puts the files --model and --transitions into a configuration.
+def context_changes(
+    classifier: Literal["blend", "rvm", "forest", "boosted"] | None,
+    model: Path | None,
+    transitions: Path | None,
+    recipe: str,
+) -> Callable[[Config], Config]:
+    """Return a function that puts --classifier, --model and --transitions into a configuration of a recipe.
 
-    ValueError or OSError for a file that cannot be used, before any recording is read.
+    ValueError or OSError for a file or combination that cannot be used, before any recording is read.
     """
     from pdr_filter import recipes
     from pdr_filter.classifiers.context_model import load_model
     from pdr_filter.classifiers.transition_files import load_transitions
 
+    if classifier is not None and (recipe != "default" or model is not None):
+        other = f"--recipe {recipe}" if model is None else f"--model {model}"
+        raise ValueError(
+            f"--classifier {classifier} chooses a model of the recipe default, but {other} has a model of its own: "
+            "omit one of the two"
+        )
     known = None if model is None else load_model(model)
     probable = None if transitions is None else load_transitions(transitions)
 
     def changed(config: Config) -> Config:
+        if classifier is not None:
+            contexts = recipes.attitude_free_contexts(classifier)
+            config = replace(config, sensing=replace(config.sensing, contexts=contexts))
         if known is not None:
             config = recipes.with_context_model(config, known)
         return config if probable is None else recipes.with_transitions(config, probable)

@@ -14,6 +14,7 @@ from pdr_filter.cli.index_page import write_index
 from pdr_filter.cli.options import (
     AnchorsFile,
     AsJson,
+    ClassifierName,
     Files,
     Folder,
     Loop,
@@ -51,6 +52,7 @@ class Method:
             "(imm). Default: the weighting of the recipe."
         ),
     ] = None
+    classifier: ClassifierName = None
     model: ModelFile = None
     transitions: TransitionsFile = None
     device: Annotated[
@@ -67,14 +69,14 @@ class Method:
     loop: Loop = False
 
     def changes(self) -> Callable[[Config], Config]:
-        """Return a function that puts --model and --transitions into a configuration.
+        """Return a function that puts --classifier, --model and --transitions into a configuration.
 
-        ValueError or OSError for a recipe or file that cannot be used, before any recording is read.
+        ValueError or OSError for a recipe, file or combination that cannot be used, before any recording is read.
         """
         from pdr_filter import recipes
 
         recipes.check_name(self.recipe)
-        return context_changes(self.model, self.transitions)
+        return context_changes(self.classifier, self.model, self.transitions, self.recipe)
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,6 +283,7 @@ def track(
 def _check_one_table(method: Method, placement: PlacementOptions, output: OutputOptions, as_json: bool) -> None:
     """Raise ValueError for options of a single recording if many recordings are written to one table."""
     single_options = {
+        "--classifier": method.classifier,
         "--model": method.model,
         "--transitions": method.transitions,
         "--device": method.device,

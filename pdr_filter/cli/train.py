@@ -19,6 +19,7 @@ class Classifier(StrEnum):
     RVM = "rvm"
     FOREST = "forest"
     BLEND = "blend"
+    BOOSTED = "boosted"
 
 
 @dataclass(frozen=True)
@@ -28,9 +29,9 @@ class Fitting:
     classifier: Annotated[
         Classifier,
         typer.Option(
-            help="Relevance vector machine (rvm), random forest (forest), or a blend "
-            "of logistic regression and boosted "
-            "trees (blend)."
+            metavar="NAME",
+            help="Relevance vector machine (rvm), random forest (forest), the mean of relevance vector machines and "
+            "extremely randomised trees (blend), or of logistic regression and boosted trees (boosted).",
         ),
     ] = Classifier.RVM
     carrying_modes: Annotated[

@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -39,7 +39,9 @@ from pdr_filter.values import HeadingDrift
 from pdr_filter.values.recording import Recording, Subject, check_height
 
 
-def default(subject: Subject | None = None) -> Config:
+def default(
+    subject: Subject | None = None, classifier: Literal["blend", "rvm", "forest", "boosted"] = "blend"
+) -> Config:
     """Return the default configuration, which is recommended for carried phones.
 
     It has an adaptive step detector with a gate against false steps, contexts from attitude-free features, and an
@@ -50,6 +52,10 @@ def default(subject: Subject | None = None) -> Config:
     subject : Subject, optional
         Person who carries the phone. Only the height is used, for the step lengths. Without a height, step lengths are
         those of a typical person, with a larger uncertainty, and a note says so.
+    classifier : {"blend", "rvm", "forest", "boosted"}
+        Classifier of the contexts. "rvm" are relevance vector machines, and "forest" are extremely randomised trees.
+        "blend" is the mean of both. "boosted" is the mean of logistic regression and boosted trees. Their accuracies
+        are in docs/benchmarks/contexts.md.
 
     Returns
     -------
@@ -59,7 +65,7 @@ def default(subject: Subject | None = None) -> Config:
     Raises
     ------
     ValueError
-        If `subject` is not a `Subject`, or if its height is implausible.
+        If `subject` is not a `Subject`, if its height is implausible, or if there is no such classifier.
 
     Notes
     -----
@@ -81,12 +87,12 @@ def default(subject: Subject | None = None) -> Config:
     height_m = subject.height_m if subject else None
     if height_m is not None:
         check_height(height_m)
-    return replace(_for_height(height_m), notes=height_notes(subject))
+    return replace(_for_height(height_m, str(classifier)), notes=height_notes(subject))
 
 
 # Cached, because stages derive filter coefficients when they are created, which takes a millisecond per recording.
 @lru_cache(maxsize=16, typed=True)
-def _for_height(height_m: float | None) -> Config:
+def _for_height(height_m: float | None, classifier: str) -> Config:
     """Return the default configuration without its notes, for a body height in m, or None for a typical person."""
     drift = HeadingDrift()
     return Config(
@@ -95,7 +101,7 @@ def _for_height(height_m: float | None) -> Config:
             steps=AdaptiveStepDetector(),
             gate=StepGate(),
             contact_smoothing=ContactTimeSmoothing(),
-            contexts=attitude_free_contexts(),
+            contexts=attitude_free_contexts(classifier),
             heading=WalkingHeading(drift=drift),
         ),
         tracker=ImmTracker(

@@ -9,7 +9,7 @@ from sklearn.datasets import make_classification
 from sklearn.ensemble import HistGradientBoostingClassifier
 from sklearn.linear_model import LogisticRegression
 
-from pdr_filter.classifiers.blend import Blend
+from pdr_filter.classifiers.blend import Blend, Mixture, kind_of
 from pdr_filter.classifiers.boosting import BoostedTrees
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 
@@ -90,15 +90,30 @@ def test_nan_is_refused_with_its_row_and_column(trained: Trained) -> None:
 def test_a_blend_is_the_mean_of_the_logits(trained: Trained) -> None:
     _, trees, X, y = trained
     fitted = LogisticRegression(max_iter=500).fit(X[:600], y[:600])
-    blend = Blend(SoftmaxRegression(fitted.coef_, fitted.intercept_), trees)
+    blend = Blend((SoftmaxRegression(fitted.coef_, fitted.intercept_), trees))
     log_prob = 0.5 * (np.log(fitted.predict_proba(X)) + np.log(trees.predict_proba(X)))
     expected = np.exp(log_prob) / np.exp(log_prob).sum(axis=1, keepdims=True)
     np.testing.assert_allclose(blend.predict_proba(X), expected, rtol=1e-9)
     back = Blend.from_arrays(blend.to_arrays())
     np.testing.assert_array_equal(back.predict_proba(X), blend.predict_proba(X))
     assert (blend.n_features, blend.n_classes) == (10, 4)
+    former = {"linear_" + name: a for name, a in blend.parts[0].to_arrays().items()}
+    former |= {"trees_" + name: a for name, a in trees.to_arrays().items()}
+    np.testing.assert_array_equal(Blend.from_arrays(former).predict_proba(X), blend.predict_proba(X))
+
+
+def test_a_mixture_is_the_mean_of_the_probabilities_and_stays_so_in_files(trained: Trained) -> None:
+    _, trees, X, y = trained
+    fitted = LogisticRegression(max_iter=500).fit(X[:600], y[:600])
+    linear = SoftmaxRegression(fitted.coef_, fitted.intercept_)
+    mixture = Mixture((Blend((linear, trees)), trees))
+    expected = 0.5 * (Blend((linear, trees)).predict_proba(X) + trees.predict_proba(X))
+    np.testing.assert_allclose(mixture.predict_proba(X), expected, rtol=1e-12)
+    assert kind_of(mixture) == "mixture"
+    back = Mixture.from_arrays(mixture.to_arrays())
+    np.testing.assert_array_equal(back.predict_proba(X), mixture.predict_proba(X))
 
 
 def test_parts_with_different_features_cannot_be_blended(trained: Trained) -> None:
     with pytest.raises(ValueError, match="same numbers of features and classes"):
-        Blend(SoftmaxRegression(np.zeros((4, 3)), np.zeros(4)), trained[1])
+        Blend((SoftmaxRegression(np.zeros((4, 3)), np.zeros(4)), trained[1]))

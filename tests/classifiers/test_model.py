@@ -15,9 +15,11 @@ from sklearn.datasets import make_blobs
 from sklearn.ensemble import RandomForestClassifier
 
 from pdr_filter.classifiers import context_model as model_module
+from pdr_filter.classifiers.blend import Blend
 from pdr_filter.classifiers.context_model import ContextModel, available_models, load_model
 from pdr_filter.classifiers.familiarity import fit_familiarity
 from pdr_filter.classifiers.forest import Forest
+from pdr_filter.classifiers.kernel_machine import RelevanceVectors
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
 from pdr_filter.sensing.contexts.context_stage import with_stairs_in_thirds
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, limits
@@ -181,6 +183,26 @@ def test_every_shipped_model_loads_and_predicts() -> None:
         model = load_model(name)
         assert model.name == name
         assert model.predict(model.feature_mean).sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("suffix", ["", "_accelerometer"])
+def test_the_default_model_is_the_mean_of_relevance_vector_machines_and_a_forest(suffix: str) -> None:
+    blend, rvm, forest = (load_model(f"context{part}{suffix}") for part in ("", "_rvm", "_forest"))
+    assert isinstance(rvm.machine, Blend) and isinstance(forest.machine, Forest)
+    assert all(isinstance(part, RelevanceVectors) for part in rvm.machine.parts)
+    X = 2.0 * np.random.default_rng(5).normal(size=(50, len(blend.feature_names)))
+    machines = np.exp(np.mean([np.log(part.predict_proba(X)) for part in rvm.machine.parts], axis=0))
+    machines /= machines.sum(axis=1, keepdims=True)
+    expected = 0.5 * (machines + forest.machine.predict_proba(X))
+    np.testing.assert_allclose(blend.machine.predict_proba(X), expected, rtol=1e-9)
+    for model in (blend, rvm, forest):
+        known = model.familiarity
+        assert known is not None and model.stairs is not None and known.usual < known.limit
+
+
+def test_a_shipped_model_has_at_most_two_megabytes() -> None:
+    folder = Path(__file__).parents[2] / "models"
+    assert all(path.stat().st_size <= 2e6 for path in folder.glob("*.npz"))
 
 
 def test_a_feature_that_is_not_finite_is_named(forest_model: ContextModel) -> None:
@@ -401,7 +423,7 @@ def test_a_description_of_something_else_is_refused(
     assert_refused(path, "not usable as context model")
 
 
-@pytest.mark.parametrize("name", ["context", "context_accelerometer", "carrying"])
+@pytest.mark.parametrize("name", ["context", "context_accelerometer", "context_boosted", "carrying"])
 def test_a_shipped_model_gives_a_window_the_same_bits_alone_and_in_a_batch(name: str) -> None:
     model = load_model(name)
     rng = np.random.default_rng(4)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,6 +100,20 @@ def test_the_weighting_is_the_one_asked_for(walk: Path, weighting: str) -> None:
 def test_the_recipe_is_the_one_asked_for(walk: Path) -> None:
     result = run("track", "--json", "--recipe", "martinelli2018", walk)
     assert json.loads(result.stdout) == pdr.smooth(pdr.read(walk), config=pdr.recipes.martinelli2018()).track.summary()
+
+
+@pytest.mark.parametrize("classifier", ["rvm", "boosted"])
+def test_the_classifier_is_the_one_asked_for(walk: Path, classifier: Any) -> None:
+    summary = json.loads(run("track", "--json", "--online", "--classifier", classifier, walk).stdout)
+    config = pdr.recipes.default(pdr.read(walk).subject, classifier=classifier)
+    assert summary == pdr.track(pdr.read(walk), config=config).summary()
+
+
+@pytest.mark.parametrize("other", [("--recipe", "martinelli2018"), ("--model", MODELS / "context_boosted.npz")])
+def test_a_classifier_is_refused_with_another_source_of_models(walk: Path, other: tuple[str, object]) -> None:
+    result = run("track", "--classifier", "rvm", *other, walk)
+    assert result.exit_code == 2
+    assert f"--classifier rvm chooses a model of the recipe default, but {other[0]}" in one_line(result.stderr)
 
 
 def test_the_model_replaces_the_one_for_windows_with_gyroscope(walk: Path) -> None:

@@ -25,6 +25,13 @@ def length_m(recipe: str, context: str, height_m: float = 1.70) -> float:
     return float(mode.step_length.predict(step)[0])
 
 
+def test_a_classifier_without_a_model_is_refused_with_the_names_of_the_others() -> None:
+    with pytest.raises(
+        ValueError, match=r"classifier must be one of \('blend', 'rvm', 'forest', 'boosted'\), got 'svm'"
+    ):
+        recipes.default(classifier="svm")  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("recipe", recipes.RECIPES)
 def test_a_step_on_stairs_is_as_long_as_a_tread(recipe: str) -> None:
     """Treads of public stairs are 0.26 to 0.32 m; downstairs people skip the edge of a landing."""

@@ -9,16 +9,17 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import clone
-from sklearn.ensemble import HistGradientBoostingClassifier, RandomForestClassifier
+from sklearn.ensemble import ExtraTreesClassifier, HistGradientBoostingClassifier, RandomForestClassifier
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
 from sklearn.utils.validation import has_fit_parameter
 
 from pdr_filter.classifiers.base_classifier import Machine
-from pdr_filter.classifiers.blend import Blend
+from pdr_filter.classifiers.blend import Blend, Mixture
 from pdr_filter.classifiers.boosting import BoostedTrees
 from pdr_filter.classifiers.foreign_classifier import ForeignClassifier
 from pdr_filter.classifiers.forest import Forest
+from pdr_filter.classifiers.probability_calibration import slipped
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier, stratified_rows
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.offline.training.cross_validation import MachineFit, TextArray
@@ -40,7 +41,7 @@ def fit_softmax(Z: FloatArray, y: TextArray, weight: FloatArray, C: float = 0.02
     return SoftmaxRegression(weights, intercept), _names(fitted.classes_)
 
 
-def fit_blend(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, Classes]:
+def fit_boosted(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, Classes]:
     """Return the mean of logistic regression and boosted trees, and its classes.
 
     Each split sees a fifth of the features, and a leaf has at least 50 windows. This makes the trees more diverse and
@@ -51,7 +52,7 @@ def fit_blend(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine,
     options: Any = {"max_iter": 100, "max_leaf_nodes": 15, "max_features": 0.2, "min_samples_leaf": 50}
     boosting = HistGradientBoostingClassifier(**options, early_stopping=cast(Any, False), random_state=0)
     boosting.fit(in_float32(Z), y, sample_weight=weight)
-    return Blend(linear, BoostedTrees.from_sklearn(boosting)), classes
+    return Blend((linear, BoostedTrees.from_sklearn(boosting))), classes
 
 
 def fit_relevance_vectors(
@@ -97,11 +98,41 @@ def fit_forest(Z: FloatArray, y: TextArray, weight: FloatArray, n_trees: int = 5
     return Forest.from_sklearn(forest), _names(forest.classes_)
 
 
+def fit_extra_trees(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Forest, Classes]:
+    """Return a forest of extremely randomised trees and its classes (Geurts, Ernst and Wehenkel 2006).
+
+    Their thresholds are drawn at random. The trees are more diverse than those of a random forest, and smooth the
+    probabilities between the training windows. A hundredth of the probability in each leaf is divided among all
+    classes, because 80 trees cannot exclude a class.
+    """
+    options: Any = {"min_samples_leaf": 3, "max_features": 0.3, "max_leaf_nodes": 500, "random_state": 0, "n_jobs": 1}
+    forest: Any = ExtraTreesClassifier(80, **options).fit(in_float32(Z), y, sample_weight=weight)
+    exact = Forest.from_sklearn(forest)
+    return Forest(exact.trees, slipped(exact.probability, 0.01)), _names(forest.classes_)
+
+
+def fit_blend(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, Classes]:
+    """Return the mean probabilities of relevance vector machines and extremely randomised trees, and the classes.
+
+    The first part is the mean of the logits of two relevance vector machines. The one with RBF kernel is local, and the
+    linear one selects features and extrapolates. On held-out people, the mean of the probabilities of both parts has a
+    log loss of 0.110, and the mean of their logits 0.112.
+    """
+    width = 0.8 * np.sqrt(2.0 * Z.shape[1])
+    local, classes = fit_relevance_vectors(
+        Z, y, weight, kernel_width=width, window_weight=0.5, max_rows=12_000, max_samples=2000
+    )
+    linear, _ = fit_relevance_vectors(Z, y, weight, kernel="linear", window_weight=0.1, max_rows=len(y))
+    trees, _ = fit_extra_trees(Z, y, weight)
+    return Mixture((Blend((local, linear)), trees)), classes
+
+
 @dataclass(frozen=True)
 class FitOfObject:
     """Fit of a classifier object with `fit`, `predict_proba` and `classes_`, such as a scikit-learn classifier.
 
-    Each fit uses an untrained copy of the object. The weights are passed if `fit` accepts `sample_weight`.
+    Each fit uses an untrained copy of the object. Weights are passed to objects that accept them. Forests of
+    scikit-learn become a `Forest`, which has the same probabilities, is faster, and can be saved.
     """
 
     classifier: Any
@@ -112,22 +143,32 @@ class FitOfObject:
         Raise ValueError if the fitted object cannot be used.
         """
         fitted: Any = clone(self.classifier, safe=False)
-        weights = {"sample_weight": weight} if has_fit_parameter(fitted, "sample_weight") else {}
-        fitted.fit(Z, y, **weights)
+        fitted.fit(Z, y, **({"sample_weight": weight} if has_fit_parameter(fitted, "sample_weight") else {}))
         if not hasattr(fitted, "classes_"):
             raise ValueError(
                 f"classifier must have classes_ after fit, but {type(fitted).__name__} has none: set it in fit"
             )
-        # only `RelevanceVectorClassifier` has a machine that can be saved
-        machine = getattr(fitted, "machine_", None)
-        if not isinstance(machine, Machine):
+        machine, classes = getattr(fitted, "machine_", None), _names(fitted.classes_)
+        if isinstance(fitted, RandomForestClassifier | ExtraTreesClassifier):
+            machine = Forest.from_sklearn(fitted)
+        elif not isinstance(machine, Machine):  # only that of `RelevanceVectorClassifier` is one
             machine = ForeignClassifier(fitted, Z.shape[1])
-        return machine, _names(fitted.classes_)
+        return machine, classes
 
 
 # Names of the classifiers in `fit_contexts` and `pdr-filter train`.
-MACHINE_FITS: dict[str, MachineFit] = {"rvm": fit_relevance_vectors, "forest": fit_forest, "blend": fit_blend}
-_KINDS = {"rvm": "Relevance vector machine", "forest": "Random forest", "blend": "Logistic regression, boosted trees"}
+MACHINE_FITS: dict[str, MachineFit] = {
+    "rvm": fit_relevance_vectors,
+    "forest": fit_forest,
+    "blend": fit_blend,
+    "boosted": fit_boosted,
+}
+_KINDS = {
+    "rvm": "Relevance vector machine",
+    "forest": "Random forest",
+    "blend": "Relevance vector machines, extremely randomised trees",
+    "boosted": "Logistic regression, boosted trees",
+}
 
 
 def machine_fit_of(classifier: object) -> tuple[MachineFit, str]:

@@ -98,8 +98,9 @@ def fit_contexts(
         Recordings with `truth.labels` (columns start_s, end_s, context, carrying_mode). Any names are allowed, and an
         empty name means unknown. `subject.id` of the metadata names the person. All recordings without one are
         attributed to one person.
-    classifier : {"rvm", "forest", "blend"} or object
-        Relevance vector machine (default), random forest, or the mean of logistic regression and boosted trees. Or an
+    classifier : {"rvm", "forest", "blend", "boosted"} or object
+        Relevance vector machine (default), random forest, the mean of relevance vector machines and extremely
+        randomised trees (as in the default recipe), or the mean of logistic regression and boosted trees. Or an
         object with `fit(X, y)`, `predict_proba(X)` and `classes_`, such as a scikit-learn classifier. It receives
         standardised features.
     features : FeatureSet or callable, optional

@@ -282,25 +282,58 @@ class TrainingPlan(ABC):
         """Return the final model with its card and the calibration from the held-out groups."""
 
 
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """Uncalibrated models of one training plan.
+
+    Attributes
+    ----------
+    model : ContextModel
+        Model fitted on all windows.
+    without : dict
+        Models fitted without a held-out group, by the name of the group, with their `Familiarity`.
+    """
+
+    model: ContextModel
+    without: dict[str, ContextModel]
+
+
 def train_one(plan: TrainingPlan, windows: LabelledWindows, progress: Progress, n_jobs: int = -1) -> ContextModel:
     """Return the model of one training plan, fitted on all its windows and scored on held-out groups of people.
 
     A `TrainingPlan` states which model to fit on which windows, and which people to hold out together. `n_jobs` is the
     number of processes, -1 for all processors.
     """
+    model = calibrate_fits(plan, windows, fit_groups(plan, windows, progress, n_jobs))
+    progress(f"{plan.name}: done", 1.0)
+    return model
+
+
+def fit_groups(plan: TrainingPlan, windows: LabelledWindows, progress: Progress, n_jobs: int = -1) -> Fits:
+    """Return the models of a training plan without each held-out group, and the model of all windows."""
     groups = plan.held_out(windows)
     n = len(groups) + 2
-    left_out: dict[str, HeldOut] = {}
-    predictions = in_parallel(partial(predict_held_out, plan, windows), groups.values(), n_jobs)
-    for i, (name, group) in enumerate(zip(groups, predictions, strict=True)):
-        left_out[name] = group
+    without: dict[str, ContextModel] = {}
+    models = in_parallel(partial(_fit_without, plan, windows), groups.values(), n_jobs)
+    for i, (name, fitted) in enumerate(zip(groups, models, strict=True)):
+        without[name] = fitted
         progress(f"{plan.name}: without {name}", (i + 1) / n)
     with threadpool_limits(1):
         model = plan.fit(plan.training_windows(windows))
-        progress(f"{plan.name}: all people", 1 - 1 / n)
-        model = plan.finished(model, windows, left_out)
-    progress(f"{plan.name}: done", 1.0)
-    return model
+    progress(f"{plan.name}: all people", 1 - 1 / n)
+    return Fits(model, without)
+
+
+def calibrate_fits(plan: TrainingPlan, windows: LabelledWindows, fits: Fits) -> ContextModel:
+    """Return the final model of a training plan, calibrated and scored on its held-out groups."""
+    with threadpool_limits(1):
+        return plan.finished(fits.model, windows, predictions(plan, windows, fits))
+
+
+def predictions(plan: TrainingPlan, windows: LabelledWindows, fits: Fits) -> dict[str, HeldOut]:
+    """Return the predictions for each held-out group by the model that was fitted without it."""
+    groups = plan.held_out(windows).items()
+    return {name: _prediction(plan, windows, group, fits.without[name]) for name, group in groups}
 
 
 def predict_held_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) -> HeldOut:
@@ -309,15 +342,26 @@ def predict_held_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolAr
     Synthetic windows made from the group are held out with it.
     """
     with threadpool_limits(1):
-        rest, rows = plan.training_windows(windows.part(~group)), group & plan.is_real(windows)
-        model = plan.fit(rest)
-        features = windows.features[rows]
-        known = with_familiarity(model, rest, 1.0, 1.0 if plan.guards_stairs else None, plan.familiar_groups(rest))
-        of_all, of_stairs = (
-            np.zeros(len(features)) if k is None else k.distance(model.standardised(features))
-            for k in (known.familiarity, known.stairs)
-        )
-        return HeldOut(rows, model.probabilities(features), of_all, of_stairs)
+        return _prediction(plan, windows, group, _fit_without(plan, windows, group))
+
+
+def _fit_without(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) -> ContextModel:
+    """Return the model of all windows without a group, with its `Familiarity`, whose limits have no meaning."""
+    with threadpool_limits(1):
+        rest = plan.training_windows(windows.part(~group))
+        stairs_limit = 1.0 if plan.guards_stairs else None
+        return with_familiarity(plan.fit(rest), rest, 1.0, stairs_limit, plan.familiar_groups(rest))
+
+
+def _prediction(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray, model: ContextModel) -> HeldOut:
+    """Return the predictions of a model for the real windows of a group that it was fitted without."""
+    rows = group & plan.is_real(windows)
+    features = windows.features[rows]
+    of_all, of_stairs = (
+        np.zeros(len(features)) if known is None else known.distance(model.standardised(features))
+        for known in (model.familiarity, model.stairs)
+    )
+    return HeldOut(rows, replace(model, stairs=None).probabilities(features), of_all, of_stairs)
 
 
 def with_familiarity(

@@ -129,13 +129,32 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
         return self.models.update_all(memory, windows, self.context_set)
 
 
-def attitude_free_contexts() -> LearnedContexts:
+# Shipped models by their classifiers. Those for windows without gyroscope have the same names and "_accelerometer".
+_MODELS: dict[str, str] = {
+    "blend": "context",
+    "rvm": "context_rvm",
+    "forest": "context_forest",
+    "boosted": "context_boosted",
+}
+
+
+def attitude_free_contexts(classifier: str = "blend") -> LearnedContexts:
     """Return the context stage of the default recipe, with the shipped models.
+
+    Parameters
+    ----------
+    classifier : {"blend", "rvm", "forest", "boosted"}
+        Classifier of the contexts, as in `pdr_filter.recipes.default`.
 
     Returns
     -------
     LearnedContexts
         Context stage whose features do not depend on the attitude of the phone.
+
+    Raises
+    ------
+    ValueError
+        If there is no such classifier.
 
     Examples
     --------
@@ -143,9 +162,15 @@ def attitude_free_contexts() -> LearnedContexts:
     >>> attitude_free_contexts().hop_s
     1.0
     """
+    if classifier not in _MODELS:
+        raise ValueError(
+            f"classifier must be one of {tuple(_MODELS)}, got {classifier!r}: pass a model of your own to "
+            "recipes.with_context_model"
+        )
+    name = _MODELS[classifier]
     models = ContextModels(
-        shipped_model("context"),
-        shipped_model("context_accelerometer"),
+        shipped_model(name),
+        shipped_model(f"{name}_accelerometer"),
         shipped_model("carrying"),
         shipped_model("carrying_accelerometer"),
     )

@@ -13,11 +13,13 @@ import numpy as np
 import pytest
 from helpers import cut_randomly
 from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.ensemble import ExtraTreesClassifier
 from sklearn.linear_model import LogisticRegression
 
 import pdr_filter as pdr
+from pdr_filter.classifiers.forest import Forest
 from pdr_filter.classifiers.model_files import ArtefactFormat
-from pdr_filter.offline.training.classifier_choice import fit_softmax, machine_fit_of
+from pdr_filter.offline.training.classifier_choice import FitOfObject, fit_softmax, machine_fit_of
 from pdr_filter.offline.training.context_sequences import estimate_transitions
 from pdr_filter.offline.training.transition_training import contexts_at
 from pdr_filter.recipes import context_transitions
@@ -189,6 +191,17 @@ def test_a_foreign_classifier_gets_the_weights_and_a_whole_recording_at_once(wal
     config = pdr.recipes.default().with_contexts(model, MODES)
     calls.clear()
     assert len(pdr.classify(walks[0], config).time_s) - 2 <= max(calls) and len(calls) <= 3
+
+
+def test_a_forest_of_scikit_learn_keeps_weights_and_probabilities_and_becomes_one_that_can_be_saved() -> None:
+    rng = np.random.default_rng(0)
+    y = np.array(["level", "jog"] * 40)
+    rows, weight = rng.normal(size=(80, 3)) + (y == "jog")[:, None], rng.uniform(0.2, 2.0, 80)
+    given = ExtraTreesClassifier(10, random_state=0)
+    machine, classes = FitOfObject(given)(rows, y, weight)
+    expected = ExtraTreesClassifier(10, random_state=0).fit(rows, y, sample_weight=weight)
+    assert classes == tuple(expected.classes_) and isinstance(machine, Forest)
+    np.testing.assert_allclose(machine.predict_proba(rows), expected.predict_proba(rows), atol=1e-14)
 
 
 def test_an_rvm_that_is_passed_as_an_object_can_be_saved(walks: list[pdr.Recording], tmp_path: Path) -> None:

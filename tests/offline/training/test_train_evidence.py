@@ -33,7 +33,7 @@ from pdr_filter.offline.training.context_sequences import (
     fit_tempering,
     log_loss_by_person,
 )
-from pdr_filter.offline.training.cross_validation import train_one
+from pdr_filter.offline.training.cross_validation import LabelledWindows, train_one
 from pdr_filter.offline.training.transition_training import (
     MIN_CHANGES,
     MIN_PEOPLE,
@@ -218,6 +218,19 @@ def test_the_shipped_model_is_refused_for_people_of_its_training_data() -> None:
     assert shipped_model_without(["mine/p0"]).name == "context"
     with pytest.raises(ValueError, match=r"motionsense/s03.*train the models again without them"):
         shipped_model_without(["mine/p0", "motionsense/s03"])
+
+
+def test_groups_hold_out_each_scored_person_once_and_whole_sites() -> None:
+    people = [f"motionsense/s{i}" for i in range(6)] + [f"difronzo/u{i}" for i in range(5)] + ["tyrex/a", "humolire/b"]
+    person = np.repeat(people, 3)
+    dataset = np.array([name.partition("/")[0] for name in person])
+    text = np.full(len(person), "walking")
+    windows = LabelledWindows(np.zeros((len(person), 1)), text, text, person, dataset, text, np.ones(len(person), bool))
+    groups = PLANS[0].held_out(windows)
+    of_people = np.sum([mask for name, mask in groups.items() if name.startswith("group")], axis=0)
+    np.testing.assert_array_equal(of_people, np.isin(dataset, ["motionsense", "difronzo"]))
+    assert all(len(np.unique(mask[person == name])) == 1 for mask in groups.values() for name in people)
+    assert [name for name in groups if not name.startswith("group")] == ["tyrex", "humolire"]
 
 
 # --- The estimate
@@ -458,7 +471,7 @@ def test_default_transitions_keep_the_track_and_others_change_its_contexts(
 
 def small_training(monkeypatch: pytest.MonkeyPatch) -> None:
     """Train one small model of MotionSense alone, and no model of the carrying mode and the pose."""
-    plan = replace(PLANS[0], machine_fit=fit_softmax, datasets=("motionsense",))
+    plan = replace(PLANS[0], machine_fit=fit_softmax, parts={}, datasets=("motionsense",))
     monkeypatch.setattr(training, "PLANS", (plan,))
 
     def carrying(paths: Any, out_dir: Any, progress: Any) -> list[dict[str, Any]]:
