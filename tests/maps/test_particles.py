@@ -25,7 +25,7 @@ from pdr_filter.values import FloorPassage
 
 WALK = round_the_block()
 # Two fixes a few metres apart: they say the start, and hardly the direction.
-FIXES = [pdr.PositionFix(0.5, [0.0, 0.0], 0.25 * np.eye(2)), pdr.PositionFix(7.0, [8.0, 0.5], 0.5 * np.eye(2))]
+FIXES = [pdr.PositionFix(0.0, [0.0, 0.0], 0.25 * np.eye(2)), pdr.PositionFix(7.0, [8.0, 0.5], 0.5 * np.eye(2))]
 
 
 def in_world(seed: int = 0, plan: pdr.FloorPlan | None = None) -> pdr.Config:
@@ -473,7 +473,8 @@ def test_later_steps_improve_earlier_smoothed_positions(plan: pdr.FloorPlan) -> 
     online, hindsight = pdr.track(WALK, config), pdr.smooth(WALK, config=config)
     early = slice(0, 40)
     assert np.median(errors_m(hindsight.track, WALK)[early]) < 0.6 * np.median(errors_m(online, WALK)[early])
-    assert_allclose(hindsight.track.end_position_m, online.end_position_m, atol=1.0)
+    apart_m = np.linalg.norm(hindsight.track.end_position_m - online.end_position_m)
+    assert apart_m < 2 * online.position_std_m[-1] and apart_m < 1.5
     assert_allclose([clusters[0].share for clusters in hindsight.track.clusters], 0.999, atol=0.002)
     with pytest.raises(ValueError, match="fixes alone"):
         pdr.smooth(WALK, plan=plan, start=start, start_heading_std_rad=0.1)

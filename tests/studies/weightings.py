@@ -32,7 +32,7 @@ import pdr_filter as pdr
 from models.training import context_training as contexts
 from models.training.context_training import PLANS, ContextPlan, labelled_windows
 from models.training.data_sets import recordings_of
-from pdr_filter.classifiers.blend import Blend
+from pdr_filter.classifiers.blend import Mixture
 from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.evaluate.comparison import second_over_first
 from pdr_filter.evaluate.distance import distance_scores
@@ -111,10 +111,10 @@ class Training:
 
         blend = cached(self.cache, f"blend_{name}", lambda: without("context"))
         found = {"blend": blend}
-        for part, indices in PLAN_OF["context"].parts.items():
-            machines = tuple(blend.machine.parts[i] for i in indices)
-            machine = machines[0] if len(machines) == 1 else Blend(machines)
+        assert isinstance(blend.machine, Mixture)
+        for part, number in PLAN_OF["context"].parts.items():
             alone = shipped_model(f"context_{part}")
+            machine = blend.machine.parts[number]
             found[part] = replace(blend, machine=machine, temperature=alone.temperature, slip=alone.slip)
         paper = cached(self.cache, f"martinelli_{name}", lambda: without("context_martinelli_rvm"))
         return found | {"martinelli2018": paper}

@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.filter.fixes.gnss import MAX_SHRINKAGE, SHRINKAGE_STD
-from pdr_filter.values import INDEPENDENT_SHARE, BoolArray, FloatArray, IntArray, PositionFix
+from pdr_filter.values import INDEPENDENT_SHARE, BoolArray, FloatArray, IntArray, PositionFix, TrackRows
 
 # Entries of the error state of a location, each a Gauss-Markov process of variance one.
 _CONSTANT, _VARYING, _SHRUNK, _LATE = slice(0, 2), slice(2, 4), 4, 5
@@ -219,18 +219,30 @@ _SHAPE_WITHIN_S, _MIN_LOCATIONS = 60.0, 5
 MOST_SCATTER = 2.0
 
 
-def scatter_of(locations: Sequence[PositionFix], walk_m: FloatArray, part: IntArray) -> float:
-    """Return the scatter of L locations about the shape of the walk, in units of their stated standard deviation.
+def scatter_of(locations: Sequence[PositionFix], track: TrackRows, part: IntArray) -> float:
+    """Return the scatter of locations about the shape of the walk, in units of their stated standard deviation.
 
-    It is the median, over all windows of two minutes, of the standard deviation from the best similarity. `walk_m`
-    (L, 2) are the positions of dead reckoning at the locations, and `part` (L,) the numbers of the parts of the walk
-    within which the heading is known. The result is 0 without a window with five locations in one part.
+    It is the median, over all windows of two minutes, of the standard deviation from the best similarity. `part`
+    (K + 1,) are the numbers of the parts of the walk, before and after each step, within which the heading is known.
+    The result is 0 without a window with five locations in one part. A clock that is up to 20 s late or early is no
+    scatter: the result is the smallest of all such shifts.
     """
-    time_s, std_m = np.array([f.time_s for f in locations]), np.sqrt([f.var_m2 for f in locations])
+    time_s = np.array([f.time_s for f in locations])
+    scatter = _scatter_at(locations, track, part, time_s)
+    if scatter <= MOST_SCATTER:
+        return scatter
+    return min(_scatter_at(locations, track, part, time_s + shift_s) for shift_s in range(-20, 21, 2))
+
+
+def _scatter_at(locations: Sequence[PositionFix], track: TrackRows, part: IntArray, time_s: FloatArray) -> float:
+    """Return the scatter of locations if they were true at the times `time_s`."""
+    std_m = np.sqrt([f.var_m2 for f in locations])
+    of_part = part[np.searchsorted(track.time_s, time_s)]
+    walk_m = np.column_stack([np.interp(time_s, track.time_s, column) for column in track.position_m.T])
     place, walk = (np.reshape(m, (-1, 2)) @ [1, 1j] for m in ([f.position_m for f in locations], walk_m))
     scatters = list[float]()
     for k, t in enumerate(time_s.tolist()):
-        near = (np.abs(time_s - t) <= _SHAPE_WITHIN_S) & (part == part[k])
+        near = (np.abs(time_s - t) <= _SHAPE_WITHIN_S) & (of_part == of_part[k])
         if near.sum() >= _MIN_LOCATIONS:
             scatters.append(_size_and_error(walk[near], place[near])[1] / float(np.median(std_m[near])))
     return float(np.median(scatters)) if scatters else 0.0

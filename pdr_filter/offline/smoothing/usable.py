@@ -128,10 +128,7 @@ def usable(
     n_fixes, of_places = len(places) - len(observed.locations), is_used[is_place]
     positions, number = _at_contacts(compress(places[:n_fixes], of_places[:n_fixes]), steps)
     stated = with_even_variances(list(compress(places[n_fixes:], of_places[n_fixes:])))
-    located_s = np.array([f.time_s for f in stated])
-    walk_m = np.column_stack([np.interp(located_s, track.time_s, column) for column in track.position_m.T])
-    part = np.append(0, np.cumsum(steps.is_turned))[np.searchsorted(track.time_s, located_s)]
-    scatter = scatter_of(stated, walk_m, part)
+    scatter = scatter_of(stated, track, np.append(0, np.cumsum(steps.is_turned)))
     locations, of_location = _at_contacts(with_scatter(stated, scatter), steps)
     of_closure, near, closures = _closures(track, observed)
     is_state = np.array([isinstance(f, HeadingFix | SpeedFix) for f in fixes], dtype=bool)

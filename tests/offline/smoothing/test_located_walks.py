@@ -5,7 +5,8 @@ from __future__ import annotations
 import inspect
 from dataclasses import replace
 from functools import cache
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -340,10 +341,11 @@ def test_locations_have_the_scatter_about_the_shape_of_the_walk_if_it_is_twice_t
     for _ in range(8):
         place_m = walk_m @ np.array([[0.6, -0.8], [0.8, 0.6]]) + rng.normal(scale=3.0 * actual, size=walk_m.shape)
         fixes = [PositionFix(t, p, 9.0 * np.eye(2), correlation_s=20.0) for t, p in zip(time_s, place_m, strict=True)]
-        part = np.zeros(len(fixes), dtype=np.int64)
-        scatter = scatter_of(fixes, walk_m, part)
+        part = np.zeros(len(fixes) + 1, dtype=np.int64)
+        walk = cast(Any, SimpleNamespace(time_s=time_s, position_m=walk_m))
+        scatter = scatter_of(fixes, walk, part)
         found.append(scatter)
         factor = with_scatter(fixes, scatter)[3].var_m2 / fixes[3].var_m2
         assert factor == pytest.approx(scatter**2 if actual == 5.0 else 1.0)
     assert np.median(found) == pytest.approx(actual, rel=0.15)
-    assert scatter_of(fixes, walk_m, np.arange(len(fixes))) == 0.0  # the heading is lost between all of them
+    assert scatter_of(fixes, walk, np.arange(len(fixes) + 1)) == 0.0  # the heading is lost between all of them

@@ -178,7 +178,7 @@ def test_the_statistics_of_a_step_are_those_of_the_samples_since_the_contact_bef
     magnitude = magnitude + 0.2 * rng.normal(size=len(magnitude))
     n = len(magnitude)
     block = uniform_block(magnitude, rate=np.zeros((n, 3)))
-    block.angular_rate_known[700:705] = False
+    block.angular_rate_known[700:705] = block.turn_known[700:705] = False
     attitude = flat_attitude(magnitude, np.cumsum(rng.normal(size=n)) / 10)
     attitude.vertical_mps2[:] += rng.normal(size=n)
     _, found = detect(WaveletStepDetector(), [block], [attitude])
