@@ -1,6 +1,6 @@
 """HC, WC and IMM where contexts change: distances of people and sites that no classifier has seen.
 
-usage: python -m tests.studies.weightings [distances] [paper] [figure] [--data DATA] [--cache FOLDER]
+usage: python -m tests.studies.weightings [distances] [paper] [--data DATA] [--cache FOLDER]
 
 distances: the steps, windows and step lengths of a configuration are the same for all weightings. The reference is the
 distance of these steps with the length of their true context, so that only errors of the contexts count. Classifiers:
@@ -14,8 +14,6 @@ are averaged first; intervals are those of Student's t over people.
 
 paper: Tables V and VI of Martinelli et al. 2018 with the bias and the spread of their errors, and what remains if a
 constant were subtracted.
-
-figure: docs/images/weightings.png, errors near changes of each person.
 """
 
 from __future__ import annotations
@@ -66,7 +64,6 @@ CLASSIFIERS = ("rvm", "forest", "blend", "martinelli2018")
 WEIGHTINGS = ("HC", "WC 0.8", "WC always", "IMM online", "IMM lagged", "IMM smoothed")
 PLAN_OF = {plan.name: plan for plan in PLANS}
 N_FOLDS = 4  # of people who are held out together, as in the training of the shipped models
-FIGURE = Path(__file__).resolve().parents[2] / "docs" / "images" / "weightings.png"
 NEAR_S = 3.0  # steps at most this far from a change of context are near it
 
 
@@ -343,36 +340,5 @@ def paper(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("martinelli2018_table_vi", ["", *names], rows, "Mean error of the distance in each context, %.")
 
 
-def figure(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Errors of HC, WC and IMM over people, on the whole walk and near changes."""
-    del tables
-    import matplotlib.pyplot as plt
-
-    from pdr_filter.report import palette
-
-    training = Training(arguments.data, arguments.cache)
-    shown = {"HC": palette.ORANGE, "WC 0.8": palette.INK, "IMM online": palette.BLUE, "IMM smoothed": "#117733"}
-    drawing, panels = plt.subplots(1, 2, figsize=(10, 4), sharey=True, layout="constrained")
-    for axes, name in zip(panels, ("joined walks", "difronzo"), strict=True):
-        for row, walks in enumerate(walks_of(training, name).values()):
-            people = sorted({w.person for w in walks})
-            for k, (weighting, colour) in enumerate(shown.items()):
-                each = [
-                    np.nanmean([abs(w.error_percent(weighting, w.is_near_change)) for w in walks if w.person == p])
-                    for p in people
-                ]
-                y = row + 0.18 * (k - 1.5)
-                axes.plot(each, np.full(len(each), y), ".", color=colour, alpha=0.4)
-                axes.plot(np.mean(each), y, "|", markersize=14, markeredgewidth=2.5, color=colour, label=weighting)
-        axes.set(yticks=range(len(CLASSIFIERS)), yticklabels=CLASSIFIERS, title=f"{name}, {len(people)} people")
-        axes.set_xlabel("error of the distance within 3 s of a change (%)")
-        axes.set_xscale("symlog", linthresh=1.0)
-        axes.spines[["top", "right"]].set_visible(False)
-    handles, labels = panels[0].get_legend_handles_labels()
-    panels[1].legend(handles[: len(shown)], labels[: len(shown)], frameon=False)
-    panels[0].invert_yaxis()
-    drawing.savefig(FIGURE, dpi=150)
-
-
 if __name__ == "__main__":
-    run(__doc__, distances, paper, figure, cache=None)
+    run(__doc__, distances, paper, cache=None)
