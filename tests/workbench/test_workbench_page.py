@@ -249,7 +249,11 @@ def test_every_page_can_be_seen_and_read(tmp_path: Path, width: int, theme: str)
     with workbench(tmp_path / "walks") as address, Browser(tmp_path) as browser:
         browser.open(address, width, 900, theme)
         id = browser.until("[...walks.values()].find(walk => walk.state === 'done')?.id", 60)
-        pages: dict[str, str] = {"": "true", f"walk/{id}": f"report() && {READY}", "plan/Hall": "plan?.features.length"}
+        pages: dict[str, str] = {
+            "": "byId('more').textContent",
+            f"walk/{id}": f"report() && {READY}",
+            "plan/Hall": "plan?.features.length",
+        }
         for page, ready in pages.items():
             browser.open(address + page, width, 900, theme)
             browser.until(ready, 60)
