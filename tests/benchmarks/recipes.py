@@ -298,7 +298,7 @@ def over(numerator: float, denominator: float, digits: int) -> str:
 
 
 def weighting_tables(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
-    """Recipe x weighting: the wide table, and what has no place in it."""
+    """Write the scores of each recipe with each weighting, as two tables."""
     rows = [(recipe, weighting) for recipe in recipes for weighting in WEIGHTINGS]
     of_row = [[r for r in records if (r.recipe, r.weighting) == row] for row in rows]
     names = [f"`{recipe}` {weighting.upper()}" for recipe, weighting in rows]

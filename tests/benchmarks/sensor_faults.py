@@ -32,7 +32,7 @@ from pdr_filter.values.rigid_fit import rigid_fit
 from tests.benchmarks.common import Tables, run
 
 CARRYING_MODES = ("texting", "pocket", "swinging", "calling")
-HERE = pdr.Origin(49.461222, 11.111590)  # of ipin2023, and of the simulated locations
+HERE = pdr.Origin(49.461222, 11.111590)  # place of ipin2023, and origin of the simulated locations
 LOCATION_STD_M, LOCATION_EVERY_S = 3.0, 5.0
 # White noise of ten times the noise of a phone at 100 Hz (barometer: 10 Hz), and a resolution a hundred times coarser.
 # Locations: metres of noise and degrees of resolution, 11 m.

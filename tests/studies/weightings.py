@@ -63,8 +63,8 @@ from tests.benchmarks.weightings import (
 CLASSIFIERS = ("rvm", "forest", "blend", "martinelli2018")
 WEIGHTINGS = ("HC", "WC 0.8", "WC always", "IMM online", "IMM lagged", "IMM smoothed")
 PLAN_OF = {plan.name: plan for plan in PLANS}
-N_FOLDS = 4  # of people who are held out together, as in the training of the shipped models
-NEAR_S = 3.0  # steps at most this far from a change of context are near it
+N_FOLDS = 4  # groups of people, each held out together, as in the training of the shipped models
+NEAR_S = 3.0  # largest time from a step to a change of context that is near
 
 
 # Table V: error of the total distance of each of the 15 subjects, %.
@@ -320,7 +320,7 @@ def bias_and_spread(errors: Sequence[float]) -> list[str]:
 
 
 def paper(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Tables V and VI beside the joined walks with martinelli2018."""
+    """Write Tables V and VI of the paper beside our errors on the joined walks."""
     walks = walks_of(Training(arguments.data, arguments.cache), "joined walks")["martinelli2018"]
     errors: dict[str, list[float]] = {f"paper, {name}": list(found) for name, found in TABLE_V.items()}
     gain = float(np.mean(TABLE_V["WC"]) - np.mean(TABLE_V["HC"]))

@@ -191,7 +191,7 @@ def position_fixes(
 _GOOD_M = 10.0
 # Age up to which a location counts as the present position.
 _PRESENT_S = 2.0
-_MAX_SPEED_MPS = 2.0  # of a pedestrian
+_MAX_SPEED_MPS = 2.0  # fast walking
 _NO_PLACE = [math.nan, math.nan]
 
 

@@ -246,7 +246,7 @@ class ClimbRate:
         rounding_m = metres_per_hpa * np.where(np.isfinite(quantum_hpa), quantum_hpa, 0.0) / math.sqrt(12)
         # A constant climb has no second differences. Those of white noise have six times its variance.
         second_m = np.diff(height_m, 2, prepend=0.0, append=0.0)
-        second_m[np.concatenate([each, each + n - 1])] = 0.0  # those that span two windows
+        second_m[np.concatenate([each, each + n - 1])] = 0.0  # second differences across the border of two windows
         own_var_m2 = sums(second_m * second_m) / (6.0 * (n - 2)) - rounding_m**2
         sensor_m = np.sqrt(np.maximum(own_var_m2, noise_m**2))
         # A rate of repeated values is the difference of two rounded ones. So is each rate of a coarse sensor.

@@ -384,7 +384,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def test_places_are_searched_twice_a_second_at_most_however_often_ranges_come(monkeypatch: pytest.MonkeyPatch) -> None:
     counted, recording = searches(monkeypatch), walk(4)
     fixes = [
-        pdr.RangeFix(time_s, np.array(anchor_m), 200.0 + 0.01 * time_s, 0.3)  # of no place at all
+        pdr.RangeFix(time_s, np.array(anchor_m), 200.0 + 0.01 * time_s, 0.3)  # too long for any place
         for time_s in np.arange(5.0, 9.0, 1 / 60)
         for anchor_m in ANCHORS[:2]
     ]
