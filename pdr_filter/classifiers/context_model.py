@@ -18,7 +18,7 @@ import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.blend import MACHINES, kind_of
-from pdr_filter.classifiers.familiarity import Familiarity
+from pdr_filter.classifiers.familiarity import Familiarity, unknown_share
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
 from pdr_filter.classifiers.probability_calibration import slipped, tempered
 from pdr_filter.values import (
@@ -324,15 +324,14 @@ class ContextModel(Shipped):
                 "leave such windows out or fill in a value"
             )
         standardised = self.standardised(values)
-        unknown, unlike_stairs = (
-            np.zeros(len(values)) if known is None else known.unknown_share(standardised)
-            for known in (self.familiarity, self.stairs)
-        )
+        known, unlike_stairs = self.familiarity, np.zeros(len(values))
+        distance = unlike_stairs if known is None else known.distance(standardised)
+        unknown = distance if known is None else unknown_share(distance, known.limit, known.sharpness)
+        if self.stairs is not None:
+            unlike_stairs = self.stairs.unknown_share(standardised)
         prob = blend_stairs_with_prior(self._predict_standardised(standardised), unlike_stairs, self._level_and_stairs)
         prob = prob / prob.sum(axis=1, keepdims=True)
-        unlike = (
-            [False] * len(values) if self.familiarity is None else self.familiarity.is_unlike(standardised).tolist()
-        )
+        unlike = [False] * len(values) if known is None else known.is_unlike(distance).tolist()
         columns = prob, unknown.tolist(), unlike_stairs.tolist(), unlike
         return [Assessment(*each) for each in zip(*columns, strict=True)]
 
