@@ -129,6 +129,22 @@ def test_a_filter_that_is_finished_or_has_seen_nothing_or_no_gyroscope_can_be_lo
         assert pdr.OnlineFilter.load(online.save()).save() == online.save()
 
 
+def test_a_saved_filter_has_own_models_and_refers_to_shipped_ones_of_equal_content() -> None:
+    shipped = load_model("context")
+    config = recipes.default()
+    assert len(pdr.OnlineFilter(config).save()) < 50_000
+    own = pdr.OnlineFilter(config.with_contexts(replace(shipped, temperature=2.0)))
+    assert pdr.OnlineFilter.load(own.save()).config.sensing.contexts.models.with_gyroscope.temperature == 2.0
+    retrained = replace(shipped)
+    object.__setattr__(retrained, "_checksum", "0" * 64)
+    blob = pdr.OnlineFilter(config.with_contexts(retrained)).save()
+    with pytest.raises(ValueError, match="another context model 'context' than the saved filter"):
+        pdr.OnlineFilter.load(blob)
+    for name in ("models/context.npz", "unknown"):  # nothing outside of the package is read
+        with pytest.raises(ValueError, match=name):
+            type(shipped).of_reference(name, "")
+
+
 @pytest.mark.parametrize("part", [b"[],", b"{},", b"1.5,", b'{"a":[]},'], ids=str)
 def test_a_small_file_of_many_values_does_not_fill_the_memory(part: bytes) -> None:
     content = b'{"format":7,"value":[' + part * (12_000_000 // len(part)) + b"0]}"

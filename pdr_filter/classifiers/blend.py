@@ -50,7 +50,7 @@ class Blend(Machine):
         return self.parts[0].n_classes
 
     def _predict(self, rows: FloatArray) -> FloatArray:
-        logits = [np.log(np.maximum(part.predict_proba(rows), _TINY)) for part in self.parts]
+        logits = [np.log(np.maximum(part._predict(rows), _TINY)) for part in self.parts]
         return softmax(np.add.reduce(logits) / len(logits))
 
     def to_arrays(self) -> Arrays:
@@ -78,7 +78,7 @@ class Mixture(Blend):
     """
 
     def _predict(self, rows: FloatArray) -> FloatArray:
-        return np.add.reduce([part.predict_proba(rows) for part in self.parts]) / len(self.parts)
+        return np.add.reduce([part._predict(rows) for part in self.parts]) / len(self.parts)
 
 
 # Machines by their names in files.

@@ -6,9 +6,11 @@ versions, metrics). Reading never unpickles anything, and all content is checked
 
 from __future__ import annotations
 
+import hashlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -16,7 +18,7 @@ import numpy as np
 
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.blend import MACHINES, kind_of
-from pdr_filter.classifiers.familiarity import Familiarity
+from pdr_filter.classifiers.familiarity import Familiarity, unknown_share
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
 from pdr_filter.classifiers.probability_calibration import slipped, tempered
 from pdr_filter.values import (
@@ -34,6 +36,7 @@ from pdr_filter.values import (
     pickled,
     read_only,
 )
+from pdr_filter.values.serialisation import Shipped
 
 # Version 2 added heads, temperature, the limit of the features, and familiarity.
 FORMAT = ArtefactFormat("context_model", 2, "train it again, or use the version that wrote it")
@@ -72,7 +75,7 @@ class Assessment(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ContextModel:
+class ContextModel(Shipped):
     """Trained classifier of contexts or carrying modes: features of a window in, calibrated probabilities out.
 
     F is the number of features, K the number of classes in the training data, and L the number of labels.
@@ -163,6 +166,8 @@ class ContextModel:
     prior_exponent: float | None = None
     features: FeatureSet | None = None
     needs_gyroscope: bool = True
+    # Checksum of the files of a shipped model; empty for any other, and for a changed copy.
+    _checksum: str = field(default="", init=False, repr=False)
 
     __reduce__ = pickled
 
@@ -180,6 +185,42 @@ class ContextModel:
     def contexts(self) -> tuple[str, ...]:
         """Labels of the model, in the order of the probabilities."""
         return self.labels
+
+    def reference(self) -> tuple[str, str] | None:
+        """Return name and checksum of a shipped model, otherwise None.
+
+        Returns
+        -------
+        tuple of str, or None
+            Name and checksum, by which a saved filter refers to the model.
+        """
+        return (self.name, self._checksum) if self._checksum else None
+
+    @classmethod
+    def of_reference(cls, name: str, checksum: str) -> ContextModel:
+        """Return a shipped model by name and checksum.
+
+        Parameters
+        ----------
+        name : str
+            Name of the model.
+        checksum : str
+            Checksum from `reference`.
+
+        Returns
+        -------
+        ContextModel
+            The model.
+
+        Raises
+        ------
+        ValueError
+            If the package has no model of this name, or a model with another checksum.
+        """
+        path = _find(name)
+        if path is name or _shipped_at(path)._checksum != checksum:
+            raise ValueError(f"this version has another context model {name[:60]!r} than the saved filter")
+        return _shipped_at(path)
 
     def renamed(self, names: Mapping[str, str]) -> ContextModel:
         """Return a copy with renamed labels.
@@ -283,15 +324,14 @@ class ContextModel:
                 "leave such windows out or fill in a value"
             )
         standardised = self.standardised(values)
-        unknown, unlike_stairs = (
-            np.zeros(len(values)) if known is None else known.unknown_share(standardised)
-            for known in (self.familiarity, self.stairs)
-        )
+        known, unlike_stairs = self.familiarity, np.zeros(len(values))
+        distance = unlike_stairs if known is None else known.distance(standardised)
+        unknown = distance if known is None else unknown_share(distance, known.limit, known.sharpness)
+        if self.stairs is not None:
+            unlike_stairs = self.stairs.unknown_share(standardised)
         prob = blend_stairs_with_prior(self._predict_standardised(standardised), unlike_stairs, self._level_and_stairs)
         prob = prob / prob.sum(axis=1, keepdims=True)
-        unlike = (
-            [False] * len(values) if self.familiarity is None else self.familiarity.is_unlike(standardised).tolist()
-        )
+        unlike = [False] * len(values) if known is None else known.is_unlike(distance).tolist()
         columns = prob, unknown.tolist(), unlike_stairs.tolist(), unlike
         return [Assessment(*each) for each in zip(*columns, strict=True)]
 
@@ -520,7 +560,18 @@ def load_model(name_or_path: str | Path) -> ContextModel:
     >>> load_model("context").head
     'context'
     """
-    return FORMAT.read(_find(name_or_path), _assemble)
+    path = _find(name_or_path)
+    return FORMAT.read(path, _assemble) if path is name_or_path else _shipped_at(path)
+
+
+@cache
+def _shipped_at(path: str | Path) -> ContextModel:
+    """Return the shipped model with the files at a path, which are read once, with its checksum."""
+    model = FORMAT.read(path, _assemble)
+    # The description contains the checksum of the arrays. Its line endings can differ between systems.
+    description = file_pair(path)[0].read_text("utf-8")
+    object.__setattr__(model, "_checksum", hashlib.sha256(description.encode()).hexdigest())
+    return model
 
 
 def available_models() -> tuple[str, ...]:

@@ -64,13 +64,13 @@ class Familiarity(Stored):
         groups = zip(centres, axes, variance, strict=True)
         return np.minimum.reduce([_distance(z - centre, of_group, along) for centre, of_group, along in groups])
 
-    def is_unlike(self, standardised: FloatArray) -> BoolArray:
-        """True for windows (...) farther than `usual` or `limit`, from standardised features (..., F).
+    def is_unlike(self, distance: FloatArray) -> BoolArray:
+        """True for windows whose distances (...) exceed `usual` or `limit`.
 
         It holds for few windows of people like those of the training, so that it tells more of a whole recording than
         of one window.
         """
-        return self.distance(standardised) > min(self.usual, self.limit)
+        return distance > min(self.usual, self.limit)
 
     def unknown_share(self, standardised: FloatArray) -> FloatArray:
         """Return the unknown share of each window, 0 to 1, shape (...), from its F standardised features, (..., F).

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -27,11 +28,20 @@ from pdr_filter.cli.options import (
 )
 from pdr_filter.values.sanitise import file_name
 
+if TYPE_CHECKING:
+    from pdr_filter.values import Table
+
 
 @dataclass(frozen=True)
 class Estimation:
-    """Options of the calibration: model, loss, prior and persons."""
+    """Options of the calibration: recipe, model, loss, prior and persons."""
 
+    recipe: Annotated[
+        str,
+        typer.Option(
+            help="Recipe that detects the steps, and whose step-length models are fitted: a name, or module:function."
+        ),
+    ] = "default"
     model: Annotated[
         str | None,
         typer.Option(
@@ -96,15 +106,17 @@ def calibrate(
             "each_a_person": how.each_a_person,
             "progress": show,
         }
+        pdr.recipes.check_name(how.recipe)
         if steps is not None and distance is None:
             raise ValueError(f"--steps {steps} needs the length of the walk: give --distance in m, too")
         if jobs is None and scheduler is None and resume is None:
             recordings = [pdr.read(file) for file in console.recordings_of(files)]
             if distance is not None:
                 recordings = [recording.of_distance(distance, steps) for recording in recordings]
-            result = pdr.calibrate(recordings, **options)
-        elif distance is not None:
-            raise ValueError("--distance is for one process: leave out --jobs, --scheduler and --resume")
+            config = None if how.recipe == "default" else pdr.recipes.for_recording(how.recipe, recordings[0])
+            result = pdr.calibrate(recordings, config=config, **options)
+        elif distance is not None or how.recipe != "default":
+            raise ValueError("--distance and --recipe are for one process: leave out --jobs, --scheduler and --resume")
         else:
             result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
         n_rejected = len(result.distrusted)
@@ -125,13 +137,22 @@ def calibrate(
             written.append(figure)
         for stem, rows in as_tables.items():
             # standard deviations have four decimals in LaTeX, so that covariances need eight
-            digits = 8 if stem.name == "covariance" else 4
-            written += pdr.evaluate.write_tables(rows, stem, digits, f"{stem.name.capitalize()} of the calibration.")
+            digits, caption = 8 if stem.name == "covariance" else 4, f"{stem.name.capitalize()} of the calibration."
+            written += pdr.evaluate.write_tables(rows, stem, digits, caption, _fitted(rows, result.contexts))
     for line in result.report().split("\n"):
         console.print_line(line)
     for path in written:
         console.stderr().print(f"written: {escape(str(path))}")
     console.say_replaced(before)
+
+
+def _fitted(rows: Table, contexts: Sequence[str]) -> Table:
+    """Return the rows of a table of parameters or covariances that are of calibrated contexts; all of other tables."""
+    import numpy as np
+
+    columns = [] if "parameter" not in (rows.dtype.names or ()) else ["context", "other_context"]
+    is_fitted = [np.isin(rows[name], contexts) for name in columns if name in (rows.dtype.names or ())]
+    return cast("Table", rows[np.all(is_fitted, axis=0)]) if is_fitted else rows
 
 
 def smooth(

@@ -119,7 +119,7 @@ def write_tables(
     stem: str | Path,
     digits: int = 2,
     caption: str | None = None,
-    shown: Sequence[Mapping[str, object]] | None = None,
+    shown: Table | Sequence[Mapping[str, object]] | None = None,
 ) -> tuple[Path, Path]:
     """Write a table as STEM.csv, with all digits, and as STEM.tex, with rounded floats.
 
@@ -135,7 +135,7 @@ def write_tables(
         Number of decimals of floats in the .tex.
     caption : str, optional
         Caption of the .tex, which then has the label "tab:STEM".
-    shown : sequence of mapping, optional
+    shown : Table or sequence of mapping, optional
         Rows of the .tex in place of `rows`, such as `study_rows(study)`.
 
     Returns

@@ -587,7 +587,8 @@ class OnlineFilter:
     def save(self) -> bytes:
         """Serialise the filter, so that `load` continues with identical results.
 
-        The bytes contain the state, the configuration and its models, but no code. A configuration with parts of
+        The bytes contain the state, the configuration and models of your own, but no code. Models of the package are
+        stored by name and checksum, so that `load` needs a version with the same models. A configuration with parts of
         classes outside of pdr_filter is not included: `load` then needs it as an argument, with classes of the same
         names and modules. Waiting measurements of such classes are omitted with a UserWarning.
 

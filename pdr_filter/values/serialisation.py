@@ -2,7 +2,8 @@
 
 The bytes are zlib-compressed JSON with a version and a checksum. Arrays are stored as their exact bytes, and
 dataclasses by name. Only dataclasses of this package, and of the first state that the caller gives, are loaded. All
-other types are refused when saving and when loading. The checksum detects damage, and the declared types of fields are
+other types are refused when saving and when loading. Unchanged values of the package's files, such as its trained
+models, are stored by name and checksum. The checksum of the bytes detects damage, and the declared types of fields are
 checked as well. Bytes with a forged checksum can produce a filter with wrong values, but cannot execute code.
 """
 
@@ -16,7 +17,7 @@ import sys
 import zlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from typing import Any, cast, get_args, get_type_hints
+from typing import Any, Self, cast, get_args, get_type_hints
 
 import numpy as np
 
@@ -27,11 +28,26 @@ _PACKAGE = "pdr_filter"
 # other names of classes and fields.
 _FORMAT = 7
 _VALUE = ', "value": '  # separates the header from the text of the checksum
-# A filter with its models has some MB, nearly all of it arrays, and some thousand values.
+# A filter with own models has some MB, nearly all of it arrays, and some thousand values.
 _MAX_BYTES = 64 << 20
 _MAX_VALUES = 2_000_000
 # Packages with the classes of a filter. Classes of other packages are loaded only if their module is imported already.
 _PACKAGES = ("values", "classifiers", "sensing", "filter", "recipes", "tracking", "maps")
+
+
+class Shipped:
+    """Base class of dataclasses with values in files of the package, which are saved by name and checksum."""
+
+    __slots__ = ()
+
+    def reference(self) -> tuple[str, str] | None:
+        """Return name and checksum if this is an unchanged value of the package, otherwise None."""
+        raise NotImplementedError
+
+    @classmethod
+    def of_reference(cls, name: str, checksum: str) -> Self:
+        """Return the value of the package. ValueError if it has none of this name and checksum."""
+        raise NotImplementedError
 
 
 def to_bytes(value: object, first: object = None) -> bytes:
@@ -153,6 +169,8 @@ def _encode(value: Any, own: Mapping[str, type[Any]]) -> Any:
             raise TypeError("only mappings with text keys can be saved: JSON turns others into text")
         return {"dict": {key: _encode(v, own) for key, v in mapping.items()}}
     cls = cast(type[Any], type(value))
+    if isinstance(value, Shipped) and (reference := value.reference()):
+        return {"shipped": _name(cls), "reference": list(reference)}
     if is_dataclass(value) and (cls.__module__.partition(".")[0] == _PACKAGE or own.get(_name(cls)) is cls):
         content = {f.name: _encode(getattr(value, f.name), own) for f in fields(value) if f.init}
         return {"dataclass": _name(cls), "fields": content}
@@ -176,6 +194,8 @@ def _decode(value: Any, own: Mapping[str, type[Any]]) -> Any:
         return [_decode(v, own) for v in _of_type(node["list"], list, "the items of a list")]
     if "dict" in node:
         return {key: _decode(v, own) for key, v in node["dict"].items()}
+    if "shipped" in node:
+        return _shipped(node)
     name = _of_type(node["dataclass"], str, "the class of a dataclass")
     content = {field: _decode(v, own) for field, v in node["fields"].items()}
     if name.partition(":")[0].partition(".")[0] != _PACKAGE:
@@ -188,6 +208,14 @@ def _decode(value: Any, own: Mapping[str, type[Any]]) -> Any:
     cls = _dataclass(name)
     check_declared(cls, content)
     return cls(**content)
+
+
+def _shipped(node: Mapping[str, Any]) -> Shipped:
+    cls = _dataclass(_of_type(node["shipped"], str, "the class of a shipped value"))
+    if not issubclass(cls, Shipped):
+        raise ValueError(f"the package has no files of a {cls.__name__}")
+    name, checksum = (_of_type(text, str, "name and checksum of a shipped value") for text in node["reference"])
+    return cls.of_reference(name, checksum)
 
 
 def _of_type(value: Any, cls: type, what: str) -> Any:

@@ -19,8 +19,8 @@ left out as a whole, and of every third walk of ubicomp13, which trains nothing;
 sites: level walking that is called stairs, at the steps and by how the phone is carried. Models of the training sets
 are trained without the whole set; the others are never trained on. With and without the guard of stairs.
 
-barometer: ipin2023 goes up and down stairs with the phone in the hand, ipin21 stays on one storey. Truth is the climb
-rate of the barometer about each step (4 s, not causal): above 0.1 m/s it is on stairs.
+barometer: one walk of ipin2023 goes up and down stairs with the phone in the hand. Truth is the climb rate of the
+barometer about each step (4 s, not causal): above 0.1 m/s it is on stairs. All other walks stay on one storey.
 """
 
 from __future__ import annotations
@@ -461,33 +461,47 @@ def on_the_level(recording: Recording, time_s: FloatArray) -> BoolArray:
     return np.isin(contexts_at(recording, time_s), (WALKING, -1))
 
 
+def changes_storey(recording: Recording) -> bool:
+    """True if the waypoints are on several storeys."""
+    return len(set(recording.truth.waypoints.floor.tolist())) > 1
+
+
 def barometer(tables: Tables, arguments: argparse.Namespace) -> None:
     """Stairs in the hand, by barometer."""
-    rows = []
+    of_walks: dict[str, list[dict[str, IntArray]]] = {}
     for site in ("ipin2023", "ipin21"):
         for recording in recordings(arguments.data, site):
-            assert recording.barometer is not None
             config = default(recording.subject)
-            climb = ClimbRate()
-            pressure = recording.barometer
-            _, climbs = climb.update(climb.init(), pressure.time_s, pressure.values[:, 0])
-            middle_s = np.array([c.time_s - climb.window_s / 2 for c in climbs])
             live, later = pdr.track(recording, config=config), pdr.smooth(recording, config=config).track
-            rate_mps = np.interp(live.time_s, middle_s, [c.climb_rate_mps for c in climbs])
             alone = pdr.track(replace(recording, barometer=None), config=config)
-            truth = np.where(rate_mps > STAIRS_MPS, UP, np.where(rate_mps < -STAIRS_MPS, DOWN, WALKING))
-            for answer, prob in (
-                ("without barometer", alone.mode_prob),
-                ("window", live.context_prob),
-                ("filtered", live.mode_prob),
-                ("smoothed", later.mode_prob),
-            ):
-                said = prob.argmax(axis=1)
-                cells = [f"{np.mean(said[truth == c] == c):.2f}" for c in (UP, DOWN)]
-                level = np.isin(said, (UP, DOWN))[truth == WALKING]
-                rows.append([f"{site} ({len(said)} steps)", answer, *cells, f"{level.mean():.2f}"])
-    columns = ["", "answer", "climbing called upstairs", "descending called downstairs", "level called stairs"]
+            is_climbing = changes_storey(recording)
+            said = {
+                "truth": climbs_at(recording, live.time_s) if is_climbing else np.full(live.n_steps, WALKING),
+                "without barometer": alone.mode_prob.argmax(axis=1),
+                "window": live.context_prob.argmax(axis=1),
+                "filtered": live.mode_prob.argmax(axis=1),
+                "smoothed": later.mode_prob.argmax(axis=1),
+            }
+            of_walks.setdefault(f"{site}, {'stairs' if is_climbing else 'one storey'}", []).append(said)
+    rows: list[list[str]] = []
+    for name, walks in of_walks.items():
+        truth, *answers = (np.concatenate([walk[column] for walk in walks]) for column in walks[0])
+        for answer, best in zip(list(walks[0])[1:], answers, strict=True):
+            cells = [f"{np.mean(best[truth == c] == c):.2f}" if (truth == c).any() else "-" for c in (UP, DOWN)]
+            level = np.isin(best, (UP, DOWN))[truth == WALKING]
+            rows.append([f"{name} ({len(walks)}, {len(truth)} steps)", answer, *cells, f"{level.mean():.2f}"])
+    columns = ["walks", "answer", "climbing called upstairs", "descending called downstairs", "level called stairs"]
     tables.write("context_barometer", columns, rows, "Climb rates above 0.1 m/s, of the barometer about each step.")
+
+
+def climbs_at(recording: Recording, time_s: FloatArray) -> IntArray:
+    """Level walking, stairs up or stairs down at times (K,), by the climb rate of the barometer about each."""
+    climb, pressure = ClimbRate(), recording.barometer
+    assert pressure is not None
+    _, climbs = climb.update(climb.init(), pressure.time_s, pressure.values[:, 0])
+    middle_s = np.array([c.time_s - climb.window_s / 2 for c in climbs])
+    rate_mps = np.interp(time_s, middle_s, [c.climb_rate_mps for c in climbs])
+    return np.where(rate_mps > STAIRS_MPS, UP, np.where(rate_mps < -STAIRS_MPS, DOWN, WALKING))
 
 
 MIN_STEPS = 20  # a recording with fewer says little in per cent

@@ -92,7 +92,7 @@ def test_windows_are_unlike_from_the_usual_distance_or_else_from_the_limit() -> 
     rows = np.array([[1.5, 1.5], [0.5, 0.5], [2.5, 2.5]])
     for usual, expected in ((1.0, [True, False, True]), (np.inf, [False, False, True])):
         fitted = Familiarity(np.eye(2), np.ones(2), limit=2.0, usual=usual)
-        assert fitted.is_unlike(rows).tolist() == expected
+        assert fitted.is_unlike(fitted.distance(rows)).tolist() == expected
 
 
 def test_arrays_restore_the_familiarity_of_classes() -> None:

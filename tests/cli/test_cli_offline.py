@@ -43,6 +43,8 @@ def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
     covariance = (tmp_path / "tables" / "covariance.tex").read_text()
     walking = re.search(r"^walking & 0 & walking & 0 & (\S+) ", covariance, re.MULTILINE)
     assert walking is not None
+    parameters = (tmp_path / "tables" / "parameters.tex").read_text()  # only of contexts that were walked
+    assert set(re.findall(r"^(\w+) & \d", parameters, re.MULTILINE)) == set(calibration.contexts) == {"walking"}
     assert float(walking[1]) == pytest.approx(calibration.k_cov["walking"][0, 0], rel=1e-4)
     calibrated = pdr.smooth(recording, calibration=tmp_path / "me.json").track
     assert json.loads(result.stdout) == calibrated.summary()
@@ -68,6 +70,9 @@ def test_model_loss_prior_and_person_of_a_calibration_are_options(tmp_path: Path
         assert run("calibrate", *walks, "--out", out, "--each-a-person", *extra).exit_code == 0
         assert list(load_calibration(out).subjects) == ["a", "b"]
     assert run("calibrate", *walks, "--out", out, "--model", "guess").exit_code == 2
+    assert run("calibrate", *walks, "--out", out, "--recipe", "martinelli2018").exit_code == 0
+    expected = pdr.calibrate([pdr.read(w) for w in walks], config=pdr.recipes.martinelli2018())
+    np.testing.assert_array_equal(load_calibration(out).theta, expected.theta)
 
 
 def test_a_calibration_without_segments_ends_with_one_line_that_says_so(walk: Path, tmp_path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.sensing.contexts.context_stage import ContextModels, ContextStage, WindowContext, WindowStage
@@ -241,9 +240,8 @@ def _with_features_of(models: Sequence[ContextModel | None], stage: LearnedConte
     return replace(stage, windows=replace(stage.windows, features=joined))
 
 
-@cache
 def shipped_model(name: str) -> ContextModel:
-    """Return a context model of the package by its name; it is read once.
+    """Return a context model of the package by its name.
 
     Parameters
     ----------
