@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers import resumed
 from scipy.stats import chi2
 
 import pdr_filter as pdr
@@ -147,7 +148,7 @@ def test_saving_does_not_change_a_filter_with_two_hypotheses() -> None:
     parts = (samples.specific_force_mps2, samples.angular_rate_radps)
     first.push(samples.time_s[:n], *(part[:n] for part in parts))
     assert first.state.rival is not None
-    second = pdr.OnlineFilter.load(first.save())
+    second = resumed(first)
     updates = [f.push(samples.time_s[n:], *(part[n:] for part in parts)) for f in (first, second)]
     np.testing.assert_array_equal(*([u.position_m for u in each] for each in updates))
 
