@@ -290,7 +290,8 @@ def test_a_ride_without_steps_is_named_in_a_smoothed_track(tmp_path: Path) -> No
 @pytest.mark.parametrize("late_s", [0.0, 25.0])
 def test_an_app_is_told_of_a_ride_and_neither_of_a_walk_nor_of_an_outlier(late_s: float) -> None:
     walk = on_one_clock(pdr.simulate.demo_walk())
-    time_s, walking, rate = walk.accelerometer.time_s, walk.accelerometer.values, walk.gyroscope.values
+    n = int(np.searchsorted(walk.accelerometer.time_s, 50.0))
+    time_s, walking, rate = walk.accelerometer.time_s[:n], walk.accelerometer.values[:n], walk.gyroscope.values[:n]
 
     def notes(places_m: list[float], force: np.ndarray) -> list[str]:
         online = pdr.OnlineFilter()
