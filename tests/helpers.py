@@ -27,6 +27,7 @@ from pdr_filter.sensing.front_end import Event, Sensing
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, ImuBlock, Step, Windows
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.serialisation import to_bytes
 
 T = TypeVar("T")
 
@@ -62,6 +63,17 @@ def cut_randomly(block: ImuBlock, seed: int, mean_length: int = 40) -> list[ImuB
     return cut(block, list(rng.integers(0, n + 1, size=max(n // mean_length, 1))))
 
 
+def resumed(online: pdr.OnlineFilter) -> pdr.OnlineFilter:
+    """The filter after it was saved, without its configuration, and loaded with it.
+
+    The default configuration has 14 MB of models: to save and load it as well takes half a second, 15 times as long.
+    `test_saved.py` and `test_online_equals_offline.py` do.
+    """
+    late = {"late": tuple(online._late)} if online._late else {}
+    blob = to_bytes({"config": None, "state": online.state, **late})
+    return pdr.OnlineFilter.load(blob, config=online.config)
+
+
 def pushed(
     online: pdr.OnlineFilter,
     blocks: Sequence[ImuBlock],
@@ -71,7 +83,7 @@ def pushed(
     """The finished filter and all its updates.
 
     `before` may push other things that were measured until the end of a block; its last call is for all that is left.
-    The filter is saved and loaded after `n_resumed` of the blocks: each time costs as much as half a minute of samples.
+    The filter is saved and loaded after `n_resumed` of the blocks.
     """
     resumed_at = set(np.linspace(len(blocks) - 1, 0, n_resumed, dtype=int).tolist())
     updates: list[pdr.StepUpdate] = []
@@ -82,7 +94,7 @@ def pushed(
             block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
         )
         if k in resumed_at:
-            online = pdr.OnlineFilter.load(online.save())
+            online = resumed(online)
     if before:
         before(online, np.inf)
     return online, [*updates, *online.finish()]

@@ -100,8 +100,14 @@ def good_filter(recipe: str, *, located: bool) -> bytes:
 
 
 def config_of(recipe: str) -> pdr.Config:
-    """The configuration of a recipe, or of parts of users."""
-    return own_config() if recipe == "own" else recipes.RECIPES[recipe](recipes.Subject(height_m=1.7))
+    """The configuration of a recipe, or of parts of users.
+
+    The default one has boosted trees, which are saved and loaded five times as fast as its usual forest.
+    """
+    subject = recipes.Subject(height_m=1.7)
+    if recipe == "default":
+        return recipes.default(subject, classifier="boosted")
+    return own_config() if recipe == "own" else recipes.RECIPES[recipe](subject)
 
 
 # --- what can happen to saved filters ---------------------------------------------------------------------------------

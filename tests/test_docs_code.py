@@ -41,7 +41,7 @@ NOT_RUN = {"docs/methods/batch.md", "docs/methods/rvm.md", "docs/methods/smoothi
 CODE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 WITH_CODE = [name for name, text in PAGES.items() if CODE.search(text) and name not in NOT_RUN | {"docs/index.md"}]
 
-_RING = [[-60.0, -60.0], [60.0, -60.0], [60.0, 60.0], [-60.0, 60.0], [-60.0, -60.0]]
+_RING = [[-40.0, -40.0], [40.0, -40.0], [40.0, 40.0], [-40.0, 40.0], [-40.0, -40.0]]
 BUILDING = [
     {
         "type": "Feature",

@@ -105,7 +105,7 @@ def assert_same_updates(actual: Sequence[pdr.StepUpdate], expected: Sequence[pdr
 
 
 # The front end, where blocks matter most, is the same for all weightings: only one of them gets tiny blocks.
-@pytest.mark.parametrize(("weighting", "mean_length"), [("imm", 7), ("imm", 40), ("wc", 40), ("hc", 40)])
+@pytest.mark.parametrize(("weighting", "mean_length"), [("imm", 7), ("wc", 40), ("hc", 40)])
 def test_the_simulated_walk_gives_the_same_bits_however_it_arrives(
     demo: Recording, tracked_demo: Callable[[str], Track], weighting: str, mean_length: int
 ) -> None:
@@ -137,7 +137,7 @@ def test_a_filter_is_the_same_after_each_short_block_and_returns_steps_at_most_o
         assert_same_updates(returned[: len(known)], known)
         state, output = filtering.update(at_once.config, state, block, provisional=True)
         known += output.updates
-        if i % 3 == 0:  # in between, windows wait for the next block
+        if i % 11 == 0:  # in between, windows wait for the next block
             assert to_bytes(online.state) == to_bytes(state)
     assert len(known) > 20
     at_once.state = state
@@ -155,9 +155,7 @@ def test_a_whole_recording_computes_no_provisional_steps(
 
 
 @pytest.mark.recordings
-@pytest.mark.parametrize(
-    ("name", "weighting"), [*zip(REAL, WEIGHTINGS, strict=True), (REAL[1], "imm"), (REAL[2], "imm")]
-)
+@pytest.mark.parametrize(("name", "weighting"), list(zip(REAL, ("hc", "wc", "imm"), strict=True)))
 def test_real_recordings_give_the_same_bits_however_they_arrive(data_dir: Path, name: str, weighting: str) -> None:
     recording = pdr.read(data_dir / name)
     blocks = cut_randomly(pdr.merge_streams(recording), seed=len(name))
@@ -304,11 +302,13 @@ def test_detect_steps_finds_the_steps_of_the_track_whether_or_not_the_detector_u
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 def test_a_filter_saved_in_the_middle_of_a_walk_continues_as_if_nothing_had_happened(
-    demo: Recording, weighting: str
+    demo: Recording, short_walk: Recording, weighting: str
 ) -> None:
-    blocks = cut(pdr.merge_streams(demo), [1500, 3003, 3007, 9000])
-    expected = stream(online_filter(weighting), blocks)
-    online, updates = online_filter(weighting), []
+    # The state of the IMM depends on the whole walk. Boosted trees are saved five times as fast as the default.
+    blocks = cut(pdr.merge_streams(demo if weighting == "imm" else short_walk), [1500, 2003, 2007, 9000])
+    config = recipes.default(classifier="boosted").with_weighting(weighting)
+    expected = stream(pdr.OnlineFilter(config), blocks)
+    online, updates = pdr.OnlineFilter(config), []
     for block in blocks:
         online = pdr.OnlineFilter.load(online.save())
         updates += push(online, block)
@@ -317,7 +317,7 @@ def test_a_filter_saved_in_the_middle_of_a_walk_continues_as_if_nothing_had_happ
 
 def test_a_filter_saved_while_a_window_waits_loses_no_step() -> None:
     config = recipes.zhou2019()
-    walk = simulate([Leg("walking", distance_m=15.0)], seed=4)
+    walk = simulate([Leg("walking", distance_m=8.0)], seed=4)
     online, updates = pdr.OnlineFilter(config), list[pdr.StepUpdate]()
     for i, block in enumerate(cut(pdr.merge_streams(walk), list(range(0, 9999, 10)))):
         updates += push(online, block)
@@ -645,9 +645,9 @@ def test_a_recipe_that_needs_a_sensor_says_which_one_is_missing(short_walk: Reco
     assert tracked(short_walk, replace(recipes.default(), needs=("gyroscope",))).n_steps > 0
 
 
-def test_an_app_gets_the_notes_of_the_whole_recording() -> None:
+def test_an_app_gets_the_notes_of_the_whole_recording(short_walk: Recording) -> None:
     """With a rejected fix, a person of unknown height, and a fix that comes too late."""
-    walk = from_hand_to_pocket()
+    walk = short_walk
     stranger = replace(walk, meta={k: v for k, v in walk.meta.items() if k != "subject"})
     fixes = [
         PositionFix(20.0, np.array([900.0, 0.0]), np.eye(2)),
@@ -664,10 +664,11 @@ def test_an_app_gets_the_notes_of_the_whole_recording() -> None:
         assert any(words in note for note in online.notes)
 
 
-@pytest.mark.parametrize("height_m", [None, 1.60, 1.93])
-def test_an_app_that_knows_as_much_of_a_person_as_the_recording_gives_the_same_track(height_m: float | None) -> None:
-    walk = from_hand_to_pocket()
-    walk = replace(walk, meta={**walk.meta, "subject": {"height_m": height_m}})
+@pytest.mark.parametrize("height_m", [None, 1.60])
+def test_an_app_that_knows_as_much_of_a_person_as_the_recording_gives_the_same_track(
+    short_walk: Recording, height_m: float | None
+) -> None:
+    walk = replace(short_walk, meta={**short_walk.meta, "subject": {"height_m": height_m}})
     track, samples = pdr.track(walk), pdr.merge_streams(walk)
     updates = [u for u in stream(pdr.OnlineFilter(height_m=height_m), [samples]) if u.is_final]
     np.testing.assert_array_equal([u.step_length_m for u in updates], track.step_length_m)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from saved_mutations import FILTERS, a_calibration, at, between, damaged_filter, good_filter, try_one
+from saved_mutations import FILTERS, a_calibration, at, between, config_of, damaged_filter, good_filter, try_one
 
 import pdr_filter as pdr
 from pdr_filter import recipes
@@ -109,24 +109,24 @@ def test_a_saved_filter_of_which_one_value_cannot_be_is_refused_by_its_name(
 @pytest.mark.parametrize("until_s", [0.05, 0.3, 1.5, 8.5])
 @pytest.mark.parametrize("recipe", recipes.RECIPES)
 def test_a_filter_can_be_saved_at_any_time_of_a_segment(recipe: str, until_s: float) -> None:
-    online = pdr.OnlineFilter(recipes.RECIPES[recipe](None))
-    online.push(*between(0.0, until_s))
-    assert pdr.OnlineFilter.load(online.save()).save() == online.save()
-    online.push(*between(20.0, 20.0 + until_s))  # after a gap
-    assert pdr.OnlineFilter.load(online.save()).save() == online.save()
+    online = pdr.OnlineFilter(config_of(recipe))
+    for begin_s in (0.0, 20.0):  # and after a gap
+        online.push(*between(begin_s, begin_s + until_s))
+        saved = online.save()
+        assert pdr.OnlineFilter.load(saved).save() == saved
 
 
 @pytest.mark.parametrize("name", recipes.RECIPES)
 def test_a_filter_that_is_finished_or_has_seen_nothing_or_no_gyroscope_can_be_loaded(name: str) -> None:
-    recipe = recipes.RECIPES[name]
     time_s, force, *_ = between(0.0, 20.0)
-    fresh, finished = pdr.OnlineFilter(recipe(None)), pdr.OnlineFilter.load(good_filter(recipe.__name__, located=False))
+    fresh, finished = pdr.OnlineFilter(config_of(name)), pdr.OnlineFilter.load(good_filter(name, located=False))
     finished.push(*between(25.0, 45.0))
     finished.finish()
-    blind = pdr.OnlineFilter(recipe(None))
+    blind = pdr.OnlineFilter(config_of(name))
     blind.push(time_s + 1.7e9, force)
     for online in (fresh, finished, blind):
-        assert pdr.OnlineFilter.load(online.save()).save() == online.save()
+        saved = online.save()
+        assert pdr.OnlineFilter.load(saved).save() == saved
 
 
 def test_a_saved_filter_has_own_models_and_refers_to_shipped_ones_of_equal_content() -> None:

@@ -18,8 +18,18 @@ from pdr_filter.report.page_data import track_data
 
 
 @pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Demo:
-    return run_demo(None, tmp_path_factory.mktemp("demo"))
+def fractions() -> list[float]:
+    """Progress of the demonstration."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory, fractions: list[float]) -> Demo:
+    return run_demo(None, tmp_path_factory.mktemp("demo"), fractions.append)
+
+
+def straight_walk() -> pdr.Recording:
+    return pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=40.0)], seed=3, name="walk")
 
 
 def printed(demo: Demo) -> str:
@@ -94,7 +104,7 @@ def test_the_summary_names_the_files_the_uncertainty_and_the_next_step(simulated
 
 
 def test_the_demo_of_a_file_tracks_that_file_and_claims_no_truth(tmp_path: Path) -> None:
-    walk = pdr.simulate.demo_walk(seed=3)
+    walk = straight_walk()
     file = write_recording(walk, tmp_path / "mine.zip")
     demo = run_demo(file, tmp_path / "out")
     assert demo.track.n_steps == pdr.track(pdr.read(file)).n_steps
@@ -105,7 +115,7 @@ def test_the_demo_of_a_file_tracks_that_file_and_claims_no_truth(tmp_path: Path)
 
 
 def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> None:
-    walk = pdr.simulate.demo_walk(seed=3)
+    walk = straight_walk()
     time_s = np.arange(1.0, walk.duration_s, 5.0)
     truth = walk.truth.position
     place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
@@ -129,9 +139,8 @@ def test_a_recording_without_steps_makes_a_demo_that_says_so(tmp_path: Path) -> 
     assert demo.picture.is_file()
 
 
-def test_progress_reaches_one(tmp_path: Path) -> None:
-    fractions: list[float] = []
-    run_demo(None, tmp_path, fractions.append)
+def test_progress_reaches_one(simulated: Demo, fractions: list[float]) -> None:
+    assert fractions == sorted(fractions)
     assert fractions[-1] == 1.0
 
 

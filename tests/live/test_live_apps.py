@@ -20,12 +20,12 @@ from pdr_filter.live.settings import Settings
 from pdr_filter.values.recording import Recording
 
 Messages = list[dict[str, Any]]
-N_STEPS = 70  # of the walk, but for the last ones, which wait for later samples
+N_STEPS = 40  # of the walk, but for the last ones, which wait for later samples
 
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    return short_walk(45.0)
+    return short_walk(32.0)
 
 
 @pytest.fixture(scope="module")
@@ -135,5 +135,5 @@ def test_a_phone_that_returns_after_an_hour_goes_on_in_its_session(walk: Recordi
     for message in later:
         devices.take(json.dumps(message).encode(), "", "", "", 0.0)
     (session,) = devices.sessions.values()
-    recording = check(tmp_path, session.track(), walk, n_steps=50)
+    recording = check(tmp_path, session.track(), walk, n_steps=40)
     assert recording.accelerometer.time_s[-1] > 3600.0

@@ -33,8 +33,8 @@ from pdr_filter.values.recording import Recording
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    """Fifty seconds of a walk."""
-    return short_walk(50.0)
+    """A walk of half a minute."""
+    return short_walk(32.0)
 
 
 def taken(folder: Path, bodies: Sequence[bytes], **settings: Any) -> tuple[DeviceSession, list[Event]]:

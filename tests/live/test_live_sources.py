@@ -41,7 +41,7 @@ CONFIG = {
 @pytest.fixture(scope="module")
 def walk() -> Recording:
     """Forty seconds of a walk with two sensors."""
-    return replace(short_walk(40.0), magnetometer=None)
+    return replace(short_walk(30.0), magnetometer=None)
 
 
 @contextmanager

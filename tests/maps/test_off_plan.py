@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import resumed
 from made_up import FEATURES, box, feature, line, write
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -55,7 +56,7 @@ def test_a_start_in_a_hole_is_named_with_the_number_of_steps_online_and_smoothed
     for i in range(0, len(samples.time_s), 37):
         part = slice(i, i + 37)
         online.push(samples.time_s[part], samples.specific_force_mps2[part], samples.angular_rate_radps[part])
-        online = pdr.OnlineFilter.load(online.save()) if i % 370 == 0 else online
+        online = resumed(online) if i % 370 == 0 else online
     online.finish()
     assert [note for note in online.notes if OFF in note] == [start, steps]
 

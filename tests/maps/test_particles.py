@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import a_step, updates_of
+from helpers import a_step, resumed, updates_of
 from made_up import FEATURES, box, errors_m, feature, line, round_the_block, turned, write
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import truncnorm
@@ -377,7 +377,7 @@ def test_a_wrong_start_is_named_and_the_deviation_covers_the_true_position_onlin
     online, samples = pdr.OnlineFilter(config), pdr.merge_streams(walk)
     updates = []
     for block in np.array_split(np.arange(len(samples.time_s)), 5):
-        online = pdr.OnlineFilter.load(online.save())
+        online = resumed(online)
         updates += online.push(
             samples.time_s[block], samples.specific_force_mps2[block], samples.angular_rate_radps[block]
         )
@@ -433,7 +433,7 @@ def test_grids_with_two_candidates_find_a_walk_with_an_unknown_start_for_any_blo
         online.add_fix(grid)
     updates = []
     for block in np.array_split(np.arange(len(samples.time_s)), 7):
-        online = pdr.OnlineFilter.load(online.save())
+        online = resumed(online)
         updates += online.push(
             samples.time_s[block], samples.specific_force_mps2[block], samples.angular_rate_radps[block]
         )

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import resumed
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 
@@ -255,7 +256,7 @@ def test_times_that_go_back_give_the_track_and_notes_of_the_recording_also_when_
     online, updates = pdr.OnlineFilter(), list[pdr.StepUpdate]()
     for number, piece in enumerate(pieces_in_order(WALK, moved, seed)):
         if number % 100 == 50:
-            online = pdr.OnlineFilter.load(online.save())
+            online = resumed(online)
         updates += push_all(online, [piece])
     assert_same_track([u for u in [*updates, *online.finish()] if u.is_final], track)
     own = [note for note in online.notes if not note.startswith(SENSORS)]
@@ -353,7 +354,7 @@ def test_a_sensor_that_ends_or_begins_half_way_is_named_online_offline_and_in_in
                 streams[name] = Samples(times_s[rows], values[rows])
         online.push_streams(streams)
     assert note in online.notes
-    assert note in pdr.OnlineFilter.load(online.save()).notes
+    assert note in resumed(online).notes
 
 
 def test_an_accelerometer_that_ends_half_way_is_named_in_the_track_and_a_complete_one_is_not() -> None:

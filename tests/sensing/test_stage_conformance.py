@@ -60,7 +60,7 @@ def test_every_step_length_of_a_recipe_passes_the_checks_for_models_of_users(nam
 
 
 @pytest.mark.parametrize("name", STAGES)
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(edges=st.lists(st.integers(0, N - 1), max_size=60), seed=st.integers(0, 1000))
 def test_what_a_stage_finds_does_not_depend_on_how_samples_arrive(name: str, edges: list[int], seed: int) -> None:
     stage, samples = STAGES[name], walk(seed)

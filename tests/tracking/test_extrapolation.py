@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import resumed
 
 import pdr_filter as pdr
 from pdr_filter import recipes
@@ -237,7 +238,7 @@ def test_the_deviation_is_the_same_for_any_blocks_and_after_save_and_resume(weig
             for i in range(start, start + 700, cut):
                 part = slice(i, i + cut)
                 online.push(SAMPLES.time_s[part], SAMPLES.specific_force_mps2[part], SAMPLES.angular_rate_radps[part])
-            online = pdr.OnlineFilter.load(online.save()) if resumes else online
+            online = resumed(online) if resumes else online
             found.append(online.now().position_std_m)
         return found
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import cut_randomly
+from helpers import cut_randomly, resumed
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
@@ -115,7 +115,7 @@ def test_the_path_does_not_depend_on_the_blocks_of_samples_and_survives_saving(a
     for number, block in enumerate(cut_randomly(around, 0)):
         push(cut, block)
         if number % 40 == 20:
-            cut = pdr.OnlineFilter.load(cut.save())
+            cut = resumed(cut)
     np.testing.assert_array_equal(rows(cut), rows(whole))
 
 

@@ -88,10 +88,11 @@ def mixture(walk: SensedWalk, rng: np.random.Generator, has_wrong: bool) -> list
 
 @pytest.mark.parametrize("has_wrong", [False, True])
 @pytest.mark.parametrize("frame", ["world", "start"])
-def test_any_mixture_of_fixes_leaves_valid_covariances_that_hold_the_truth(
+def test_any_mixture_of_fixes_leaves_valid_covariances_that_hold_the_truth_and_improves_dead_reckoning(
     poor_walk: SensedWalk, frame: str, has_wrong: bool
 ) -> None:
     config = poor_walk.world if frame == "world" else poor_walk.config
+    alone_m = poor_walk.errors_m(poor_walk.tracked([], poor_walk.config))
     nees: list[float] = []
     for seed in range(6):
         fixes = mixture(poor_walk, np.random.default_rng(seed), has_wrong)
@@ -103,19 +104,11 @@ def test_any_mixture_of_fixes_leaves_valid_covariances_that_hold_the_truth(
         error = (track.position_m - poor_walk.at(track.time_s))[known]
         if len(error):
             nees.append(float(np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.cov_m2[known]), error).mean()))
+        if frame == "start":  # in which dead reckoning has no unknown rotation
+            assert np.mean(poor_walk.errors_m(track) ** 2) < np.mean(alone_m**2)
     # the expected mean is two; the errors of one walk are correlated, and wrong fixes increase them
     assert np.median(nees) < (3.0 if has_wrong else 2.5)
     assert np.mean(nees) < (6.0 if has_wrong else 4.0)
-
-
-def test_with_a_share_of_wrong_fixes_the_track_is_better_than_dead_reckoning(
-    poor_walk: SensedWalk,
-) -> None:
-    alone_m = poor_walk.errors_m(poor_walk.tracked([], poor_walk.config))
-    for seed in range(8):
-        fixes = mixture(poor_walk, np.random.default_rng(seed), has_wrong=True)
-        found_m = poor_walk.errors_m(poor_walk.tracked(fixes, poor_walk.config))
-        assert np.sqrt(np.mean(found_m**2)) < np.sqrt(np.mean(alone_m**2))
 
 
 @pytest.mark.parametrize("constants_s", [(20.0,), (20.0, 12.0), (300.0, 20.0)])
@@ -160,8 +153,8 @@ def test_a_hundred_consistent_fixes_give_the_covariance_of_a_kalman_filter() -> 
 @pytest.mark.parametrize(
     ("interval_s", "n_wrong"),
     [
-        *((0.2, 10), (0.5, 3), (1.0, 1), (1.0, 10), (4.9, 3), (5.0, 3), (5.5, 3), (5.5, 5)),
-        *((6.0, 3), (6.3, 3), (10.0, 5), (20.0, 1), (20.0, 5), (40.0, 3), (60.0, 2)),
+        *((0.2, 10), (1.0, 1), (4.9, 3), (5.0, 3), (5.5, 5)),
+        *((6.3, 3), (10.0, 5), (20.0, 1), (40.0, 3), (60.0, 2)),
     ],
 )
 def test_the_track_recovers_from_wrong_first_fixes_at_any_interval(
@@ -184,8 +177,7 @@ def broken_walk() -> SensedWalk:
     return SensedWalk(simulate([*rounds(1), Leg("stationary", duration_s=RIDE_S), *rounds(2)], seed=3))
 
 
-@pytest.mark.parametrize("interval_s", [0.5, 5.5, 20.0])
-@pytest.mark.parametrize("far_m", [30.0, 1e3, 1e5])
+@pytest.mark.parametrize(("interval_s", "far_m"), [(0.5, 30.0), (0.5, 1e5), (5.5, 1e3), (20.0, 30.0), (20.0, 1e5)])
 def test_after_a_ride_of_any_length_the_track_is_relocated_to_its_fixes(
     broken_walk: SensedWalk, interval_s: float, far_m: float
 ) -> None:
@@ -250,9 +242,7 @@ def late_error_m(walk: SensedWalk) -> Callable[[int], float]:
     return of_seed
 
 
-@pytest.mark.parametrize(
-    ("time_s", "seed", "off_deg"), [(4.0, 2, 45.0), (4.0, 2, 180.0), (4.0, 3, 90.0), (7.0, 1, 45.0), (7.0, 1, 180.0)]
-)
+@pytest.mark.parametrize(("time_s", "seed", "off_deg"), [(4.0, 2, 45.0), (4.0, 3, 90.0), (7.0, 1, 180.0)])
 def test_one_wrong_early_heading_fix_is_discarded(
     walk: SensedWalk, late_error_m: Callable[[int], float], time_s: float, seed: int, off_deg: float
 ) -> None:
@@ -284,8 +274,7 @@ def test_the_note_about_a_discarded_heading_says_what_to_check() -> None:
 # --- frozen positions -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("interval_s", [1.0, 5.0, 30.0])
-@pytest.mark.parametrize("frame", ["world", "start"])
+@pytest.mark.parametrize(("interval_s", "frame"), [(1.0, "world"), (5.0, "start"), (30.0, "world")])
 def test_repeated_positions_do_not_hold_back_a_walking_pedestrian(
     walk: SensedWalk, frame: str, interval_s: float
 ) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import part_of
+from helpers import part_of, resumed
 
 import pdr_filter as pdr
 from pdr_filter.filter.fixes.repeated_fixes import FixMemory, repetitions
@@ -124,7 +124,7 @@ def test_a_filter_that_is_saved_still_knows_which_fixes_it_has_seen() -> None:
     for part in (slice(0, 1800), slice(1800, 2000)):
         samples = part_of(block, part)
         online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps)
-        online = pdr.OnlineFilter.load(online.save())
+        online = resumed(online)
         online.add_fix(fix)
     online.finish()
     assert [result.outcome for result in online.now().fixes] == ["used", "repeated"]

@@ -425,8 +425,7 @@ def blocks_of(recording: Recording, seed: int) -> list[ImuBlock]:
     return cut_randomly(pdr.merge_streams(recording), seed, mean_length=150)
 
 
-@pytest.mark.parametrize("weighting", ["imm", "wc"])
-@pytest.mark.parametrize("rate", [1, 10])
+@pytest.mark.parametrize(("weighting", "rate"), [("imm", 1), ("wc", 10)])
 def test_heights_do_not_depend_on_the_blocks_of_samples_and_pressure(
     stairs: Recording, weighting: str, rate: int
 ) -> None:

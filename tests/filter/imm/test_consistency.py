@@ -104,7 +104,7 @@ def test_an_overconfident_filter_fails_these_tests() -> None:
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
 def test_hours_of_walking_and_rest_do_not_enlarge_the_state(weighting: str) -> None:
     """No array of the state grows, so that neither memory nor time of a step grows."""
-    n_steps = 2000
+    n_steps = 1700
     tracker = pdr.recipes.default().with_weighting(weighting).tracker
     state, found, _ = run_day(tracker, n_steps, 86_400.0 * n_steps / 60_000)
     sizes = np.array(found)

@@ -22,9 +22,9 @@ R = np.pi / 2
 
 
 @cache
-def walk(*turns: float) -> pdr.Recording:
-    """Return a simulated walk of legs of 70 m with these turns between them."""
-    legs = [Leg("stationary", duration_s=5.0), *(Leg("walking", distance_m=70.0, turn_rad=t) for t in (0.0, *turns))]
+def walk(*turns: float, leg_m: float = 45.0) -> pdr.Recording:
+    """Return a simulated walk of legs with these turns between them."""
+    legs = [Leg("stationary", duration_s=5.0), *(Leg("walking", distance_m=leg_m, turn_rad=t) for t in (0.0, *turns))]
     return replace(simulate(legs, seed=7, name="walk"), magnetometer=None)
 
 
@@ -116,13 +116,17 @@ def test_the_response_to_moved_fixes_is_the_difference_of_two_solutions(monkeypa
 # --- smoothed walks ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("late_s", [18.0, -12.0])
-@pytest.mark.parametrize("source", ["locations", "fixes"])
+@cache
+def smoothed(late_s: float) -> pdr.Smoothed:
+    return pdr.smooth(located(walk(R, R, -R), late_s))
+
+
+@pytest.mark.parametrize(("source", "late_s"), [("locations", 18.0), ("fixes", -12.0)])
 def test_late_observations_are_named_and_give_the_walk_of_the_right_clock(source: str, late_s: float) -> None:
     if source == "fixes":
         right, late = (pdr.smooth(walk(R, R, -R), fixes(walk(R, R, -R), d)) for d in (0.0, late_s))
     else:
-        right, late = (pdr.smooth(located(walk(R, R, -R), d)) for d in (0.0, late_s))
+        right, late = smoothed(0.0), smoothed(late_s)
     notes = [n for n in late.notes if n.startswith(f"the {source} are ")]
     assert len(notes) == 1
     assert (" late " if late_s > 0 else " early ") in notes[0]
@@ -139,7 +143,7 @@ def test_late_observations_are_named_and_give_the_walk_of_the_right_clock(source
 
 
 def test_a_right_clock_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = pdr.smooth(located(walk(R, R, -R), 0.0)).track
+    found = smoothed(0.0).track
     monkeypatch.setattr(smoothing, "estimated_shift", lambda at: ClockShift())
     fixed = pdr.smooth(located(walk(R, R, -R), 0.0)).track
     np.testing.assert_array_equal(found.position_m, fixed.position_m)
@@ -147,7 +151,7 @@ def test_a_right_clock_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_without_turns_the_deviation_along_the_walk_is_wider(monkeypatch: pytest.MonkeyPatch) -> None:
-    straight = walk()
+    straight = walk(leg_m=70.0)
     given = [fix for fix in fixes(straight, 0.0) if 15.0 < fix.time_s < 45.0]
     found = pdr.smooth(straight, given)
     monkeypatch.setattr(smoothing, "estimated_shift", lambda at: ClockShift())

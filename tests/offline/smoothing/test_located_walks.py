@@ -41,6 +41,11 @@ def bare() -> pdr.Recording:
     return replace(simulate(legs, seed=3, name="walk"), magnetometer=None)
 
 
+@cache
+def smoothed_bare() -> pdr.Smoothed:
+    return pdr.smooth(bare())
+
+
 def truth_m(walk: pdr.Recording, times_s: np.ndarray) -> np.ndarray:
     """Return the true positions in metres from `HERE`."""
     truth = walk.truth.position
@@ -107,14 +112,14 @@ def test_a_walk_smoothed_with_locations_has_smaller_errors_than_the_online_track
 
 
 def test_with_gnss_off_a_walk_is_smoothed_as_if_it_had_no_locations() -> None:
-    off, alone = pdr.smooth(located(), gnss="off").track, pdr.smooth(bare()).track
+    off, alone = pdr.smooth(located(), gnss="off").track, smoothed_bare().track
     np.testing.assert_array_equal(off.position_m, alone.position_m)
     assert off.origin is None
 
 
 def test_aligned_locations_rotate_and_shift_the_smoothed_walk_without_deforming_it() -> None:
     walk = located()
-    smoothed, alone = pdr.smooth(walk, gnss="align").track, pdr.smooth(bare()).track
+    smoothed, alone = pdr.smooth(walk, gnss="align").track, smoothed_bare().track
     np.testing.assert_allclose(np.diff(smoothed.walked_m), np.diff(alone.walked_m), atol=1e-9)
     apart = [t.position_m - t.position_m[0] for t in (smoothed, alone)]
     np.testing.assert_allclose(*(np.linalg.norm(a, axis=1) for a in apart), atol=1e-6)
@@ -123,7 +128,7 @@ def test_aligned_locations_rotate_and_shift_the_smoothed_walk_without_deforming_
 
 def test_the_smoothed_walk_has_the_given_origin_and_heading() -> None:
     smoothed = pdr.smooth(bare(), origin=HERE, heading_rad=1.2)
-    plain = pdr.smooth(bare())
+    plain = smoothed_bare()
     expected = plain.track.turned(1.2).placed(HERE)
     np.testing.assert_array_equal(smoothed.track.position_m, expected.position_m)
     np.testing.assert_array_equal(smoothed.track.latitude_deg, expected.latitude_deg)
@@ -141,7 +146,7 @@ def test_a_phone_attitude_with_north_rotates_the_smoothed_walk_to_it() -> None:
 
 
 def test_heading_and_speed_fixes_and_standstills_are_used_by_the_smoother() -> None:
-    plain = pdr.smooth(bare())
+    plain = smoothed_bare()
     heading = HeadingFix(20.0, float(np.interp(20.0, plain.track.time_s, plain.track.walking_heading_rad)) + 1.0, 0.01)
     turned = pdr.smooth(bare(), [heading])
     wrapped = np.angle(np.exp(1j * (turned.track.walking_heading_rad - plain.track.walking_heading_rad)))
@@ -188,7 +193,7 @@ def test_locations_share_a_constant_error_and_other_correlated_fixes_do_not() ->
 def test_locations_of_a_small_area_do_not_change_the_step_length(size: float) -> None:
     truth = truth_m(bare(), located().location.time_s)
     resized = pdr.smooth(located((size - 1.0) * (truth - truth.mean(axis=0)), accuracy_m=5.0))
-    assert resized.scale == pytest.approx(pdr.smooth(bare()).scale, rel=0.03)
+    assert resized.scale == pytest.approx(smoothed_bare().scale, rel=0.03)
     assert resized.track.person is None
 
 
