@@ -41,9 +41,10 @@ def with_north(config: Config, recording: Recording, placement: TrackPlacement, 
     if where is None:
         return config if north is None else config.with_magnetic_north(0.0, _UNKNOWN_DECLINATION_STD_RAD)
     epoch_s = recording.epoch_s
-    if epoch_s is None or not np.isfinite(epoch_s):
-        return config.with_magnetic_north(where.declination_rad())
-    return config.with_magnetic_north(where.declination_rad(1970.0 + epoch_s / _YEAR_S))
+    year = 2025.0 if epoch_s is None or not np.isfinite(epoch_s) else 1970.0 + epoch_s / _YEAR_S
+    # The strength of the synthetic field of an attitude tells nothing about iron.
+    field_ut = None if north in _FIELD_UT else where.magnetic_field_ut(year)
+    return config.with_magnetic_north(where.declination_rad(year), field_ut=field_ut)
 
 
 # Magnetic field, microtesla, along the north of the phone's own attitude, in the world axes of that attitude. The

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.checks import are_numbers, check_array
+
+if TYPE_CHECKING:
+    from pygeomag.geomag import GeoMagResult
 
 # Standard deviation of the declination from the model. The date of a recording may be unknown, and in ten years the
 # declination changes by less than 0.75 degrees on half of the Earth, and by less than 1.9 degrees on 90 % of it.
@@ -134,11 +138,35 @@ class Origin:
         -----
         World Magnetic Model, from the package pygeomag.
         """
+        return math.radians(self._magnetic_model(year).d)
+
+    def magnetic_field_ut(self, year: float = 2025.0) -> tuple[float, float]:
+        """Return the magnetic field of the Earth on the ground: its horizontal and its upward component.
+
+        Parameters
+        ----------
+        year : float, default 2025.0
+            Year with fraction, as for `declination_rad`.
+
+        Returns
+        -------
+        (float, float)
+            Horizontal and upward component, uT. The upward one is negative in most of the northern hemisphere.
+
+        Notes
+        -----
+        World Magnetic Model, from the package pygeomag.
+        """
+        result = self._magnetic_model(year)
+        return 1e-3 * result.h, -1e-3 * result.z
+
+    def _magnetic_model(self, year: float) -> GeoMagResult:
+        """Return the World Magnetic Model at the origin, in degrees and nanotesla."""
         import pygeomag  # imported late, because few users need it
 
         year = min(max(year, _FIRST_YEAR), _LAST_YEAR)
         model = pygeomag.GeoMag(base_year=year)  # pyright: ignore[reportArgumentType]  (a number is its own example)
-        return math.radians(model.calculate(glat=self.latitude_deg, glon=self.longitude_deg, alt=0.0, time=year).d)
+        return model.calculate(glat=self.latitude_deg, glon=self.longitude_deg, alt=0.0, time=year)
 
     def east_north_m(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> FloatArray:
         """Convert geographic coordinates to east and north, in the plane tangent to the ellipsoid at the origin.

@@ -25,7 +25,6 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.tracking.georeferencing import with_north_of_attitude
 from pdr_filter.values import FloatArray, PositionFix, wrap_angle
 from pdr_filter.values.recording import Recording
@@ -64,6 +63,7 @@ class Walk:
     track: pdr.Track  # in the frame of the start, with `north_rad` of its steps
     turn_rad: float
     declination_rad: float
+    field_ut: tuple[float, float]
 
     @property
     def known(self) -> np.ndarray:
@@ -95,16 +95,16 @@ def walk_of(recording: Recording, site: str) -> Walk | None:
     time_s, points_m = points_of(recording)
     extent_m = np.sqrt(((points_m - points_m.mean(axis=0)) ** 2).sum(axis=1).mean())
     base = pdr.recipes.default(recording.subject)
-    declination_rad = HERE[site].declination_rad(YEAR)
-    north = MagneticNorth(declination_rad=declination_rad)
+    declination_rad, field_ut = HERE[site].declination_rad(YEAR), HERE[site].magnetic_field_ut(YEAR)
+    with_north = base.with_magnetic_north(declination_rad, field_ut=field_ut)
     # the frame of the start: north is said of each step, and nothing comes of it
-    track = pdr.track(recording, replace(base, sensing=replace(base.sensing, north=north)))
+    track = pdr.track(recording, replace(base, sensing=with_north.sensing))
     if extent_m < (MIN_EXTENT_M if site == "ms_indoor" else 0.0) or track.n_steps < 20:
         return None
     at_m = evaluate.positions_at(track.time_s, track.position_m, time_s)
     rotation, _ = evaluate.rigid_fit(at_m, points_m)
     turn_rad = float(np.arctan2(rotation[0, 1], rotation[0, 0]))
-    return Walk(recording, base, time_s, points_m, track, turn_rad, declination_rad)
+    return Walk(recording, base, time_s, points_m, track, turn_rad, declination_rad, field_ut)
 
 
 @cache
@@ -218,12 +218,14 @@ def fixes(tables: Tables, arguments: argparse.Namespace) -> None:
     found: dict[tuple[str, str], list[list[tuple[float, float]]]] = {}
     for set_name, site, parts in SETS[:4]:
         for walk in those(arguments.data, site, parts):
-            with_it = walk.config.with_magnetic_north(walk.declination_rad)
+            with_it = walk.config.with_magnetic_north(walk.declination_rad, field_ut=walk.field_ut)
+            by_attitude = walk.config.with_magnetic_north(walk.declination_rad)
+            wrong = walk.config.with_magnetic_north(walk.declination_rad + np.pi / 2, field_ut=walk.field_ut)
             ways = (
                 (walk.recording, walk.config.in_world_frame()),
                 (walk.recording, with_it),
-                (with_north_of_attitude(walk.recording, "rotation-vector"), with_it),
-                (walk.recording, walk.config.with_magnetic_north(walk.declination_rad + np.pi / 2)),
+                (with_north_of_attitude(walk.recording, "rotation-vector"), by_attitude),
+                (walk.recording, wrong),
             )
             for name, some, from_s in scenarios(walk):
                 if (walk.time_s > from_s).any() and len(walk.time_s) > 2:

@@ -426,8 +426,8 @@ def notes(state: HeightState, barometer: ClimbState, is_absence_named: bool = Fa
         cause, is_odd = f"the barometer gave one value for {barometer.stuck_s:.0f} s in total", True
     elif math.isnan(known.pressure_s):
         cause = "there is no barometer"
-    elif _COARSE_HPA < barometer.quantum_hpa < math.inf:
-        cause, is_odd = f"the pressure is rounded to {barometer.quantum_hpa:.2g} hPa", True
+    elif _COARSE_HPA < barometer.resolution_hpa < math.inf:
+        cause, is_odd = f"the pressure is rounded to {barometer.resolution_hpa:.2g} hPa", True
     elif state.step_s - known.pressure_s > PRESSURE_AGE_S and not is_absence_named:
         cause = f"the pressure ends at {known.pressure_s:.0f} s"
     if cause and is_floor_unknown(np.array(known.height_std_m)):

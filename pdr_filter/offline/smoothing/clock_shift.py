@@ -5,12 +5,13 @@ watches and tables that are logged separately differ by seconds. All observation
 by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_PROB`, normal with the standard deviation
 `_SHIFT_STD_S`. A walk with turns determines the shift to a second or two. On a straight walk it looks like another
 start, and the prior alone makes its positions uncertain by the distance walked in sqrt(`_SHIFTED_PROB`) `_SHIFT_STD_S`
-= 1.4 s, about 2 m. A rest before or after the walk decreases or increases this.
+= 1.4 s, about 2 m. A rest before or after the walk decreases or increases this. Observations from after the last sample
+show a late clock on a straight walk, too (`ShiftPrior.of`).
 
 Let F(d) be the least sum of squares of the walk whose observations are earlier by d, F its minimum at D, G = F(0) - F
-and I half of its second derivative there. With the prior information q = 1 / s^2 for s = `_SHIFT_STD_S`, a shift has
-the posterior variance 1 / (I + q), the mean m = D I / (I + q), and the Bayes factor
-sqrt(q / (I + q)) exp((G - D m q) / 2) against zero (Laplace).
+and I half of its second derivative there. With the prior mean p of a shift and its prior information q = 1 / s^2, a
+shift has the posterior variance 1 / (I + q), the mean (I D + q p) / (I + q), and the Bayes factor
+sqrt(q / (I + q)) exp((G - (D - p)^2 I q / (I + q)) / 2) against zero (Laplace).
 """
 
 from __future__ import annotations
@@ -20,16 +21,47 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pdr_filter.values import FloatArray
+
 # Assumed share of sources with another clock, and standard deviation of their shifts in s, which covers 18 s.
 _SHIFTED_PROB, _SHIFT_STD_S = 0.02, 10.0
+# Probability of another clock if observations come from after the last sample, by more than a second and less than
+# three standard deviations of a shift. In 21 of 21 recordings of ipin2023 the last location is from before the last
+# sample. Samples that end early and another clock are then assumed to be equally probable.
+_SHIFTED_PROB_AFTER_END, _AFTER_END_S = 0.5, (1.0, 3.0 * _SHIFT_STD_S)
 # Smallest odds at which a shift is applied, so that one in a hundred is false, and smallest shift in s: that of a phone
 # that rounds times to seconds.
 _ODDS, _MIN_SHIFT_S = 100.0, 1.0
+# Root mean square error of a shift of zero in s, from which on the possible shift is named.
+_NAMED_SHIFT_S = 5.0
 # The shift is searched for above these odds, predicted at zero, and if observations are rejected. The search starts at
 # zero or the best of these shifts, in s, because F has other minima where many observations are rejected.
 _POSSIBLE_ODDS, _STARTS_S = 0.01, (-20.0, -10.0, 10.0, 20.0)
 # Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number.
 _MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 10
+
+
+class ShiftPrior(NamedTuple):
+    """Prior of a shift in s: zero, or with a probability `prob` normal with `mean_s` and `std_s`, above `least_s`."""
+
+    prob: float = _SHIFTED_PROB
+    mean_s: float = 0.0
+    std_s: float = _SHIFT_STD_S
+    least_s: float = -np.inf
+
+    @classmethod
+    def of(cls, time_s: FloatArray, end_s: float) -> ShiftPrior:
+        """Return the prior of the shift of observations at these times (F,), with the last sample at `end_s`.
+
+        On the right clock, observations do not come from after the last sample. If the given ones do, and their clock
+        is another one, then both probably end together: the last observation is at most one interval before the last
+        sample.
+        """
+        after_s, interval_s = float(time_s.max()) - end_s, float(np.median(np.diff(np.sort(time_s))))
+        least_s = after_s - _AFTER_END_S[0]
+        if not _AFTER_END_S[0] < after_s < _AFTER_END_S[1]:
+            return cls(least_s=min(least_s, 0.0))
+        return cls(_SHIFTED_PROB_AFTER_END, after_s + 0.5 * interval_s, _AFTER_END_S[0] + 0.5 * interval_s, least_s)
 
 
 class ShiftedWalk(NamedTuple):
@@ -65,7 +97,7 @@ class ClockShift(NamedTuple):
     var_s2 : float
         Mean square error in s^2 of the applied shift. Zero if it does not matter.
     probable_s : float
-        Shift in s that is more probable than none, and was not applied. Zero if there is none.
+        Shift in s that explains a root mean square error of more than 5 s, and was not applied. Zero if there is none.
     """
 
     late_s: float = 0.0
@@ -85,16 +117,17 @@ class ClockShift(NamedTuple):
         return (f"the {what} are {late} (± {self.var_s2**0.5:.1f} s), and were shifted: {cause}",)
 
 
-def estimated_shift(at: Callable[[float], ShiftedWalk]) -> ClockShift:
+def estimated_shift(at: Callable[[float], ShiftedWalk], prior: ShiftPrior) -> ClockShift:
     """Return the shift of a source, given a function of the shift in s by which its observations are late."""
     zero = at(0.0)
-    odds, mean_s, var_s2 = _posterior(zero.gain, zero.remaining_s, zero.information)
+    odds, mean_s, var_s2 = _posterior(zero.gain, zero.remaining_s, zero.information, prior)
     if odds > _POSSIBLE_ODDS or zero.is_rejecting:
-        starts = {0.0: zero, **{late_s: at(late_s) for late_s in _STARTS_S}}
+        shifted = {max(late_s, prior.least_s) for late_s in _STARTS_S} - {0.0}
+        starts = {0.0: zero, **{late_s: at(late_s) for late_s in shifted}}
         late_s, walk = min(starts.items(), key=lambda start: start[1].squares)
         change_s = walk.remaining_s
         for _ in range(_MOST_SOLUTIONS):
-            change_s = float(np.clip(change_s, -_MAX_CHANGE_S, _MAX_CHANGE_S))
+            change_s = max(float(np.clip(change_s, -_MAX_CHANGE_S, _MAX_CHANGE_S)), prior.least_s - late_s)
             if abs(change_s) < _SMALL_CHANGE_S:
                 break
             new = at(late_s + change_s)
@@ -102,23 +135,24 @@ def estimated_shift(at: Callable[[float], ShiftedWalk]) -> ClockShift:
                 late_s, walk, change_s = late_s + change_s, new, new.remaining_s
             else:
                 change_s *= 0.5
-        odds, mean_s, var_s2 = _posterior(zero.squares - walk.squares, late_s, walk.information)
+        odds, mean_s, var_s2 = _posterior(zero.squares - walk.squares, late_s, walk.information, prior)
     if odds > _ODDS and abs(mean_s) > _MIN_SHIFT_S:
         return ClockShift(mean_s, var_s2)
     error_s2 = odds / (1.0 + odds) * (mean_s**2 + var_s2)
     if error_s2 < _MIN_SHIFT_S**2:
         return ClockShift()
-    return ClockShift(0.0, error_s2, mean_s if odds > 1.0 and abs(mean_s) > _MIN_SHIFT_S else 0.0)
+    return ClockShift(0.0, error_s2, mean_s if error_s2 > _NAMED_SHIFT_S**2 else 0.0)
 
 
-def _posterior(gain: float, best_s: float, information: float) -> tuple[float, float, float]:
+def _posterior(gain: float, best_s: float, information: float, prior: ShiftPrior) -> tuple[float, float, float]:
     """Return the posterior odds of a shift against zero, and its mean in s and variance in s^2.
 
     `gain` is the decrease of the sum of squares from zero to its minimum at `best_s`.
     """
-    prior = _SHIFT_STD_S**-2
-    var_s2 = 1.0 / (information + prior)
-    mean_s = best_s * information * var_s2
-    log_factor = 0.5 * (gain - best_s * mean_s * prior + np.log(prior * var_s2))
-    odds = _SHIFTED_PROB / (1.0 - _SHIFTED_PROB) * float(np.exp(min(log_factor, 100.0)))
+    q = prior.std_s**-2
+    var_s2 = 1.0 / (information + q)
+    mean_s = (information * best_s + q * prior.mean_s) * var_s2
+    contradiction = q * information * var_s2 * (best_s - prior.mean_s) ** 2
+    log_factor = 0.5 * (gain - contradiction + np.log(q * var_s2))
+    odds = prior.prob / (1.0 - prior.prob) * float(np.exp(min(log_factor, 100.0)))
     return odds, mean_s, var_s2

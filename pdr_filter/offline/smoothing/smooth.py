@@ -32,7 +32,7 @@ from pdr_filter.filter.imm.motion_model import (
     second_order_errors,
 )
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
-from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, estimated_shift
+from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, ShiftPrior, estimated_shift
 from pdr_filter.offline.smoothing.location_errors import turned_to
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
@@ -552,8 +552,9 @@ def _smooth_track(
     on_clock, found = observed, solved(observed)
     clocks: dict[Source, ClockShift] = {}
     for source in get_args(Source):
-        if sum(isinstance(fix, PositionFix) for fix in getattr(observed, source)) >= _MIN_POSITIONS:
-            clocks[source] = estimated_shift(partial(walk, source=source))
+        at_s = np.array([fix.time_s for fix in getattr(observed, source) if isinstance(fix, PositionFix)])
+        if len(at_s) >= _MIN_POSITIONS:
+            clocks[source] = estimated_shift(partial(walk, source=source), ShiftPrior.of(at_s, end_s))
             if late_s := clocks[source].late_s:
                 on_clock = on_clock.earlier(source, late_s)
                 found = solved(on_clock)

@@ -92,7 +92,7 @@ class ClimbState:
     n_behind : int
         Consecutive samples with increasing times that lie behind the last accepted one.
     quantum_hpa : float
-        Smallest nonzero difference of consecutive samples, hPa: the resolution of the sensor.
+        Smallest nonzero difference of consecutive samples, hPa. Infinite before the first change.
     changed_s : float
         Time of the last change of the pressure, or of the first sample after a gap, s.
     stuck_s : float
@@ -106,6 +106,11 @@ class ClimbState:
     quantum_hpa: float = np.inf
     changed_s: float = np.nan
     stuck_s: float = 0.0
+
+    @property
+    def resolution_hpa(self) -> float:
+        """Resolution of the sensor in hPa, or infinity if it is unknown."""
+        return _resolution(self.quantum_hpa, self.samples[1, -1]) if self.samples.size else math.inf
 
 
 @dataclass(frozen=True)
@@ -189,19 +194,16 @@ class ClimbRate:
                     continue
                 first = len(times)
             n_behind, behind_s = 0, -np.inf
-            if math.isinf(quantum_hpa):  # a value that has never changed shows its resolution by its decimals
-                quantum_hpa = next((q for q in _COARSE_HPA if abs(p / q - round(p / q)) < _DIGITS), math.inf)
             if len(times) == first or t - times[-1] > self.max_gap_s:
                 first, due_s, changed_s = len(times), t + self.window_s, t
                 times.append(t)
                 pressures.append(p)
                 continue
-            is_stuck = (
-                p == pressures[-1] and t - changed_s >= self.stuck_after_s and not _FINE_HPA < quantum_hpa < np.inf
-            )
-            stuck_s += is_stuck * min(t - times[-1], t - changed_s)
             if p != pressures[-1]:
                 quantum_hpa, changed_s = min(quantum_hpa, abs(p - pressures[-1])), t
+            resolution_hpa = _resolution(quantum_hpa, p)
+            is_stuck = t - changed_s >= self.stuck_after_s and not _FINE_HPA < resolution_hpa < np.inf
+            stuck_s += is_stuck * min(t - times[-1], t - changed_s)
             nearest_s = t + 0.5 * (t - times[-1])  # this sample is the nearest one to all times up to here
             times.append(t)
             pressures.append(p)
@@ -210,7 +212,7 @@ class ClimbRate:
                 start = bisect_left(times, t - self.window_s - _ROUNDING_S, lo=first)
                 last = bisect_right(times, t - self.hop_s + _ROUNDING_S, lo=first)
                 if len(times) - start >= 3 and not is_stuck:
-                    windows.append((start, last, len(times), quantum_hpa, t - changed_s))
+                    windows.append((start, last, len(times), resolution_hpa, t - changed_s))
         samples = np.array([times, pressures])
         start = bisect_left(times, times[-1] - self.window_s - _ROUNDING_S, lo=first) if times else 0
         kept = samples[:, start:].copy()
@@ -256,6 +258,13 @@ class ClimbRate:
         end_std_m = np.hypot(sensor_m / np.sqrt(n_last), rounding_m * np.sqrt(np.maximum(equal_s / self.hop_s, 1.0)))
         columns = (samples[0, ends - 1], rate_mps, std_mps, n, end_m, end_std_m)
         return [Climb(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
+
+def _resolution(quantum_hpa: float, pressure_hpa: float) -> float:
+    """Return the resolution of a sensor in hPa: the smallest change, or before any change the decimals of the value."""
+    if math.isfinite(quantum_hpa):
+        return quantum_hpa
+    return next((q for q in _COARSE_HPA if abs(pressure_hpa / q - round(pressure_hpa / q)) < _DIGITS), math.inf)
 
 
 def _ranges(starts: IntArray, n: IntArray) -> IntArray:

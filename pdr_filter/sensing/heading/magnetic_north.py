@@ -7,11 +7,12 @@ In the attitude frame (east, north, up, rotated by an unknown angle about up), t
 Here m is the field of the Earth, R the rotation from the sensor to the frame, b the hard iron (iron in the phone and a
 wrong calibration), and e the disturbance of the place. A linear regression over the way estimates m and b together. b
 becomes observable when the pedestrian turns. Before that, the priors of m and b determine the uncertainty of m. The
-prior of b has heavy tails, because raw magnetometer data contain the whole hard iron of the phone. In a building e may
-rotate single readings by 90 degrees. It averages out, because it changes every few metres, and the remaining
-error follows from its scatter.
+prior of b has heavy tails, because raw magnetometer data contain the whole hard iron of the phone. The prior of m is a
+horizontal and a vertical field. At a known place they come from the World Magnetic Model, so that a field of another
+strength or dip reveals hard iron on a straight walk, too. In a building e may rotate single readings by 90 degrees. It
+averages out, because it changes every few metres, and the remaining error follows from its scatter.
 
-Readings are not gated by the magnitude or dip of the field, because these hardly show which readings point north. In
+Single readings are not gated by the magnitude or dip of the field, which hardly show which readings point north. In
 ms_indoor the headings of single steps scatter by 11 to 13 degrees at any distance from the model of the Earth's field.
 Only the field during steps is used, because all samples at one place share one disturbance. With the field as a
 heading fix at each step, tracks become worse.
@@ -38,14 +39,14 @@ _TIME, _SQUARES, _READING_COLUMNS = 0, slice(1, 50), 50
 # Time for which readings are buffered, s. Steps become known some seconds after their contact, above all behind a gate.
 _MAX_LATENCY_S = 20.0
 _M, _B, _F = slice(0, 3), slice(3, 6), 6
-_DIAGONAL = np.diag_indices(_F)
-# Prior standard deviation of the Earth's field on the horizontal axes and on the vertical one, uT. The World Magnetic
-# Model has a horizontal field of 0 to 42 uT, 27 uT in the root mean square, and a vertical field of at most 67 uT.
-_EARTH_STD_UT = 20.0, 20.0, 45.0
-# Prior of the hard iron: a mixture of normal densities, by their probabilities and by their standard deviations in
-# units of `iron_std_ut`. The first one is for calibrated magnetometers. With 7 uT, the others have 28 and 140 uT, for
-# a calibration that became wrong and for raw data. Public recordings of raw data have 20 to 300 uT.
-_IRON_PROB, _IRON_FACTORS = np.array([0.9, 0.05, 0.05]), np.array([1.0, 4.0, 20.0])
+# Unit vectors (east, north) of the directions of magnetic north over which the evidence is summed, every three degrees.
+# The sum is exact to 1e-4 for a standard deviation of two degrees.
+_ANGLES_RAD = np.arange(120) * (np.pi / 60.0)
+_DIRECTIONS = np.column_stack([np.sin(_ANGLES_RAD), np.cos(_ANGLES_RAD)])
+# Prior of the hard iron: normal densities of equal probability, by their standard deviations in units of `iron_std_ut`.
+# Their mixture is nearly uniform in the logarithm of the hard iron. With 7 uT they span 3.5 uT, of a good calibration,
+# to 112 uT on each axis. Public recordings of raw data have 20 to 300 uT in all.
+_IRON_FACTORS = 2.0 ** np.arange(-1, 5)
 # Squared length of the mean direction below which north is unknown: a standard deviation of 5 rad.
 _LEAST_SQUARED_LENGTH = 1e-11
 # Share of new readings after which the regression is solved again. North changes little in the attitude frame.
@@ -107,10 +108,14 @@ class MagneticNorth:
         Sampling rate of the blocks, Hz.
     declination_rad, declination_std_rad : float, default 0
         Direction of magnetic north east of true north, and its standard deviation, rad.
+    field_ut, field_std_ut : (float, float), default (27, -15) and (8, 35)
+        Prior mean and standard deviation of the horizontal and of the upward field of the Earth, uT. The defaults are
+        for an unknown place: the largest cities of the continents have horizontal fields of 13 to 39 uT and upward
+        fields of -50 to 51 uT.
     iron_std_ut : float, default 7
-        Prior standard deviation of the hard iron of a calibrated magnetometer on each axis, uT. It is the rms of
-        pedestrians who turned; single values reach 13, and are 0 to 3 in the other sets. The horizontal field of the
-        Earth is 20 to 35 uT. With a probability of a tenth, the standard deviation is 4 or 20 times as large.
+        Typical hard iron of a calibrated magnetometer on each axis, uT. It is the rms of pedestrians who turned; single
+        values reach 13, and are 0 to 3 in the other sets. The standard deviations of the prior are 0.5 to 16 times as
+        large, with equal probabilities of all powers of two.
     disturbance_ut, disturbance_readings : float, default 8 and 4
         Prior standard deviation of the disturbances on each axis, uT, and its weight as a number of independent
         readings. Malls have 4, an office 6, a building of steel 15 uT.
@@ -124,7 +129,8 @@ class MagneticNorth:
     -----
     In the attitude frame, the measured field is f = m + R b + e: the field of the Earth m, the hard iron b of the phone
     rotated by R from the sensor frame, and the disturbance e of the place. A linear regression with forgetting over the
-    readings of all steps estimates m and b. North is atan2(m_east, m_north) minus the declination.
+    readings of all steps estimates m and b, for each direction of magnetic north. North is the mean direction minus the
+    declination.
 
     Examples
     --------
@@ -145,6 +151,8 @@ class MagneticNorth:
     rate_hz: float = 100.0
     declination_rad: float = 0.0
     declination_std_rad: float = 0.0
+    field_ut: tuple[float, float] = (27.0, -15.0)
+    field_std_ut: tuple[float, float] = (8.0, 35.0)
     iron_std_ut: float = 7.0
     disturbance_ut: float = 8.0
     disturbance_readings: float = 4.0
@@ -262,47 +270,51 @@ class MagneticNorth:
     def _solved(self, state: MagneticNorthState) -> MagneticNorthState:
         """Return the state with the regression f = m + R b + e solved, and the variance of e estimated again.
 
-        The measured field f is the sum of the field of the Earth m = (m_e, m_n, m_u), the hard iron b rotated by R from
-        the sensor to the attitude frame, and the disturbance e. n correlated readings are worth n / c independent ones,
-        with c = (1 + r) / (1 - r) and r = exp(-1 / correlation). X = [1 R] are the regressors of a reading. The
-        component i of the prior has the information L_i = diag(1 / earth^2, 1 / iron_i^2) of x = (m, b). With the
-        variance v of e so far, P_i^-1 = L_i + sum X' X / (c v) and P_i^-1 x_i = sum X' f / (c v), and the log
-        evidence is (log |P_i L_i| + x_i' P_i^-1 x_i) / 2. The direction of magnetic north psi_i = atan2(m_e, m_n) has
-        the variance u' P_i u / (m_e^2 + m_n^2) with u = (cos psi_i, -sin psi_i, 0). The result is the mean of the
-        directions e^(j psi_i) over the components, of which each has the length exp(-variance_i / 2).
+        The measured field f is the sum of the field of the Earth m = h u + (0, 0, z), the hard iron b rotated by R from
+        the sensor to the attitude frame, and the disturbance e. h and z are the horizontal and the upward field, and
+        u = (sin psi, cos psi, 0) is the direction of magnetic north. n correlated readings are worth n / c independent
+        ones, with c = (1 + r) / (1 - r) and r = exp(-1 / correlation). Given psi and a component of the prior of b, the
+        model is linear in (h, z) and b, and its evidence has a closed form. b is eliminated first, for each component,
+        and then (h, z), for each direction of a grid. Directions and components are weighted by their evidence. The
+        result is the mean direction, with the standard deviation sqrt(-2 log R) of the mean length R.
         """
         c = 1.0 / math.tanh(0.5 / self.correlation_readings)
         weight = 1.0 / (c * state.variance_ut2)
         XX, Xf, ff = state.squares[:_F, :_F], state.squares[:_F, _F], float(state.squares[_F, _F])
-        prior = np.empty((len(_IRON_PROB), _F))
-        prior[:, _M] = np.square(1.0 / np.array(_EARTH_STD_UT))
-        prior[:, _B] = (1.0 / np.square(self.iron_std_ut * _IRON_FACTORS))[:, None]
-        information = np.repeat((weight * XX)[None], len(prior), axis=0)
-        information[:, *_DIAGONAL] += prior
-        P = np.linalg.inv(information)
-        x = weight * (P @ Xf)
-        log_evidence = np.log(_IRON_PROB) + 0.5 * (np.linalg.slogdet(P)[1] + np.log(prior).sum(axis=1))
-        log_evidence += 0.5 * weight * (x @ Xf)
-        prob = np.exp(log_evidence - log_evidence.max())
+        prior_b = 1.0 / np.square(self.iron_std_ut * _IRON_FACTORS)
+        P_b = np.linalg.inv(weight * XX[_B, _B] + prior_b[:, None, None] * np.eye(3))
+        gain = weight * XX[_M, _B] @ P_b
+        J, Jm = weight * (XX[_M, _M] - gain @ XX[_B, _M]), weight * (Xf[_M] - gain @ Xf[_B])
+        log_prior = 3.0 * np.log(prior_b)
+        log_evidence = 0.5 * (log_prior + np.linalg.slogdet(P_b)[1] + weight**2 * (P_b @ Xf[_B] @ Xf[_B]))
+        # the information of (h, z) and its product with their mean, for each component and direction
+        prior_hz = 1.0 / np.square(self.field_std_ut)
+        uJ = _DIRECTIONS @ J[:, :2]
+        hh, hz, zz = (uJ[..., :2] * _DIRECTIONS).sum(axis=-1) + prior_hz[0], uJ[..., 2], J[:, 2, 2, None] + prior_hz[1]
+        y_h, y_z = (
+            Jm[:, :2] @ _DIRECTIONS.T + prior_hz[0] * self.field_ut[0],
+            Jm[:, 2, None] + prior_hz[1] * self.field_ut[1],
+        )
+        determinant = hh * zz - hz**2
+        h, z = (zz * y_h - hz * y_z) / determinant, (hh * y_z - hz * y_h) / determinant
+        log_prob = log_evidence[:, None] + 0.5 * (h * y_h + z * y_z - np.log(determinant))
+        prob = np.exp(log_prob - log_prob.max())
         prob /= prob.sum()
-        residual_ut2 = ff - 2.0 * (x @ Xf) + ((x @ XX) * x).sum(axis=1)
+        m = np.concatenate([h[..., None] * _DIRECTIONS, z[..., None]], axis=-1)
+        x = np.concatenate([m, weight * (Xf[_B] - m @ XX[_M, _B]) @ P_b], axis=-1)
+        residual_ut2 = ff - 2.0 * (x @ Xf) + ((x @ XX) * x).sum(axis=-1)
         prior_ut2 = self.disturbance_readings * self.disturbance_ut**2
         # The three components of m use up the degrees of freedom of one independent reading.
-        n_independent, share = max(state.n / c - 1.0, 0.0), max(float(prob @ residual_ut2), 0.0) / (3.0 * c)
-        variance_ut2 = (prior_ut2 + share) / (self.disturbance_readings + n_independent)
-        east, north = x[:, 0], x[:, 1]
-        horizontal_ut2 = np.maximum(east**2 + north**2, 1e-6)
-        # u' P u, with the horizontal field (m_e, m_n) for (sin psi, cos psi)
-        across_ut2 = north**2 * P[:, 0, 0] - 2.0 * north * east * P[:, 0, 1] + east**2 * P[:, 1, 1]
-        length = np.exp(-0.5 * across_ut2 / horizontal_ut2**2) / np.sqrt(horizontal_ut2)
-        mean_north, mean_east = float((prob * length) @ north), float((prob * length) @ east)
-        var = -math.log(max(mean_north**2 + mean_east**2, _LEAST_SQUARED_LENGTH)) + self.declination_std_rad**2
+        n_independent = max(state.n / c - 1.0, 0.0)
+        share = max(float((prob * residual_ut2).sum()), 0.0) / (3.0 * c)
+        mean_east, mean_north = prob.sum(axis=0) @ _DIRECTIONS
+        squared_length = max(float(mean_east**2 + mean_north**2), _LEAST_SQUARED_LENGTH)
         return replace_unchecked(
             state,
-            variance_ut2=variance_ut2,
+            variance_ut2=(prior_ut2 + share) / (self.disturbance_readings + n_independent),
             n_fresh=0,
             north_rad=math.atan2(mean_east, mean_north) - self.declination_rad,
-            north_std_rad=math.sqrt(var),
+            north_std_rad=math.sqrt(self.declination_std_rad**2 - math.log(squared_length)),
         )
 
 

@@ -10,7 +10,7 @@ import pytest
 
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing import smooth as smoothing
-from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, estimated_shift
+from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, ShiftPrior, estimated_shift
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.solve import response, solve, sum_of_squares
 from pdr_filter.simulate import Leg, simulate
@@ -56,7 +56,7 @@ def parabola(best_s: float, information: float) -> ShiftedWalk:
 
 
 def shift_of(best_s: float, information: float) -> ClockShift:
-    return estimated_shift(lambda late_s: parabola(best_s - late_s, information))
+    return estimated_shift(lambda late_s: parabola(best_s - late_s, information), ShiftPrior())
 
 
 @pytest.mark.parametrize(("best_s", "information"), [(18.0, 0.3), (-10.0, 0.5), (5.0, 0.3), (0.5, 2e-4)])
@@ -144,7 +144,7 @@ def test_late_observations_are_named_and_give_the_walk_of_the_right_clock(source
 
 def test_a_right_clock_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     found = smoothed(0.0).track
-    monkeypatch.setattr(smoothing, "estimated_shift", lambda at: ClockShift())
+    monkeypatch.setattr(smoothing, "estimated_shift", lambda *_: ClockShift())
     fixed = pdr.smooth(located(walk(R, R, -R), 0.0)).track
     np.testing.assert_array_equal(found.position_m, fixed.position_m)
     np.testing.assert_array_equal(found.position_cov_m2, fixed.position_cov_m2)
@@ -154,7 +154,7 @@ def test_without_turns_the_deviation_along_the_walk_is_wider(monkeypatch: pytest
     straight = walk(leg_m=70.0)
     given = [fix for fix in fixes(straight, 0.0) if 15.0 < fix.time_s < 45.0]
     found = pdr.smooth(straight, given)
-    monkeypatch.setattr(smoothing, "estimated_shift", lambda at: ClockShift())
+    monkeypatch.setattr(smoothing, "estimated_shift", lambda *_: ClockShift())
     fixed = pdr.smooth(straight, given)
     ahead = fixed.track.position_m[40] - fixed.track.position_m[20]
     along = ahead / np.linalg.norm(ahead)
@@ -163,6 +163,16 @@ def test_without_turns_the_deviation_along_the_walk_is_wider(monkeypatch: pytest
     assert not [n for n in found.notes if "were shifted" in n]
     assert 1.0 < along @ wider_m2 @ along < 20.0
     assert across @ wider_m2 @ across < 0.2
+
+
+def test_locations_after_the_last_sample_show_a_late_clock_without_turns() -> None:
+    right, late = (pdr.smooth(located(walk(), d)).track for d in (0.0, 18.0))
+    assert [n for n in late.notes if n.startswith("the locations are ") and " late " in n]
+    places_m = [HERE.east_north_m(t.latitude_deg, t.longitude_deg) for t in (right, late)]
+    away_m = np.linalg.norm(places_m[1] - places_m[0], axis=1)
+    assert (away_m < 2.5 * late.position_std_m).all()
+    # locations until the last sample exclude an early clock
+    assert right.position_std_m.max() < 6.0
 
 
 def test_walks_aligned_to_late_locations_are_where_they_were() -> None:

@@ -151,6 +151,16 @@ def test_a_step_of_a_coarse_barometer_is_no_climb_at_the_rate_of_stairs(quantum_
     assert all(abs(climb.climb_rate_mps) < 4.0 * climb.std_mps for climb in climbs)
 
 
+@pytest.mark.parametrize("resolution_hpa", [0.3, 0.5])
+def test_the_resolution_is_the_smallest_change_and_not_the_decimals(resolution_hpa: float) -> None:
+    time_s, hpa = climbing(0.2, duration_s=60.0)
+    coarse_hpa = np.round(hpa / resolution_hpa) * resolution_hpa
+    state, _ = STAGE.update(STAGE.init(), time_s, coarse_hpa)
+    assert state.resolution_hpa == pytest.approx(resolution_hpa)
+    state, _ = STAGE.update(STAGE.init(), time_s, np.full(len(time_s), 1013.2))
+    assert state.resolution_hpa == 0.1
+
+
 def test_equal_values_of_a_coarse_barometer_share_their_rounding_error() -> None:
     time_s = np.arange(0.0, 60.0, 0.1)
     hpa = 1000.0 - (time_s > 10.0)

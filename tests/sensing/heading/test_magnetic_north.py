@@ -85,12 +85,13 @@ def test_before_the_first_turn_hard_iron_is_part_of_the_standard_deviation() -> 
     assert found(*way(TURNS))[-1].north_std_rad < 0.6 * last.north_std_rad
 
 
-def test_north_is_the_mean_direction_of_normal_densities_of_all_readings() -> None:
+def test_north_is_the_mean_of_all_directions_weighted_by_the_density_of_all_readings() -> None:
     rng = np.random.default_rng(0)
-    place_ut = np.repeat(rng.normal(scale=5.0, size=(40, 3)), 3, axis=0)
-    block, attitude, steps = way(TURNS, 1.1, np.array([16.0, -12.0, 10.0]), place_ut)
+    turns = np.repeat([0.0, 0.5, 0.9, 0.3], 5)
+    place_ut = np.repeat(rng.normal(scale=5.0, size=(4, 3)), 5, axis=0)
+    block, attitude, steps = way(turns, 1.1, np.array([16.0, -12.0, 10.0]), place_ut)
     # with a given variance, as if estimated from a million readings
-    stage = MagneticNorth(disturbance_ut=6.0, disturbance_readings=1e6)
+    stage = MagneticNorth(disturbance_ut=6.0, disturbance_readings=1e6, field_ut=(22.0, -40.0), field_std_ut=(5.0, 9.0))
     last = found(block, attitude, steps, stage)[-1]
     size = round(STEP_S * RATE_HZ)
     to_frame = rotations(attitude.quat)
@@ -100,23 +101,38 @@ def test_north_is_the_mean_direction_of_normal_densities_of_all_readings() -> No
     weight = np.exp(-(STEP_S * np.arange(n)[::-1]) / stage.memory_s)
     r = math.exp(-1.0 / stage.correlation_readings)
     noise_var = np.repeat(36.0 * (1 + r) / (1 - r) / weight, 3)
-    regressors = np.concatenate([np.hstack([np.eye(3), means[k]]) for k in range(n)])
-    z = readings[:n].ravel()
-    log_prob, directions = [], []
-    for prob, iron_ut in ((0.9, 7.0), (0.05, 28.0), (0.05, 140.0)):
-        prior = np.diag([400.0, 400.0, 2025.0, *3 * [iron_ut**2]])
-        cov_z = regressors @ prior @ regressors.T + np.diag(noise_var)
-        gain = np.linalg.solve(cov_z, regressors @ prior).T
-        m, cov = (gain @ z)[:2], (prior - gain @ regressors @ prior)[:2, :2]
-        log_prob.append(math.log(prob) + multivariate_normal(np.zeros(3 * n), cov_z).logpdf(z))
-        # the derivative of the angle by differences
-        slope = [(math.atan2(*(m + d)) - math.atan2(*(m - d))) / 2e-5 for d in ([1e-5, 0.0], [0.0, 1e-5])]
-        directions.append(np.exp(1j * math.atan2(*m) - 0.5 * (slope @ cov @ slope)))
-    prob = np.exp(np.array(log_prob) - max(log_prob))
-    mean = np.array(directions) @ prob / prob.sum()
-    assert np.sort(prob / prob.sum())[1] > 0.05  # two components count
+    turned, z = means[:n].reshape(-1, 3), readings[:n].ravel()
+    log_density, directions = [], np.linspace(0.03, 2 * np.pi + 0.03, 120, endpoint=False)
+    for psi in directions:
+        u = np.array([[math.sin(psi), 0.0], [math.cos(psi), 0.0], [0.0, 1.0]])
+        earth = np.tile(u, (n, 1))
+        of_earth = earth @ np.diag([25.0, 81.0]) @ earth.T + np.diag(noise_var)
+        irons_ut = (3.5, 7.0, 14.0, 28.0, 56.0, 112.0)
+        log_density.append(
+            [
+                multivariate_normal(earth @ [22.0, -40.0], of_earth + s**2 * turned @ turned.T).logpdf(z)
+                for s in irons_ut
+            ]
+        )
+    prob = np.exp(np.array(log_density) - np.max(log_density))
+    prob /= prob.sum()
+    mean = np.exp(1j * directions) @ prob.sum(axis=1)
+    assert np.sum(prob.sum(axis=0) > 0.05) >= 3  # three densities of the hard iron count
     assert last.north_rad == pytest.approx(float(np.angle(mean)), abs=1e-6)
-    assert last.north_std_rad == pytest.approx(math.sqrt(-2.0 * math.log(abs(mean))), rel=1e-4)
+    assert last.north_std_rad == pytest.approx(math.sqrt(-2.0 * math.log(abs(mean))), rel=1e-6)
+
+
+def test_at_a_known_place_a_field_of_another_strength_reveals_iron_on_straight_walks() -> None:
+    rng, here = np.random.default_rng(1), MagneticNorth(field_ut=EARTH_UT, field_std_ut=(5.0, 10.0))
+    normalised: list[float] = []
+    for _ in range(40):
+        iron = rng.normal(size=3)
+        last = found(*way(np.zeros(25), 0.7, rng.uniform(30.0, 100.0) * iron / np.linalg.norm(iron)), here)[-1]
+        normalised.append(abs(error_rad(last, 0.7)) / last.north_std_rad)
+    assert np.mean(np.less(normalised, 1.0)) > 0.6
+    assert np.mean(np.less(normalised, 2.0)) > 0.85
+    # without iron, the place makes north better
+    assert found(*way(np.zeros(50)), here)[-1].north_std_rad < 0.9 * found(*way(np.zeros(50)))[-1].north_std_rad
 
 
 @pytest.mark.parametrize("iron_ut", [150.0, 300.0])
