@@ -105,6 +105,8 @@ from pdr_filter.values.uncertainty import worst_std_m
 # Prior standard deviation of the start in the frame of the fixes: only the region is known.
 _REGION_STD_M = 1000.0
 _KNOWN_STD_RAD = 1e-3
+# Largest time between anchors in a calibration, as in `smooth`.
+_CALIBRATION_ANCHOR_S = 2.0
 
 
 # Configuration, dead-reckoned track, and state at its end. The sensing is None if the axes of a building determine the
@@ -371,6 +373,85 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     return track, posed.used.device_rad, posed.problem
 
 
+class ReckonedWalk(NamedTuple):
+    """Walk with its observations, as the smoother uses them, for a problem of many walks.
+
+    Attributes
+    ----------
+    track : Track
+        Dead-reckoned track with smoothed mode probabilities.
+    config : Config
+        Configuration of the track.
+    observed : Observations
+        Observations on the clock of the track.
+    posed : Posed
+        Problem of the walk alone.
+    found : Solution
+        Solution of `posed`.
+    stood : StandstillSteps
+        Steps within standstills.
+    """
+
+    track: Track
+    config: Config
+    observed: Observations
+    posed: Posed
+    found: Solution
+    stood: StandstillSteps
+
+    def increments(self, config: Config, *, with_bias: bool) -> Increments:
+        """Return the increments of the steps with the step lengths and the noise of a configuration.
+
+        Without the bias of the gyroscope, the heading has only the other parts of its random walk.
+        """
+        track = self.track
+        if not with_bias:
+            steps = track.steps.copy()
+            steps["yaw_bias_std_radps"] = 0.0
+            track = replace(track, steps=steps)
+        is_weighted = track.weighting != "imm"
+        steps, _ = increments(
+            track.steps, track.mode_prob, config.model, track.gap_before_s, is_weighted=is_weighted
+        )
+        return _with_withheld_steps(steps, track, config, self.stood)
+
+    def smoothed(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
+        """Return the smoothed walk for a solution of `problem`, with step lengths whose parameters are in `found`."""
+        known = np.zeros_like(self.posed.parameter_error_m)
+        posed = Posed(steps, known, self.posed.used, problem)
+        return _smoothed(self.track, posed, found, self.observed, {})[0]
+
+
+def reckoned_walk(
+    recording: Recording, config: Config | None, fixes: Sequence[Fix], loop_closures: Sequence[LoopClosure]
+) -> ReckonedWalk:
+    """Return a walk with its fixes, loop closures and locations, solved alone as by `smooth`.
+
+    ValueError for a recording without steps, or with observations outside of it.
+    """
+    run = prepared_run(recording, config, fixes, TrackPlacement())
+    if run.config.on_plan is not None or any(isinstance(fix, GridFix) for fix in run.fixes):
+        raise ValueError("smoothing on a floor plan does not estimate step lengths: omit plan and GridFix")
+    stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
+    own, track, _, stood_steps = _dead_reckoned(run.recording, run.config, stood, (None, None), run.with_location)
+    if not track.n_steps:
+        raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
+    track = _with_smoothed_modes(track, own)
+    locations = ()
+    if run.with_location and run.recording.location is not None:
+        _, locations = locations_of(run.recording.location)
+    given = tuple(fix for fix in run.fixes if not isinstance(fix, Standstill))
+    observed = Observations(fixes=given, locations=locations, loop_closures=tuple(loop_closures))
+    options = None, _CALIBRATION_ANCHOR_S, _online_path(run.recording, own, run.fixes), stood_steps
+    alone, _, clocks = _smooth_track(track, own, observed, options)
+    for source, shift in clocks.items():
+        observed = observed.earlier(source, shift.late_s)
+    shape_m = np.vstack([alone.start_position_m, alone.track.position_m]) / alone.scale
+    inside = observed.fixes_inside(*_ends_s(track))
+    posed = _problem(track, own, observed, inside, *options, shape_m if observed.locations else None)
+    return ReckonedWalk(track, own, observed, posed, solve(posed.problem), stood_steps)
+
+
 def _dead_reckoned(
     recording: Recording,
     config: Config,
@@ -533,16 +614,14 @@ def _smooth_track(
     are first linearised, and the steps within standstills. The smoothed result includes the person's step scale if the
     fixes determine it.
     """
-    start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
-    if track.n_steps:
-        start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
+    start_s, end_s = _ends_s(track)
     observed.check_inside(start_s, end_s)
     if track.n_steps == 0:
         places = compress((*observed.fixes, *observed.locations), observed.fixes_inside(start_s, end_s))
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return without_steps(track, observed, known), np.zeros(0), {}
 
-    def solved(observed: Observations, shape_m: FloatArray | None = None) -> tuple[_Posed, Solution]:
+    def solved(observed: Observations, shape_m: FloatArray | None = None) -> tuple[Posed, Solution]:
         posed = _problem(track, config, observed, observed.fixes_inside(start_s, end_s), *options, shape_m)
         return posed, solve(posed.problem)
 
@@ -573,7 +652,15 @@ def _smooth_track(
     return smoothed, walked_var_m2, clocks
 
 
-def _shifted_walk(posed: _Posed, found: Solution, source: Source) -> ShiftedWalk:
+def _ends_s(track: Track) -> tuple[float, float]:
+    """Return the first and the last time of a track, in s."""
+    start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
+    if track.n_steps:
+        start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
+    return start_s, end_s
+
+
+def _shifted_walk(posed: Posed, found: Solution, source: Source) -> ShiftedWalk:
     """Return the sum of squares of a solved problem, and its derivatives by an earlier clock of one source."""
     ahead_m = _ahead_m(posed, found, source)
     _, slope, information = response(posed.problem, found, ahead_m)
@@ -588,7 +675,7 @@ _MIN_POSITIONS = 3
 _VELOCITY_S = 3.0
 
 
-def _ahead_m(posed: _Posed, found: Solution, source: Source) -> FloatArray:
+def _ahead_m(posed: Posed, found: Solution, source: Source) -> FloatArray:
     """Return the way (F, 2) in m of the walk in 1 s at each observed position of a source, zero at the others."""
     mean, _ = step_states(posed.problem.intervals, found.mean, found.joint_cov)
     time_s = np.append(posed.steps.time_s[0] - posed.steps.duration_s[0], posed.steps.time_s)
@@ -603,7 +690,7 @@ def _ahead_m(posed: _Posed, found: Solution, source: Source) -> FloatArray:
     return ahead_m
 
 
-class _Posed(NamedTuple):
+class Posed(NamedTuple):
     """Increments of the steps, their errors (K, C, 2) by consider parameters, used observations, and the problem."""
 
     steps: Increments
@@ -622,7 +709,7 @@ def _problem(
     guess: WalkedPath | None,
     stood: StandstillSteps,
     shape_m: FloatArray | None,
-) -> _Posed:
+) -> Posed:
     """Return the least-squares problem of a track with steps.
 
     `inside` is a mask of the fixes and locations within the recording. `stood` are the steps within standstills.
@@ -661,7 +748,7 @@ def _problem(
         measurements=None if guess is None else _measurements_on_path(used, guess),
         shape_m=shape_m,
     )
-    return _Posed(steps, parameter_error_m, used, problem)
+    return Posed(steps, parameter_error_m, used, problem)
 
 
 def _with_withheld_steps(steps: Increments, track: Track, config: Config, stood: StandstillSteps) -> Increments:
@@ -707,7 +794,7 @@ def _start_directions(
 
 
 def _smoothed(
-    track: Track, posed: _Posed, found: Solution, observed: Observations, clocks: dict[Source, ClockShift]
+    track: Track, posed: Posed, found: Solution, observed: Observations, clocks: dict[Source, ClockShift]
 ) -> tuple[Smoothed, FloatArray]:
     """Return the result of a solved problem, and the variance (K,) in m2 of each position for a known heading.
 
