@@ -22,6 +22,7 @@ from pdr_filter.values import (
     FloatArray,
     Note,
     Table,
+    TrackRows,
     check_array,
     check_columns,
     check_cov,
@@ -136,6 +137,8 @@ class Calibration:
     mode_contexts : dict of str to str, optional
         Context of each mode whose step length was calibrated separately, because other modes of its context have
         different ones. The name of the mode then stands for a context in all other fields.
+    tracks : tuple of TrackRows, optional
+        Smoothed tracks of the recordings of a calibration with `smooth`, as `Track`. They are not saved.
 
     Raises
     ------
@@ -168,6 +171,7 @@ class Calibration:
     notes: tuple[str, ...] = ()
     card: Mapping[str, Any] | None = None
     mode_contexts: Mapping[str, str] = field(default_factory=dict[str, str])
+    tracks: tuple[TrackRows, ...] = ()
 
     __reduce__ = pickled
 

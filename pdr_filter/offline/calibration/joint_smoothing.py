@@ -70,6 +70,8 @@ class JointEstimate:
         Parameters of each person.
     smoothed : tuple of Smoothed
         Smoothed walks.
+    recording_std : float
+        Relative standard deviation of one person's scale between recordings.
     n_iterations : int
         Number of linearisations of the step lengths.
     converged : bool
@@ -81,6 +83,7 @@ class JointEstimate:
     people: FloatArray
     people_cov: FloatArray
     smoothed: tuple[Smoothed, ...]
+    recording_std: float
     n_iterations: int
     converged: bool
 
@@ -255,6 +258,7 @@ def estimate_jointly(
         people=np.array([parameters.all(theta[name]) for name in people]),
         people_cov=people_cov,
         smoothed=tuple(smoothed),
+        recording_std=recording_std,
         n_iterations=iteration,
         converged=converged,
     )
