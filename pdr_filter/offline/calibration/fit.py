@@ -196,6 +196,7 @@ def calibrate(
             loss=loss,
             anchor_std_m=anchor_std_m,
             recording_std=recording_std,
+            walking=walking,
             notes=without_name(n_unnamed, subject, each_a_person),
             progress=progress,
         )

@@ -16,14 +16,20 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.step_length.models import StepLengthFit, StepLengthModel, length_and_jacobian
+from pdr_filter.filter.step_length.models import StepLengthFit, length_and_jacobian
+from pdr_filter.offline.calibration.model_forms import hierarchy_of
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import Segment
-from pdr_filter.offline.robust_loss import OUTLIER_STDS
-from pdr_filter.offline.smoothing.factor_graph import PersonKeys, WalkGraph, bayes_tree, linear_factor, noise_of, optimised
+from pdr_filter.offline.smoothing.factor_graph import (
+    PersonKeys,
+    WalkGraph,
+    bayes_tree,
+    linear_factor,
+    noise_of,
+    optimised,
+)
 from pdr_filter.offline.smoothing.linear_graph import cov_of
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, preintegrate
-from pdr_filter.offline.smoothing.problem import Problem
 from pdr_filter.offline.smoothing.smooth import ReckonedWalk
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.recipes.config import Config
@@ -70,6 +76,8 @@ class JointEstimate:
         Parameters of each person.
     smoothed : tuple of Smoothed
         Smoothed walks.
+    between_cov : array (P, P)
+        Covariance of the parameters between people.
     recording_std : float
         Relative standard deviation of one person's scale between recordings.
     n_iterations : int
@@ -83,9 +91,18 @@ class JointEstimate:
     people: FloatArray
     people_cov: FloatArray
     smoothed: tuple[Smoothed, ...]
+    between_cov: FloatArray
     recording_std: float
     n_iterations: int
     converged: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Variances:
+    """Covariance (Q, Q) of the people's own parameters, and variance of one person's scale between recordings."""
+
+    between: FloatArray
+    recording: float
 
 
 class _Parameters:
@@ -194,30 +211,34 @@ def estimate_jointly(
     """Return the parameters and the smoothed walks that maximise the posterior of all walks together.
 
     The prior is that of a calibration from segments: theta_s of each person about the population, the population about
-    the mean of the priors, and a scale of each recording. Step lengths and noise of the steps are linearised at the
-    parameters of the last iteration.
+    the mean of the priors, and a scale of each recording. The variances between people and between recordings are
+    estimated by expectation-maximisation (`estimation.estimate_parameters`), the noise of the steps is that of the
+    priors. Step lengths and noise are linearised at the parameters of the last iteration.
     """
     parameters = _Parameters(priors)
     people = list(dict.fromkeys(w.subject for w in walks))
-    n_own = len(parameters.personal)
+    n_own, n_free = len(parameters.personal), len(parameters.free)
     keys = {
         name: PersonKeys(gtsam.symbol("k", 0), gtsam.symbol("p", s), parameters.personal)
         for s, name in enumerate(people)
     }
     theta = {name: parameters.mean[parameters.free].copy() for name in people}
     population = parameters.mean[parameters.free].copy()
+    variances = start = _Variances(np.diag(parameters.between_std[parameters.personal] ** 2), recording_std**2)
+    prior = hierarchy_of(priors, recording_std, tuple(priors))
     guesses = [w.walk.found for w in walks]
     is_outlier = [np.zeros(len(w.segments), dtype=bool) for w in walks]
     iteration, converged = 0, False
-    linearised, graph, values = list[_Linearised](), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    linearised, values = list[_Linearised](), gtsam.Values()
+    tree: Any = None
     while iteration < _MAX_ITERATIONS and not converged:
         iteration += 1
         linearised = [
-            _linearised(w, i, parameters, theta[w.subject], keys[w.subject], separate, recording_std)
+            _linearised(w, i, parameters, theta[w.subject], keys[w.subject], separate, variances.recording**0.5)
             for i, w in enumerate(walks)
         ]
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        _add_parameters(graph, values, parameters, population, theta, keys)
+        _add_parameters(graph, values, parameters, variances.between, population, theta, keys)
         for w, of_one, guess, wrong in zip(walks, linearised, guesses, is_outlier, strict=True):
             weight = guess.weight if loss == "gnc" else of_one.graph.problem.possible
             of_one.graph.add_to(graph, weight, loss)
@@ -225,29 +246,39 @@ def estimate_jointly(
             for segment in (s for s, is_wrong in zip(w.segments, wrong.tolist(), strict=True) if not is_wrong):
                 graph.push_back(_length_factor(segment, of_one.graph, parameters, theta[w.subject], loss))
         values = optimised(graph, values)
-        tree = bayes_tree(graph, values)
         before = theta
         theta = {name: keys[name].theta(values) for name in people}
         population = values.atVector(gtsam.symbol("k", 0))
-        guesses = [
-            of_one.graph.states_of(values, guess) for of_one, guess in zip(linearised, guesses, strict=True)
-        ]
+        guesses = [of_one.graph.states_of(values, guess) for of_one, guess in zip(linearised, guesses, strict=True)]
         moved = [np.abs(theta[name] - before[name]) / parameters.std for name in people]
         converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS
+        tree = bayes_tree(graph, values)
+        if not converged:
+            scatter = np.zeros_like(variances.between)
+            for name in people if n_own else []:
+                apart = theta[name][parameters.personal] - population[parameters.personal]
+                D = np.hstack([-np.eye(n_free)[parameters.personal], np.eye(n_own)])
+                scatter += np.outer(apart, apart) + D @ cov_of(tree, keys[name].keys) @ D.T
+            first = [of_one.graph.scale(0) for of_one in linearised]
+            square = sum(float(values.atVector(key)[0] ** 2 + cov_of(tree, [key])[0, 0]) for key in first)
+            variances = _Variances(
+                (prior.between_dof * start.between + scatter) / (prior.between_dof + len(people)),
+                (prior.recording_dof * start.recording + square) / (prior.recording_dof + len(walks)),
+            )
         if progress is not None:
             progress(iteration / _MAX_ITERATIONS)
-    tree = bayes_tree(graph, values)
-    n_free = len(parameters.free)
     people_cov = np.zeros((len(people), parameters.n, parameters.n))
     population_cov = cov_of(tree, [gtsam.symbol("k", 0)])
     for s, name in enumerate(people):
-        # theta = E [population, own] with E that takes the person's own parameters
-        E = np.zeros((n_free, n_free + n_own))
-        E[:, :n_free] = np.eye(n_free)
-        E[parameters.personal, parameters.personal] = 0.0
-        E[parameters.personal, n_free + np.arange(n_own)] = 1.0
-        E = E if n_own else E[:, :n_free]
-        people_cov[s] = parameters.all_cov(E @ cov_of(tree, keys[name].keys) @ E.T)
+        # theta = by_keys @ [population, own], with the person's own parameters
+        by_keys = np.zeros((n_free, n_free + n_own))
+        by_keys[:, :n_free] = np.eye(n_free)
+        by_keys[parameters.personal, parameters.personal] = 0.0
+        by_keys[parameters.personal, n_free + np.arange(n_own)] = 1.0
+        by_keys = by_keys if n_own else by_keys[:, :n_free]
+        people_cov[s] = parameters.all_cov(by_keys @ cov_of(tree, keys[name].keys) @ by_keys.T)
+    between_cov = np.zeros((n_free, n_free))
+    between_cov[np.ix_(parameters.personal, parameters.personal)] = variances.between
     smoothed = [
         w.walk.smoothed(of_one.steps, of_one.graph.problem, of_one.graph.solution(values, tree, guess))
         for w, of_one, guess in zip(walks, linearised, guesses, strict=True)
@@ -258,7 +289,8 @@ def estimate_jointly(
         people=np.array([parameters.all(theta[name]) for name in people]),
         people_cov=people_cov,
         smoothed=tuple(smoothed),
-        recording_std=recording_std,
+        between_cov=parameters.all_cov(between_cov),
+        recording_std=variances.recording**0.5,
         n_iterations=iteration,
         converged=converged,
     )
@@ -311,6 +343,7 @@ def _add_parameters(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
     parameters: _Parameters,
+    between_cov: FloatArray,
     population: FloatArray,
     theta: Mapping[str, FloatArray],
     keys: Mapping[str, PersonKeys],
@@ -323,7 +356,7 @@ def _add_parameters(
     personal = parameters.personal
     if not len(personal):
         return
-    own = np.diag(1 / parameters.between_std[personal])
+    own = np.asarray(np.linalg.inv(np.linalg.cholesky(between_cov)), dtype=float)
     of_population = np.zeros((len(personal), len(parameters.free)))
     of_population[:, personal] = -own
     for name, of_one in keys.items():
@@ -336,11 +369,11 @@ def _length_factor(
 ) -> gtsam.CustomFactor:
     """Return the factor of a stretch of known length: |sum of its steps| e^s is the length, as in `SegmentSums`."""
     full = parameters.all(theta)
-    A, constant = np.zeros((2, parameters.n)), np.zeros(2)
+    by_all, constant = np.zeros((2, parameters.n)), np.zeros(2)
     for name, part in parameters.slices.items():
-        A[:, part], rest = segment.sums(name, parameters.priors[name].model, full[part])
+        by_all[:, part], rest = segment.sums(name, parameters.priors[name].model, full[part])
         constant += rest
-    constant, A = constant + A @ full, A[:, parameters.free]
+    way_m, by_free = constant + by_all @ full, by_all[:, parameters.free]
     own = parameters.priors.get(segment.context_names[int(segment.steps_in.argmax())])
     step_std_m = 0.0 if own is None else own.step_std_m
     inverse = 1 / np.sqrt(segment.anchor_std_m**2 + segment.n_steps * step_std_m**2)
@@ -351,12 +384,12 @@ def _length_factor(
     keys = [of.scale(min(node, len(nodes) - 1)), *person.keys]
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
-        vector = constant + A @ (person.theta(values) - about)
+        vector = way_m + by_free @ (person.theta(values) - about)
         scale = np.exp(values.atVector(keys[0])[0])
         length_m = float(np.hypot(*vector))
         if jacobians is not None:
             jacobians[0] = np.array([[inverse * scale * length_m]])
-            by_theta = inverse * scale * (vector / max(length_m, 1e-9)) @ A
+            by_theta = inverse * scale * (vector / max(length_m, 1e-9)) @ by_free
             for i, H in enumerate(person.split(by_theta[None]), start=1):
                 jacobians[i] = H
         return np.array([inverse * (scale * length_m - segment.distance_m)])

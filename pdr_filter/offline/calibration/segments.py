@@ -506,7 +506,11 @@ def truth_fixes(recording: Recording, anchor_std_m: float | None = None) -> list
     ends_s = {t for s in stretches for t in (s.start_s, s.end_s)}
     cov_m2 = 0.5 * std_m**2 * np.eye(2)
     points = truth.waypoints
-    return [PositionFix(float(p.time_s), (p.east_m, p.north_m), cov_m2) for p in points if float(p.time_s) in ends_s]
+    return [
+        PositionFix(float(p.time_s), np.array([p.east_m, p.north_m], dtype=float), cov_m2)
+        for p in points
+        if float(p.time_s) in ends_s
+    ]
 
 
 def _share_inside(track: TrackRows, stretch: _Stretch) -> FloatArray:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.imm.motion_model import LOG_SCALE
+from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import MIN_WAYPOINT_DISTANCE_M, segments_of, truth_fixes
@@ -16,9 +16,8 @@ from pdr_filter.offline.robust_loss import LOSSES
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.offline.smoothing.smooth import reckoned_walk
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.step_length_calibration import Calibration, of_height, slices_of
-from pdr_filter.filter.step_length.models import length_and_jacobian
-from pdr_filter.values import Fix, FloatArray, SpeedFix, Table, steps_of, table
+from pdr_filter.recipes.step_length_calibration import Calibration, of_height, slices_of, typical_step_m
+from pdr_filter.values import Fix, FloatArray, SpeedFix, Step, Table, steps_of, table
 from pdr_filter.values.recording import Recording
 from pdr_filter.version import __version__
 
@@ -35,6 +34,7 @@ def calibrate_by_smoothing(
     loss: str,
     anchor_std_m: float | None,
     recording_std: float,
+    walking: str,
     notes: Sequence[str],
     progress: Callable[[float], None] | None,
 ) -> Calibration:
@@ -45,9 +45,12 @@ def calibrate_by_smoothing(
     """
     if loss not in LOSSES:
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
+    scale_std = _scale_std(priors.get(walking), recording_std)
     walks, remarks = list[CalibrationWalk](), list[str](notes)
     for i, (recording, name, fixes, closures) in enumerate(zip(recordings, people, *observed, strict=True), 1):
-        walk, of_walk = _walk(recording, name, config, list(fixes), list(closures), separate, measure, anchor_std_m)
+        walk, of_walk = _walk(
+            recording, name, config, list(fixes), list(closures), separate, measure, anchor_std_m, scale_std
+        )
         walks.append(walk)
         remarks += of_walk
         if progress is not None:
@@ -73,6 +76,7 @@ def _walk(
     separate: Mapping[str, str],
     measure: str,
     anchor_std_m: float | None,
+    scale_std: float,
 ) -> tuple[CalibrationWalk, list[str]]:
     """Return the walk of a recording with its observations, and notes about unused ones."""
     notes: list[str] = []
@@ -83,12 +87,21 @@ def _walk(
     is_given = bool(fixes or closures)
     if not is_given:
         fixes = [*truth_fixes(recording, anchor_std_m)]
-    walk = reckoned_walk(recording, config, fixes, closures)
+    walk = reckoned_walk(recording, config, fixes, closures, scale_std)
     segments: tuple[Any, ...] = ()
     if not (is_given or fixes or walk.observed.locations):
         found, remarks = segments_of(recording, walk.track, anchor_std_m, measure, subject, separate)
         segments, notes = tuple(found), [*notes, *remarks]
     return CalibrationWalk(subject, recording.subject.height_m, walk, segments), notes
+
+
+def _scale_std(prior: StepLengthPrior | None, recording_std: float) -> float:
+    """Return the prior standard deviation of the log step scale of an unknown person in one recording."""
+    if prior is None:
+        return recording_std
+    cov = np.diag(prior.std**2 + prior.between_std**2)
+    length_m, std_m = typical_step_m(prior.model, prior.mean, cov)
+    return float(np.hypot(min(std_m / max(length_m, 1e-3), 1.0), recording_std))
 
 
 def _n_observations(of: CalibrationWalk) -> int:
@@ -109,13 +122,12 @@ def _assembled(
     subjects = tuple(dict.fromkeys(w.subject for w in walks))
     heights = {w.subject: w.height_m for w in walks}
     rows = _table(walks, found, priors, separate, subjects)
-    between = np.diag(np.square(np.concatenate([p.between_std for p in priors.values()])))
     n_used = [int((w.walk.found.weight > 0).sum()) + len(w.segments) for w in walks]
     return Calibration(
         models=models,
         theta=found.population,
         theta_cov=found.population_cov,
-        between_cov=between,
+        between_cov=found.between_cov,
         people=found.people,
         people_cov=found.people_cov,
         subject_ids=subjects,
@@ -161,11 +173,7 @@ def _table(
         for name, part in slices.items():
             prob = track.mode_prob @ np.array([float(n == name) for n in names])
             model = of_height(priors[name].model, of.height_m)
-
-            def lengths_m(theta: FloatArray, model: Any = model) -> FloatArray:
-                return np.array([float(length_and_jacobian(model, step, theta)[0]) for step in steps])
-
-            predicted_m = prob * lengths_m(own[part])
+            predicted_m = prob * _lengths_m(model, steps, own[part])
             if not predicted_m.sum() >= MIN_WAYPOINT_DISTANCE_M:
                 continue
             inside = np.flatnonzero(prob > 0.5 * prob.max())
@@ -181,7 +189,7 @@ def _table(
                 "predicted_m": float(predicted_m.sum()),
                 "left_out_m": np.nan,
                 "stranger_m": np.nan,
-                "uncalibrated_m": float(prob @ lengths_m(start[part])),
+                "uncalibrated_m": float(prob @ _lengths_m(model, steps, start[part])),
                 "misfit": float(np.log(scale @ predicted_m / predicted_m.sum())) / max(found.recording_std, 1e-9),
                 "weight": share,
                 "distrusted": bool(len(weight)) and share == 0.0,
@@ -191,3 +199,8 @@ def _table(
     if not columns:
         raise ValueError(f"no walk leads over {MIN_WAYPOINT_DISTANCE_M:g} m in any context: record longer walks")
     return table({name: np.array(values) for name, values in columns.items()})
+
+
+def _lengths_m(model: StepLengthModel, steps: Sequence[Step], theta: FloatArray) -> FloatArray:
+    """Return the lengths (K,) of steps."""
+    return np.array([float(length_and_jacobian(model, step, theta)[0]) for step in steps])

@@ -257,8 +257,8 @@ class WalkGraph:
                     by_position = H[:, :2] @ values.atPose2(self.pose(node)).rotation().matrix()
                     jacobians[2 * i] = np.column_stack([by_position, -H[:, HEADING_OFFSET]])
                     jacobians[2 * i + 1] = H[:, LOG_SCALE:]
-                for i, H in enumerate(derivatives[len(nodes) :], start=len(keys)):
-                    jacobians[i] = H
+                for i, by_vector in enumerate(derivatives[len(nodes) :], start=len(keys)):
+                    jacobians[i] = by_vector
             return residual
 
         return gtsam.CustomFactor(noise_of(size, loss), [*keys, *others], error)
@@ -343,7 +343,7 @@ class WalkGraph:
 
         def function(states: FloatArray, vectors: list[FloatArray]) -> tuple[FloatArray, list[FloatArray]]:
             turned = wrap_angle(states[:1, HEADING_OFFSET] - vectors[0] - offset_rad)
-            return turned * inverse, [by_state, np.array([[-inverse]])]
+            return np.asarray(turned * inverse), [by_state, np.array([[-inverse]])]
 
         return self._of_states(1, [int(offsets.node[i])], function, [self.frame])
 

@@ -410,9 +410,7 @@ class ReckonedWalk(NamedTuple):
             steps["yaw_bias_std_radps"] = 0.0
             track = replace(track, steps=steps)
         is_weighted = track.weighting != "imm"
-        steps, _ = increments(
-            track.steps, track.mode_prob, config.model, track.gap_before_s, is_weighted=is_weighted
-        )
+        steps, _ = increments(track.steps, track.mode_prob, config.model, track.gap_before_s, is_weighted=is_weighted)
         return _with_withheld_steps(steps, track, config, self.stood)
 
     def smoothed(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
@@ -423,11 +421,16 @@ class ReckonedWalk(NamedTuple):
 
 
 def reckoned_walk(
-    recording: Recording, config: Config | None, fixes: Sequence[Fix], loop_closures: Sequence[LoopClosure]
+    recording: Recording,
+    config: Config | None,
+    fixes: Sequence[Fix],
+    loop_closures: Sequence[LoopClosure],
+    log_scale_std: float,
 ) -> ReckonedWalk:
     """Return a walk with its fixes, loop closures and locations, solved alone as by `smooth`.
 
-    ValueError for a recording without steps, or with observations outside of it.
+    The log step scale has the prior standard deviation `log_scale_std`, if that of the configuration is not larger: a
+    smaller one would reject right fixes of a person who is not calibrated yet. ValueError for a recording without steps, or with observations outside of it.
     """
     run = prepared_run(recording, config, fixes, TrackPlacement())
     if run.config.on_plan is not None or any(isinstance(fix, GridFix) for fix in run.fixes):
@@ -437,10 +440,12 @@ def reckoned_walk(
     if not track.n_steps:
         raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
     track = _with_smoothed_modes(track, own)
+    noise = own.model.noise
+    own = own.with_model(noise=replace(noise, log_scale_std=max(noise.log_scale_std, log_scale_std)))
     locations = ()
     if run.with_location and run.recording.location is not None:
         _, locations = locations_of(run.recording.location)
-    given = tuple(fix for fix in run.fixes if not isinstance(fix, Standstill))
+    given = tuple(fix for fix in run.fixes if not isinstance(fix, Standstill | GridFix))
     observed = Observations(fixes=given, locations=locations, loop_closures=tuple(loop_closures))
     options = None, _CALIBRATION_ANCHOR_S, _online_path(run.recording, own, run.fixes), stood_steps
     alone, _, clocks = _smooth_track(track, own, observed, options)
