@@ -45,10 +45,10 @@ def calibrate_by_smoothing(
     """
     if loss not in LOSSES:
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
-    scale_std = _scale_std(priors.get(walking), recording_std)
+    scale_std = scale_std_of(priors.get(walking), recording_std)
     walks, remarks = list[CalibrationWalk](), list[str](notes)
     for i, (recording, name, fixes, closures) in enumerate(zip(recordings, people, *observed, strict=True), 1):
-        walk, of_walk = _walk(
+        walk, of_walk = calibration_walk(
             recording, name, config, list(fixes), list(closures), separate, measure, anchor_std_m, scale_std
         )
         walks.append(walk)
@@ -67,7 +67,7 @@ def calibrate_by_smoothing(
     return _assembled(walks, found, priors, separate, remarks)
 
 
-def _walk(
+def calibration_walk(
     recording: Recording,
     subject: str,
     config: Config | None,
@@ -95,7 +95,7 @@ def _walk(
     return CalibrationWalk(subject, recording.subject.height_m, walk, segments), notes
 
 
-def _scale_std(prior: StepLengthPrior | None, recording_std: float) -> float:
+def scale_std_of(prior: StepLengthPrior | None, recording_std: float) -> float:
     """Return the prior standard deviation of the log step scale of an unknown person in one recording."""
     if prior is None:
         return recording_std

@@ -429,8 +429,9 @@ def reckoned_walk(
 ) -> ReckonedWalk:
     """Return a walk with its fixes, loop closures and locations, solved alone as by `smooth`.
 
-    The log step scale has the prior standard deviation `log_scale_std`, if that of the configuration is not larger: a
-    smaller one would reject right fixes of a person who is not calibrated yet. ValueError for a recording without steps, or with observations outside of it.
+    The log step scale has the prior standard deviation `log_scale_std`, if that of the configuration is not larger. A
+    smaller one would reject right fixes of a person who is not calibrated yet. ValueError for a recording without
+    steps, or with observations outside of it.
     """
     run = prepared_run(recording, config, fixes, TrackPlacement())
     if run.config.on_plan is not None or any(isinstance(fix, GridFix) for fix in run.fixes):
