@@ -89,12 +89,12 @@ def test_the_derivatives_of_all_factors_equal_finite_differences() -> None:
     values.insert(K.person, np.array([0.9]))
     for i in range(factors.size()):
         linear, first = factors.at(i).linearize(values), 0
-        A, _ = linear.jacobian()
-        for key in linear.keys():
+        by_all, _ = linear.jacobian()
+        for key in list(linear.keys()):
             size = 3 if gtsam.Symbol(key).chr() == ord("x") else values.atVector(key).size
-            analytic = A[:, first : first + size]
+            analytic = by_all[:, first : first + size]
             np.testing.assert_allclose(
-                analytic, numeric(factors.at(i), values, key, size), atol=1e-5 * (1 + np.abs(A).max())
+                analytic, numeric(factors.at(i), values, key, size), atol=1e-5 * (1 + np.abs(by_all).max())
             )
             first += size
 
