@@ -14,7 +14,7 @@ d_i at the parameters theta_0, with the derivative J_i. The noise is that of `pr
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import gtsam
@@ -102,10 +102,10 @@ class WalkGraph:
         Times of the contacts.
     start_s : float
         Time at the first anchor.
-    rate_std_radps : float
+    rate_std_radps : float, default 0.0
         Prior standard deviation of the turning rate that a gyroscope bias causes, 0 for none.
     by_theta : array (K, 2, F)
-        Derivative of the displacement of each step by the parameters of the person.
+        Derivative of the displacement of each step by the parameters of the person, empty for fixed step lengths.
     about : array (F,)
         Parameters at which the displacements in `problem` were computed.
     person : PersonKeys or None
@@ -118,9 +118,9 @@ class WalkGraph:
     device_rad: FloatArray
     time_s: FloatArray
     start_s: float
-    rate_std_radps: float
-    by_theta: FloatArray
-    about: FloatArray
+    rate_std_radps: float = 0.0
+    by_theta: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 0)))
+    about: FloatArray = field(default_factory=lambda: np.zeros(0))
     person: PersonKeys | None = None
     number: int = 0
 
@@ -283,7 +283,8 @@ class WalkGraph:
         step_m, decay = intervals.step_m[first:end], intervals.decay[first:end]
         # a step without a measured heading has a fixed length (`preintegration.increments`)
         is_measured = intervals.is_measured[first:end].astype(float)
-        by_theta = self.by_theta[first:end] * is_measured[:, None, None]
+        by_theta = self.by_theta[first:end]
+        by_theta = by_theta * is_measured[: len(by_theta), None, None]
         since_s = self.time_s[first:end] - (self.time_s[first - 1] if first else self.start_s)
         lasts_s, with_rate, person, about = float(since_s[-1]), self.rate_std_radps > 0, self.person, self.about
         n_theta = by_theta.shape[-1]
@@ -452,3 +453,99 @@ def bayes_tree(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam
     """Return the Bayes tree of the graph linearised at values, from which `linear_graph.cov_of` takes covariances."""
     linear = graph.linearize(values)
     return linear.eliminateMultifrontal(gtsam.Ordering.OrderingType.COLAMD, gtsam.EliminateQR)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseKeys:
+    """Keys of the poses of a walk, for factors of the user.
+
+    The pose at a foot contact is a `gtsam.Pose2` with the key `gtsam.symbol("x", n)`, where n is the number of steps
+    before the contact: 0 is the start of the walk. Its angle is the walking heading, counter-clockwise from east. Other
+    letters than b, e, f, s and x are free for unknowns of the user.
+
+    Attributes
+    ----------
+    time_s : array (K + 1,)
+        Times of the start and of the contacts.
+    estimates : array (K + 1, 3)
+        East and north in m and walking heading in rad, clockwise from north, smoothed without the factors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.offline.smoothing.factor_graph import PoseKeys
+    >>> keys = PoseKeys(np.array([0.0, 0.5, 1.0]), np.zeros((3, 3)))
+    >>> keys.key(0.6), round(keys.estimate(0.6).theta(), 3)
+    (8646911284551352321, 1.571)
+    """
+
+    time_s: FloatArray
+    estimates: FloatArray
+
+    def contact(self, time_s: float) -> int:
+        """Return the number of steps before the contact nearest to a time."""
+        return int(np.abs(self.time_s - time_s).argmin())
+
+    def key(self, time_s: float) -> int:
+        """Return the key of the pose at the contact nearest to a time."""
+        return int(gtsam.symbol("x", self.contact(time_s)))
+
+    def estimate(self, time_s: float) -> gtsam.Pose2:
+        """Return the pose at the contact nearest to a time, smoothed without the factors."""
+        east_m, north_m, heading_rad = self.estimates[self.contact(time_s)].tolist()
+        return gtsam.Pose2(east_m, north_m, 0.5 * np.pi - heading_rad)
+
+
+UserFactors = Callable[[PoseKeys], Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UserGraph:
+    """Factors of the user, values of their own unknowns, and the numbers of steps at whose contacts they need poses."""
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    anchors: tuple[int, ...]
+
+
+def user_graph(factors: UserFactors, keys: PoseKeys) -> UserGraph:
+    """Return the factors of a function of the user. ValueError if an unknown has no value."""
+    made = factors(keys)
+    graph, values = made if isinstance(made, tuple) else (made, gtsam.Values())
+    if not (isinstance(graph, gtsam.NonlinearFactorGraph) and isinstance(values, gtsam.Values)):
+        raise ValueError(
+            "factors must return a gtsam.NonlinearFactorGraph, or a pair of it and the gtsam.Values of its own "
+            f"unknowns, got {made!r}"
+        )
+    anchors: list[int] = []
+    for key in graph.keyVector():
+        symbol = gtsam.Symbol(key)
+        if symbol.chr() == ord("x"):
+            if symbol.index() >= len(keys.time_s):
+                raise ValueError(
+                    f"factors use the pose {symbol.string()}, but the walk has {len(keys.time_s) - 1} steps: use the "
+                    "keys of PoseKeys.key"
+                )
+            anchors.append(int(symbol.index()))
+        elif not values.exists(key):
+            raise ValueError(
+                f"factors use the unknown {gtsam.DefaultKeyFormatter(key)} without a value: return a pair of the graph "
+                "and gtsam.Values with an initial value of it"
+            )
+    return UserGraph(graph, values, tuple(anchors))
+
+
+def solved_with(graph: WalkGraph, found: Solution, user: UserGraph) -> tuple[Solution, gtsam.Values]:
+    """Return the solution of a walk with the factors of the user, and all values. ValueError if it is not unique."""
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values(user.values)
+    graph.add_to(factors, found.weight)
+    factors.push_back(user.graph)
+    graph.insert_into(values, found)
+    try:
+        values = optimised(factors, values)
+        return graph.solution(values, bayes_tree(factors, values), found), values
+    except RuntimeError as error:
+        raise ValueError(
+            f"the walk and the given factors do not determine all unknowns: {str(error).strip()}; add factors, such as "
+            "priors of landmarks"
+        ) from error

@@ -33,6 +33,7 @@ from pdr_filter.filter.imm.motion_model import (
 )
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
 from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, estimated_shift
+from pdr_filter.offline.smoothing.factor_graph import PoseKeys, UserFactors, WalkGraph, solved_with, user_graph
 from pdr_filter.offline.smoothing.location_errors import turned_to
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
@@ -188,6 +189,7 @@ def smooth(
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 2.0,
     memory: SmoothingMemory | None = None,
+    factors: UserFactors | None = None,
 ) -> Smoothed:
     """Return the smoothed track of a recording, with a covariance at every step.
 
@@ -252,6 +254,10 @@ def smooth(
     memory : SmoothingMemory, optional
         Memory of earlier calls with the same recording. A call with other fixes then reuses the dead-reckoned track and
         takes a fraction of the time.
+    factors : callable, optional
+        Function that takes a `PoseKeys` and returns further factors, a `gtsam.NonlinearFactorGraph`, or a pair of it
+        and the `gtsam.Values` of unknowns of its own, such as landmarks. The solution is in `Smoothed.values`. Not
+        available on a plan.
 
     Returns
     -------
@@ -286,11 +292,11 @@ def smooth(
     """
     known_headings, floor_changes = tuple(known_headings), tuple(floor_changes)
     loop_closures = loop_closures if isinstance(loop_closures, str) else tuple(loop_closures)
-    is_more = loop or loop_closures or known_headings or floor_changes or start_heading_std_rad is not None
+    is_more = loop or loop_closures or known_headings or floor_changes or start_heading_std_rad is not None or factors
     if plan is not None and is_more:
         raise ValueError(
-            "smoothing on a floor plan supports fixes alone, got loop, loop_closures, known_headings, floor_changes or "
-            "start_heading_std_rad together with plan: omit them"
+            "smoothing on a floor plan supports fixes alone, got loop, loop_closures, known_headings, floor_changes, "
+            "start_heading_std_rad or factors together with plan: omit them"
         )
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
     placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
@@ -337,6 +343,8 @@ def smooth(
     options = start_heading_std_rad, anchor_interval_s, guess, stood_steps
     smooth_with = partial(_smooth_track, track, config, options=options)
     smoothed, walked_var_m2, clocks = smooth_with(observed)
+    if factors is not None and track.n_steps:
+        smoothed = _with_factors(smoothed, track, config, observed, clocks, options, factors)
     if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
         device = _observed_device(smoothed, config, sensing)
         smoothed = replace(smoothed, track=replace(smoothed.track, device=device))
@@ -384,7 +392,7 @@ class ReckonedWalk(NamedTuple):
         Configuration of the track.
     observed : Observations
         Observations on the clock of the track.
-    posed : Posed
+    posed : _Posed
         Problem of the walk alone.
     found : Solution
         Solution of `posed`.
@@ -395,7 +403,7 @@ class ReckonedWalk(NamedTuple):
     track: Track
     config: Config
     observed: Observations
-    posed: Posed
+    posed: _Posed
     found: Solution
     stood: StandstillSteps
 
@@ -416,7 +424,7 @@ class ReckonedWalk(NamedTuple):
     def smoothed(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
         """Return the smoothed walk for a solution of `problem`, with step lengths whose parameters are in `found`."""
         known = np.zeros_like(self.posed.parameter_error_m)
-        posed = Posed(steps, known, self.posed.used, problem)
+        posed = _Posed(steps, known, self.posed.used, problem)
         return _smoothed(self.track, posed, found, self.observed, {})[0]
 
 
@@ -450,12 +458,61 @@ def reckoned_walk(
     observed = Observations(fixes=given, locations=locations, loop_closures=tuple(loop_closures))
     options = None, _CALIBRATION_ANCHOR_S, _online_path(run.recording, own, run.fixes), stood_steps
     alone, _, clocks = _smooth_track(track, own, observed, options)
+    track, posed = _posed_as(alone, track, own, observed, clocks, options)
+    return ReckonedWalk(track, own, observed, posed, solve(posed.problem), stood_steps)
+
+
+_Options = tuple[float | None, float, WalkedPath | None, StandstillSteps]
+
+
+def _posed_as(
+    smoothed: Smoothed,
+    track: Track,
+    config: Config,
+    observed: Observations,
+    clocks: dict[Source, ClockShift],
+    options: _Options,
+    anchors: Sequence[int] = (),
+) -> tuple[Track, _Posed]:
+    """Return the dead-reckoned track and the problem whose solution is a smoothed walk.
+
+    `anchors` are further numbers of steps at which a state is estimated. The other arguments are those of
+    `_smooth_track`, and the shifts of the clocks are its result.
+    """
+    track = replace(track, mode_prob=smoothed.track.mode_prob)
     for source, shift in clocks.items():
         observed = observed.earlier(source, shift.late_s)
-    shape_m = np.vstack([alone.start_position_m, alone.track.position_m]) / alone.scale
+    shape_m = np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale
     inside = observed.fixes_inside(*_ends_s(track))
-    posed = _problem(track, own, observed, inside, *options, shape_m if observed.locations else None)
-    return ReckonedWalk(track, own, observed, posed, solve(posed.problem), stood_steps)
+    return track, _problem(track, config, observed, inside, *options, shape_m if observed.locations else None, anchors)
+
+
+def _with_factors(
+    smoothed: Smoothed,
+    track: Track,
+    config: Config,
+    observed: Observations,
+    clocks: dict[Source, ClockShift],
+    options: _Options,
+    factors: UserFactors,
+) -> Smoothed:
+    """Return a smoothed walk with factors of the user in addition to its observations, by GTSAM.
+
+    The observations are those that the walk alone does not contradict.
+    """
+    start = np.array([*smoothed.start_position_m, smoothed.track.walking_heading_rad[0]])
+    poses = np.column_stack([smoothed.track.position_m, smoothed.track.walking_heading_rad])
+    steps = track.steps
+    begin_s = float(steps.time_s[0] - steps.duration_s[0])
+    keys = PoseKeys(np.append(begin_s, track.time_s), np.vstack([start, poses]))
+    user = user_graph(factors, keys)
+    track, posed = _posed_as(smoothed, track, config, observed, clocks, options, user.anchors)
+    nodes = posed.problem.intervals.nodes
+    graph = WalkGraph(posed.problem, posed.used.device_rad[np.maximum(nodes - 1, 0)], posed.steps.time_s, begin_s)
+    found, values = solved_with(graph, solve(posed.problem), user)
+    result, _ = _smoothed(track, posed, found, observed, clocks)
+    of_walk = replace(result.track, person=smoothed.track.person, device=smoothed.track.device)
+    return replace(result, track=of_walk, values=values)
 
 
 def _dead_reckoned(
@@ -627,7 +684,7 @@ def _smooth_track(
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return without_steps(track, observed, known), np.zeros(0), {}
 
-    def solved(observed: Observations, shape_m: FloatArray | None = None) -> tuple[Posed, Solution]:
+    def solved(observed: Observations, shape_m: FloatArray | None = None) -> tuple[_Posed, Solution]:
         posed = _problem(track, config, observed, observed.fixes_inside(start_s, end_s), *options, shape_m)
         return posed, solve(posed.problem)
 
@@ -666,7 +723,7 @@ def _ends_s(track: Track) -> tuple[float, float]:
     return start_s, end_s
 
 
-def _shifted_walk(posed: Posed, found: Solution, source: Source) -> ShiftedWalk:
+def _shifted_walk(posed: _Posed, found: Solution, source: Source) -> ShiftedWalk:
     """Return the sum of squares of a solved problem, and its derivatives by an earlier clock of one source."""
     ahead_m = _ahead_m(posed, found, source)
     _, slope, information = response(posed.problem, found, ahead_m)
@@ -681,7 +738,7 @@ _MIN_POSITIONS = 3
 _VELOCITY_S = 3.0
 
 
-def _ahead_m(posed: Posed, found: Solution, source: Source) -> FloatArray:
+def _ahead_m(posed: _Posed, found: Solution, source: Source) -> FloatArray:
     """Return the way (F, 2) in m of the walk in 1 s at each observed position of a source, zero at the others."""
     mean, _ = step_states(posed.problem.intervals, found.mean, found.joint_cov)
     time_s = np.append(posed.steps.time_s[0] - posed.steps.duration_s[0], posed.steps.time_s)
@@ -696,7 +753,7 @@ def _ahead_m(posed: Posed, found: Solution, source: Source) -> FloatArray:
     return ahead_m
 
 
-class Posed(NamedTuple):
+class _Posed(NamedTuple):
     """Increments of the steps, their errors (K, C, 2) by consider parameters, used observations, and the problem."""
 
     steps: Increments
@@ -715,12 +772,13 @@ def _problem(
     guess: WalkedPath | None,
     stood: StandstillSteps,
     shape_m: FloatArray | None,
-) -> Posed:
+    anchors: Sequence[int] = (),
+) -> _Posed:
     """Return the least-squares problem of a track with steps.
 
     `inside` is a mask of the fixes and locations within the recording. `stood` are the steps within standstills.
     `shape_m` (K + 1, 2) are positions of the start and of the steps that show the shape of the walk (`errors_of`), or
-    None for dead reckoning.
+    None for dead reckoning. `anchors` are further numbers of steps with an anchor.
     """
     noise, modes = config.model.noise, config.model.modes
     steps, parameter_error_m = increments(
@@ -753,8 +811,9 @@ def _problem(
         states=used.states,
         measurements=None if guess is None else _measurements_on_path(used, guess),
         shape_m=shape_m,
+        anchors=anchors,
     )
-    return Posed(steps, parameter_error_m, used, problem)
+    return _Posed(steps, parameter_error_m, used, problem)
 
 
 def _with_withheld_steps(steps: Increments, track: Track, config: Config, stood: StandstillSteps) -> Increments:
@@ -800,7 +859,7 @@ def _start_directions(
 
 
 def _smoothed(
-    track: Track, posed: Posed, found: Solution, observed: Observations, clocks: dict[Source, ClockShift]
+    track: Track, posed: _Posed, found: Solution, observed: Observations, clocks: dict[Source, ClockShift]
 ) -> tuple[Smoothed, FloatArray]:
     """Return the result of a solved problem, and the variance (K,) in m2 of each position for a known heading.
 
