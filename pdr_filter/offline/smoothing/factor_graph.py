@@ -38,7 +38,7 @@ from pdr_filter.offline.smoothing.solve import (
     position_residuals,
     state_residuals,
 )
-from pdr_filter.values import FloatArray, IntArray, wrap_angle
+from pdr_filter.values import FloatArray, IntArray, read_only, wrap_angle
 
 # Walks with up to a million contacts have distinct keys.
 _MOST_CONTACTS = 1_000_000
@@ -265,7 +265,7 @@ class WalkGraph:
 
     def _start(self) -> gtsam.CustomFactor:
         """Return the prior of the first state."""
-        whiten = np.linalg.inv(np.linalg.cholesky(self.problem.start_cov))
+        whiten = read_only(np.linalg.inv(np.linalg.cholesky(self.problem.start_cov)))
         start = self.problem.start_mean
 
         def function(states: FloatArray, _: list[FloatArray]) -> tuple[FloatArray, list[FloatArray]]:
