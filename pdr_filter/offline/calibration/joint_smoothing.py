@@ -187,8 +187,9 @@ def displacement_by_theta(
             continue
         fit, part = mode.step_length, slices[name]
         for k in np.flatnonzero(prob[:, m] > _MIN_PROB).tolist():
-            _, jacobian = length_and_jacobian(fit.model, each[k], fit.theta)
-            by_theta[k, :, part] += prob[k, m] * along[k, m][:, None] * jacobian
+            length_m, jacobian = length_and_jacobian(fit.model, each[k], fit.theta)
+            if length_m > 0:  # a negative length counts as zero
+                by_theta[k, :, part] += prob[k, m] * along[k, m][:, None] * jacobian
     return by_theta
 
 

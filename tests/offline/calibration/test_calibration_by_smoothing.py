@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
+from pdr_filter.offline.calibration.joint_smoothing import displacement_by_theta, mode_names, with_parameters
+from pdr_filter.offline.calibration.model_forms import forms_of
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
 from pdr_filter.offline.smoothing.observations import LoopClosure
+from pdr_filter.offline.smoothing.preintegration import increments
 from pdr_filter.recipes.step_length_calibration import slices_of
 from pdr_filter.values.recording import Recording, Truth
 
@@ -85,3 +88,21 @@ def test_arguments_that_contradict_each_other_are_refused(arguments: dict[str, o
         arguments = {**arguments, "priors": {"walking": replace(own, between_std=np.array([np.inf]))}}
     with pytest.raises(ValueError, match=message):
         pdr.calibrate(replace(rectangle(), truth=Truth()), **arguments)
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc", "hc"])
+def test_displacements_depend_on_the_parameters_as_in_the_smoother(weighting: str) -> None:
+    walk, config = pdr.simulate.demo_walk(), pdr.recipes.default().with_weighting(weighting)
+    track, (priors,) = pdr.track(walk, config=config), forms_of(model="eq12").values()
+    slices, n = slices_of({name: p.model for name, p in priors.items()})
+    names, rng = mode_names(config.model, {}), np.random.default_rng(3)
+    thetas = [{name: p.mean + 0.05 * rng.normal(size=len(p.mean)) * p.std for name, p in priors.items()} for _ in "ab"]
+    models = [with_parameters(config, priors, theta, names, None, 0.025).model for theta in thetas]
+    is_weighted = weighting != "imm"
+    moved_m = [
+        increments(track.steps, track.mode_prob, model, track.gap_before_s, is_weighted=is_weighted)[0].displacement_m
+        for model in models
+    ]
+    by_theta = displacement_by_theta(track, models[0], names, slices, n, is_weighted=is_weighted)
+    change = np.concatenate(list(thetas[1].values())) - np.concatenate(list(thetas[0].values()))
+    np.testing.assert_allclose(by_theta @ change, moved_m[1] - moved_m[0], atol=1e-3)
