@@ -41,11 +41,18 @@ def simulated_walk(
     any_rotation: bool = False,
     jumps: int = 0,
     scale_memory: float = 1.0,
+    loop: bool = False,
 ) -> Walk:
-    """A walk with a turn every 20 steps or so, its errors drawn from the covariances that the increments carry."""
+    """A walk with a turn every 20 steps or so, its errors drawn from the covariances that the increments carry.
+
+    A loop is a rectangle, whose errors are drawn given that it ends at its start.
+    """
     length = rng.normal(0.7, 0.05, n_steps)
     corner = np.where(rng.random(n_steps) < 0.05, rng.choice([-np.pi / 2, np.pi / 2], n_steps), 0.0)
     psi = np.cumsum(corner + rng.normal(scale=0.03, size=n_steps))
+    if loop:
+        length[n_steps // 2 :] = length[: n_steps // 2]
+        psi = np.pi / 2 * (np.arange(n_steps) * 4 // n_steps)
     along = np.column_stack([np.sin(psi), np.cos(psi)])
     across = np.column_stack([np.cos(psi), -np.sin(psi)])
     cov = 0.06**2 * along[:, :, None] * along[:, None, :]
@@ -76,5 +83,7 @@ def simulated_walk(
         scale[k + 1] = scale_memory * scale[k] + drift_of_scale
     noise = np.einsum("kab,kb->ka", np.linalg.cholesky(cov), rng.normal(size=(n_steps, 2)))
     moved = np.einsum("kab,kb->ka", scaled_rotation(walked_with, scale[:-1]), steps.displacement_m + noise)
+    if loop:
+        moved -= moved.mean(axis=0)
     position = np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)])
     return Walk(steps, position, np.concatenate([[start], walked_with + drift]), scale)

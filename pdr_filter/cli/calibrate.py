@@ -83,16 +83,25 @@ def calibrate(
     steps: Annotated[
         int | None, typer.Option(help="Counted number of steps in each recording, to check the detected steps.")
     ] = None,
+    smooth: Annotated[
+        bool,
+        typer.Option(
+            "--smooth", help="Smooth all walks together with the step lengths: locations and marks calibrate them, too."
+        ),
+    ] = False,
 ) -> None:
     """Calibrate step lengths on recordings with segments of known length or with waypoints.
 
     For recordings of walks whose length you know, give --distance, and --steps if you counted them.
+
+    With --smooth, the marks of a recording, which pdr-filter app writes, are used in place of its truth.
 
     All recordings that do not name their person are assumed to be of one person. With --jobs, --scheduler or --resume,
     recordings that cannot be used are skipped and listed in the report.
     """
     import pdr_filter as pdr
     from pdr_filter.classifiers.model_files import file_pair
+    from pdr_filter.maps.marks import read_marks
     from pdr_filter.report.plot.figures import check_picture
 
     with console.one_line_errors(), console.progress("calibrating") as show:
@@ -110,13 +119,22 @@ def calibrate(
         if steps is not None and distance is None:
             raise ValueError(f"--steps {steps} needs the length of the walk: give --distance in m, too")
         if jobs is None and scheduler is None and resume is None:
-            recordings = [pdr.read(file) for file in console.recordings_of(files)]
+            paths = console.recordings_of(files)
+            recordings = [pdr.read(file) for file in paths]
+            if smooth:
+                marked = [read_marks(file) for file in paths]
+                recordings = [m.recording(recording) for m, recording in zip(marked, recordings, strict=True)]
+                options["smooth"] = True
+                options["fixes"] = [m.fixes for m in marked]
+                options["loop_closures"] = [m.all_closures(r) for m, r in zip(marked, recordings, strict=True)]
             if distance is not None:
                 recordings = [recording.of_distance(distance, steps) for recording in recordings]
             config = None if how.recipe == "default" else pdr.recipes.for_recording(how.recipe, recordings[0])
             result = pdr.calibrate(recordings, config=config, **options)
-        elif distance is not None or how.recipe != "default":
-            raise ValueError("--distance and --recipe are for one process: leave out --jobs, --scheduler and --resume")
+        elif distance is not None or smooth or how.recipe != "default":
+            raise ValueError(
+                "--distance, --smooth and --recipe are for one process: leave out --jobs, --scheduler and --resume"
+            )
         else:
             result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
         n_rejected = len(result.distrusted)

@@ -75,6 +75,11 @@ class Marks:
         """Path of the floor plan that `walk.json` names, or None."""
         return (self.folder / self.walk["plan"]).resolve() if self.walk.get("plan") else None
 
+    def all_closures(self, recording: Recording) -> list[LoopClosure]:
+        """Return the loop closures of a recording, with one from start to end for a walk that `walk.json` calls one."""
+        whole = [LoopClosure(0.0, recording.duration_s)] if self.walk.get("is_loop") else []
+        return [*self.loop_closures, *whole]
+
     def recording(self, recording: Recording) -> Recording:
         """Return the recording with the height of the person that `walk.json` states, or unchanged without one."""
         height_m = self.walk.get("height_m")

@@ -22,6 +22,7 @@ from pdr_filter.values import (
     FloatArray,
     Note,
     Table,
+    TrackRows,
     check_array,
     check_columns,
     check_cov,
@@ -136,6 +137,8 @@ class Calibration:
     mode_contexts : dict of str to str, optional
         Context of each mode whose step length was calibrated separately, because other modes of its context have
         different ones. The name of the mode then stands for a context in all other fields.
+    tracks : tuple of TrackRows, optional
+        Smoothed tracks of the recordings of a calibration with `smooth`, as `Track`. They are not saved.
 
     Raises
     ------
@@ -168,6 +171,7 @@ class Calibration:
     notes: tuple[str, ...] = ()
     card: Mapping[str, Any] | None = None
     mode_contexts: Mapping[str, str] = field(default_factory=dict[str, str])
+    tracks: tuple[TrackRows, ...] = ()
 
     __reduce__ = pickled
 
@@ -543,7 +547,8 @@ class Calibration:
             ("calibrated, person held out", "stranger_m"),
         ):
             bias, spread, rms = _errors_percent(self.segments[column], self.segments.distance_m)
-            missing = "needs two persons" if len(self.subject_ids) < 2 else "not determined"
+            is_alone = column == "stranger_m" and len(self.subject_ids) < 2
+            missing = "needs two persons" if is_alone else "not determined"
             values = f"{bias:>+7.1f}{spread:>8.1f}{rms:>7.1f}" if np.isfinite(rms) else f"{missing:>22}"
             lines.append(f"{label:<34}{values}")
         (_, _, before), (_, _, stranger) = (
@@ -566,7 +571,8 @@ class Calibration:
             bias, _, rms = _errors_percent(own.left_out_m, own.distance_m)
             std = np.sqrt(np.diagonal(person.k_cov[main]))
             values = ", ".join(f"{a:.4g} +- {b:.2g}" for a, b in zip(person.k[main], std, strict=True) if b > 0)
-            lines.append(f"{_shortened(name):<34}{person.n_segments:>9}{bias:>+7.1f}{rms:>7.1f}  {values}")
+            errors = f"{bias:>+7.1f}{rms:>7.1f}" if np.isfinite(rms) else f"{'-':>7}{'-':>7}"
+            lines.append(f"{_shortened(name):<34}{person.n_segments:>9}{errors}  {values}")
         if len(self.subject_ids) > _MOST_PEOPLE:
             lines.append(f"and {len(self.subject_ids) - _MOST_PEOPLE} more persons")
         return lines

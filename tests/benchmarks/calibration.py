@@ -1,12 +1,15 @@
 """Calibration on walks that it has not seen, and coverage of its intervals: docs/benchmarks.md.
 
-usage: python -m tests.benchmarks.calibration [halves] [left_out] [coverage] [--data ../shared/data]
+usage: python -m tests.benchmarks.calibration [halves] [left_out] [smoothed] [coverage] [--data ../shared/data]
 
 halves    parameters from half of each person's segments, error on the other half: against no calibration, one scale for
           everybody, and the population. The surveyors of ms_indoor are unknown, so that each recording is a person.
 left_out  whole walks of five sites. humolire: straight legs between landmarks; ms_indoor: between waypoints; oxiod and
           tyrex: walked lengths of stretches of 20 s along the path of a tracking system, lengths summed. Running,
           trolleys and a phone that is pointed around are left out.
+smoothed  held-out walks after calibrations by smoothing, with waypoints or every third of them as fixes, and from
+          segments. humolire: one walk of the person is held out; ms_indoor: one floor; ipin2023: one route. People of
+          the last two are unknown, so that each recording is a person, and others get the population's parameters.
 coverage  500 simulated calibrations: how often 95 % intervals have the truth; people with little data
 """
 
@@ -24,10 +27,20 @@ import pdr_filter as pdr
 from pdr_filter.filter.step_length.models import KimStepLength, WeinbergStepLength
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate_segments
+from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, estimate_jointly
 from pdr_filter.offline.calibration.model_forms import estimate_sums, forms_of, hierarchy_of, start_of
 from pdr_filter.offline.calibration.model_forms import lengths as lengths_of_people
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, weak_prior
-from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
+from pdr_filter.offline.calibration.segments import (
+    WAYPOINT_STD_M,
+    Segment,
+    SegmentSums,
+    integrate,
+    segments_of,
+    truth_fixes,
+)
+from pdr_filter.offline.calibration.smoothed_calibration import calibration_walk, scale_std_of
+from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS, table
@@ -259,5 +272,46 @@ def left_out(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("calibration_left_out", columns, rows, about)
 
 
+def smoothed(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Walks held out by person or site, after calibrations from segments and by smoothing."""
+    priors, rows = forms_of()["bounce"], []
+    start = np.concatenate([p.mean for p in priors.values()])
+    models, scale_std = {name: p.model for name, p in priors.items()}, scale_std_of(priors["walking"], 0.025)
+    for site, position in (("humolire", -1), ("ms_indoor", -2), ("ipin2023", -2)):
+        known: dict[str, list[CalibrationWalk]] = {"waypoints": [], "every third": []}
+        own: list[list[Segment]] = []
+        for recording in recordings(arguments.data, site):
+            segments = segments_of(recording, pdr.track(recording), subject=recording.name)[0]
+            points = truth_fixes(recording) or waypoint_fixes(recording, WAYPOINT_STD_M / 2**0.5)
+            if not segments or len(points) < 4:
+                continue
+            name = recording.subject.id or recording.name
+            own.append([replace(s, subject=name) for s in segments])
+            for what, fixes in (("waypoints", points), ("every third", points[::3])):
+                walk = calibration_walk(recording, name, None, fixes, [], {}, "displacement", None, scale_std)[0]
+                known[what].append(walk)
+        group = np.array([s[0].recording.split("_")[position] for s in own])
+        error: dict[str, list[float]] = {}
+        for held_out in np.unique(group):
+            training = np.flatnonzero(group != held_out).tolist()
+            calibrated = calibrate_segments([s for i in training for s in own[i]], priors)
+            people = list(dict.fromkeys(known["waypoints"][i].subject for i in training))
+            for what in ("none", "segments", *known):
+                if what in known:
+                    found = estimate_jointly([known[what][i] for i in training], priors, {}, 0.025)
+                    of_people, population = dict(zip(people, found.people, strict=True)), found.population
+                else:
+                    of_people = dict(zip(calibrated.subject_ids, calibrated.people, strict=True))
+                    population = calibrated.theta
+                for i in np.flatnonzero(group == held_out).tolist():
+                    sums = integrate(own[i], models, start_of(priors))
+                    theta = start if what == "none" else of_people.get(own[i][0].subject, population)
+                    error.setdefault(what, []).append(100 * (lengths(sums, theta).sum() / sums.distance_m.sum() - 1))
+        rows.append([site, f"{len(own)}, {len(set(group))}", *(bias_spread_rms(np.array(e)) for e in error.values())])
+    about = "Totals of held-out walks: bias, spread, RMS in %. Default form of the step length."
+    columns = ["site", "walks, groups", "no calibration", "segments", "smooth, waypoints", "smooth, every third"]
+    tables.write("calibration_smoothed", columns, rows, about)
+
+
 if __name__ == "__main__":
-    run(__doc__, halves, left_out, coverage)
+    run(__doc__, halves, left_out, smoothed, coverage)

@@ -14,6 +14,7 @@ from commands import demo_file, one_line, run, short_walk
 import pdr_filter as pdr
 from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.io.fix_files import fixes_of_file
+from pdr_filter.maps.marks import read_marks
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.recipes.step_length_calibration import load_calibration
 from pdr_filter.simulate import Leg, simulate
@@ -95,14 +96,29 @@ def test_a_walk_of_known_distance_calibrates_a_person(tmp_path: Path) -> None:
     assert calibrated.distance_m == pytest.approx(25, rel=0.06)
 
 
+def test_the_marks_of_a_walk_calibrate_a_person_by_smoothing(tmp_path: Path) -> None:
+    recording = short_walk()
+    at = recording.truth.position
+    rows = [",".join(str(float(at[name][i])) for name in ("time_s", "east_m", "north_m")) for i in (300, 700, 1100)]
+    walk = write_recording(replace(recording, truth=Truth()), tmp_path / "walk.zip")
+    (tmp_path / "walk.zip.marks").mkdir()
+    (tmp_path / "walk.zip.marks" / "fixes.csv").write_text("\n".join(["time_s,east_m,north_m", *rows]))
+    result = run("calibrate", walk, "--smooth", "--out", tmp_path / "me.json")
+    assert result.exit_code == 0, result.stderr
+    fixes = read_marks(walk).fixes
+    expected = pdr.calibrate(pdr.read(walk), smooth=True, fixes=[fixes])
+    np.testing.assert_array_equal(load_calibration(tmp_path / "me.json").people, expected.people)
+
+
 @pytest.mark.parametrize(
     ("options", "remedy"),
     [
         (["--steps", 40], "give --distance in m"),
         (["--distance", 0], "give the length of the walk in metres"),
         (["--distance", 25, "--jobs", 2], "leave out --jobs"),
+        (["--smooth", "--jobs", 2], "leave out --jobs"),
     ],
-    ids=["steps alone", "no length", "several processes"],
+    ids=["steps alone", "no length", "several processes", "smoothed"],
 )
 def test_a_distance_that_cannot_be_used_is_refused_with_the_remedy(
     tmp_path: Path, options: list[object], remedy: str

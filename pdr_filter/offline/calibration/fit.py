@@ -32,11 +32,12 @@ from pdr_filter.offline.calibration.segments import (
     with_distinct_names,
 )
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
+from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import UNNAMED, Calibration
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track as track_of
-from pdr_filter.values import CONTEXTS, FloatArray, Table, check_array, check_number, table
+from pdr_filter.values import CONTEXTS, Fix, FloatArray, Table, check_array, check_number, table
 from pdr_filter.values.recording import Recording
 from pdr_filter.version import __version__
 
@@ -58,12 +59,18 @@ def calibrate(
     anchor_std_m: float | None = None,
     recording_std: float = RECORDING_STD,
     progress: Callable[[float], None] | None = None,
+    smooth: bool = False,
+    fixes: Iterable[Iterable[Fix]] | None = None,
+    loop_closures: Iterable[Iterable[LoopClosure]] | None = None,
 ) -> Calibration:
     """Estimate the step-length parameters of people from walks of known length.
 
     The recordings need stretches between places whose distance is known: truth segments, strides, waypoints or GNSS
     fixes. The parameters of the population and of each person are estimated together, with robust weights for wrong
     segments.
+
+    With `smooth`, all walks are smoothed together with the parameters, so that fixes, ranges, loop closures and
+    locations calibrate them, too, also where no stretch has a known length.
 
     Parameters
     ----------
@@ -101,6 +108,14 @@ def calibrate(
         Initial relative standard deviation of one person's scale between recordings. 0 assumes equal scales.
     progress : callable, optional
         Called with the fraction of recordings done, 0 to 1.
+    smooth : bool, default False
+        If True, solve one factor graph over all walks: poses, step scales, gyroscope biases and parameters. The result
+        has the smoothed `tracks`, and one segment for each context of a walk.
+    fixes : iterable of iterable of Fix, optional
+        Fixes of each recording, for `smooth`, in the order of the recordings. A recording with fixes or loop closures
+        is calibrated with them instead of its truth. Speed fixes and fixes on a floor plan are not used.
+    loop_closures : iterable of iterable of LoopClosure, optional
+        Loop closures of each recording, for `smooth`.
 
     Returns
     -------
@@ -160,6 +175,33 @@ def calibrate(
             own.pop(walking, None)
         priors = {**own, **(priors or {})}
     forms_of(priors, model, prior_std, contexts, walking)  # raises its errors before the slow tracking
+    if smooth:
+        if known != [None] * len(known):
+            raise ValueError("smooth computes the tracks itself, got tracks, too: omit them")
+        observed = _for_each("fixes", fixes, chosen), _for_each("loop_closures", loop_closures, chosen)
+        # imported late: most calibrations do not smooth
+        from pdr_filter.offline.calibration.smoothed_calibration import calibrate_by_smoothing
+
+        full = next(iter(forms_of(priors, model, prior_std, contexts, walking).values()))
+        people = [r.subject.id or (r.name if each_a_person else subject) or UNNAMED for r in chosen]
+        n_unnamed = sum(not r.subject.id for r in chosen)
+        return calibrate_by_smoothing(
+            chosen,
+            people,
+            full,
+            config,
+            separate,
+            observed,
+            measure=measure,
+            loss=loss,
+            anchor_std_m=anchor_std_m,
+            recording_std=recording_std,
+            walking=walking,
+            notes=without_name(n_unnamed, subject, each_a_person),
+            progress=progress,
+        )
+    if fixes is not None or loop_closures is not None:
+        raise ValueError("fixes and loop_closures are for smooth=True: give smooth, or omit them")
     of_each: list[tuple[list[Segment], bool]] = []
     notes: list[str] = []
     for done, (recording, own) in enumerate(zip(chosen, known, strict=True), 1):
@@ -186,6 +228,14 @@ def calibrate(
         walking=walking,
         mode_contexts=separate,
     )
+
+
+def _for_each(name: str, given: Iterable[Iterable[Any]] | None, recordings: Sequence[Recording]) -> list[list[Any]]:
+    """Return the observations of each recording as lists, empty ones if none are given."""
+    lists = [[] for _ in recordings] if given is None else [list(of_one) for of_one in given]
+    if len(lists) != len(recordings):
+        raise ValueError(f"got {name} of {len(lists)} recordings for {len(recordings)}: give one list for each")
+    return lists
 
 
 def _check_stds(recording_std: float, anchor_std_m: float | None = None) -> None:

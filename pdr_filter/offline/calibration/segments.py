@@ -21,6 +21,7 @@ from pdr_filter.values import (
     FloatArray,
     IntArray,
     Origin,
+    PositionFix,
     Step,
     TrackRows,
     check_array,
@@ -488,6 +489,28 @@ def segments_of(
     if bent:
         notes.append(f"turns in {_abbreviated(bent)}: step lengths are summed instead of step vectors")
     return segments, [f"{recording.name}: {note}" for note in notes]
+
+
+def truth_fixes(recording: Recording, anchor_std_m: float | None = None) -> list[PositionFix]:
+    """Return the waypoints at the ends of the segments of a recording as position fixes, in the order of time.
+
+    The list is empty unless waypoints are the source of `segments_of`. `anchor_std_m` is the standard deviation of the
+    distance of two waypoints.
+    """
+    truth = recording.truth
+    is_walked = truth.segments is not None and np.isfinite(truth.segments.distance_m).any()
+    if is_walked or (truth.strides is not None and len(truth.strides)) or truth.waypoints is None:
+        return []
+    std_m = WAYPOINT_STD_M if anchor_std_m is None else anchor_std_m
+    stretches, _ = _stretches(recording, anchor_std_m)
+    ends_s = {t for s in stretches for t in (s.start_s, s.end_s)}
+    cov_m2 = 0.5 * std_m**2 * np.eye(2)
+    points = truth.waypoints
+    return [
+        PositionFix(float(p.time_s), np.array([p.east_m, p.north_m], dtype=float), cov_m2)
+        for p in points
+        if float(p.time_s) in ends_s
+    ]
 
 
 def _share_inside(track: TrackRows, stretch: _Stretch) -> FloatArray:

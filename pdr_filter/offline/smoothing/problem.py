@@ -280,6 +280,7 @@ def pose_problem(
     states: ObservedStates = NO_STATES,
     measurements: Measurements | None = None,
     shape_m: FloatArray | None = None,
+    anchors: Sequence[int] = (),
 ) -> Problem:
     """Return the least-squares problem, with anchors at observations, changes of the heading offset and gaps.
 
@@ -287,7 +288,8 @@ def pose_problem(
     between two of them (`choose_nodes`). The positions of the problem are the fixes, the locations and the loop
     closures, in this order. Correlated fixes must be in order of time and at different contacts (`joined_at_contacts`).
     `states` and `offsets` are given by the number of steps before them. `shape_m` (K + 1, 2) are positions of the start
-    and of the steps that show the shape of the walk to the errors of locations (`errors_of`).
+    and of the steps that show the shape of the walk to the errors of locations (`errors_of`). `anchors` are further
+    numbers of steps with an anchor.
     """
     fixes = (*observed.positions, *observed.locations)
     is_location = np.arange(len(fixes)) >= len(observed.positions)
@@ -298,7 +300,7 @@ def pose_problem(
     )
     at = [i for i, _, _ in contacts.fixes]
     measured_at = [nearest_contact(steps, f.time_s) for f in measurements.fixes] if measurements else []
-    wanted = [*contacts.steps(), *states.node.tolist(), *(i for i, _, _ in measured_at)]
+    wanted = [*contacts.steps(), *states.node.tolist(), *(i for i, _, _ in measured_at), *anchors]
     nodes = choose_nodes(steps, wanted, anchor_interval_s)
 
     def numbers(contacts: list[int]) -> IntArray:

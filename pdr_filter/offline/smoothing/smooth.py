@@ -33,6 +33,7 @@ from pdr_filter.filter.imm.motion_model import (
 )
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
 from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, ShiftPrior, estimated_shift
+from pdr_filter.offline.smoothing.factor_graph import PoseKeys, UserFactors, WalkGraph, solved_with, user_graph
 from pdr_filter.offline.smoothing.location_errors import turned_to
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
@@ -105,6 +106,8 @@ from pdr_filter.values.uncertainty import worst_std_m
 # Prior standard deviation of the start in the frame of the fixes: only the region is known.
 _REGION_STD_M = 1000.0
 _KNOWN_STD_RAD = 1e-3
+# Largest time between anchors in a calibration, as in `smooth`.
+_CALIBRATION_ANCHOR_S = 2.0
 
 
 # Configuration, dead-reckoned track, and state at its end. The sensing is None if the axes of a building determine the
@@ -186,6 +189,7 @@ def smooth(
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 2.0,
     memory: SmoothingMemory | None = None,
+    factors: UserFactors | None = None,
 ) -> Smoothed:
     """Return the smoothed track of a recording, with a covariance at every step.
 
@@ -250,6 +254,10 @@ def smooth(
     memory : SmoothingMemory, optional
         Memory of earlier calls with the same recording. A call with other fixes then reuses the dead-reckoned track and
         takes a fraction of the time.
+    factors : callable, optional
+        Function that takes a `PoseKeys` and returns further factors, a `gtsam.NonlinearFactorGraph`, or a pair of it
+        and the `gtsam.Values` of unknowns of its own, such as landmarks. The solution is in `Smoothed.values`. Not
+        available on a plan.
 
     Returns
     -------
@@ -284,11 +292,11 @@ def smooth(
     """
     known_headings, floor_changes = tuple(known_headings), tuple(floor_changes)
     loop_closures = loop_closures if isinstance(loop_closures, str) else tuple(loop_closures)
-    is_more = loop or loop_closures or known_headings or floor_changes or start_heading_std_rad is not None
+    is_more = loop or loop_closures or known_headings or floor_changes or start_heading_std_rad is not None or factors
     if plan is not None and is_more:
         raise ValueError(
-            "smoothing on a floor plan supports fixes alone, got loop, loop_closures, known_headings, floor_changes or "
-            "start_heading_std_rad together with plan: omit them"
+            "smoothing on a floor plan supports fixes alone, got loop, loop_closures, known_headings, floor_changes, "
+            "start_heading_std_rad or factors together with plan: omit them"
         )
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
     placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
@@ -335,6 +343,8 @@ def smooth(
     options = start_heading_std_rad, anchor_interval_s, guess, stood_steps
     smooth_with = partial(_smooth_track, track, config, options=options)
     smoothed, walked_var_m2, clocks = smooth_with(observed)
+    if factors is not None and track.n_steps:
+        smoothed = _with_factors(smoothed, track, config, observed, clocks, options, factors)
     if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
         device = _observed_device(smoothed, config, sensing)
         smoothed = replace(smoothed, track=replace(smoothed.track, device=device))
@@ -369,6 +379,140 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     inside = nothing.fixes_inside(0.0, 0.0)
     posed = _problem(track, config, nothing, inside, None, anchor_interval_s, None, StandstillSteps(), None)
     return track, posed.used.device_rad, posed.problem
+
+
+class ReckonedWalk(NamedTuple):
+    """Walk with its observations, as the smoother uses them, for a problem of many walks.
+
+    Attributes
+    ----------
+    track : Track
+        Dead-reckoned track with smoothed mode probabilities.
+    config : Config
+        Configuration of the track.
+    observed : Observations
+        Observations on the clock of the track.
+    posed : _Posed
+        Problem of the walk alone.
+    found : Solution
+        Solution of `posed`.
+    stood : StandstillSteps
+        Steps within standstills.
+    """
+
+    track: Track
+    config: Config
+    observed: Observations
+    posed: _Posed
+    found: Solution
+    stood: StandstillSteps
+
+    def increments(self, config: Config, *, with_bias: bool) -> Increments:
+        """Return the increments of the steps with the step lengths and the noise of a configuration.
+
+        Without the bias of the gyroscope, the heading has only the other parts of its random walk.
+        """
+        track = self.track
+        if not with_bias:
+            steps = track.steps.copy()
+            steps["yaw_bias_std_radps"] = 0.0
+            track = replace(track, steps=steps)
+        is_weighted = track.weighting != "imm"
+        steps, _ = increments(track.steps, track.mode_prob, config.model, track.gap_before_s, is_weighted=is_weighted)
+        return _with_withheld_steps(steps, track, config, self.stood)
+
+    def smoothed(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
+        """Return the smoothed walk for a solution of `problem`, with step lengths whose parameters are in `found`."""
+        known = np.zeros_like(self.posed.parameter_error_m)
+        posed = _Posed(steps, known, self.posed.used, problem)
+        return _smoothed(self.track, posed, found, self.observed, {})[0]
+
+
+def reckoned_walk(
+    recording: Recording,
+    config: Config | None,
+    fixes: Sequence[Fix],
+    loop_closures: Sequence[LoopClosure],
+    log_scale_std: float,
+) -> ReckonedWalk:
+    """Return a walk with its fixes, loop closures and locations, solved alone as by `smooth`.
+
+    The log step scale has the prior standard deviation `log_scale_std`, if that of the configuration is not larger. A
+    smaller one would reject right fixes of a person who is not calibrated yet. ValueError for a recording without
+    steps, or with observations outside of it.
+    """
+    run = prepared_run(recording, config, fixes, TrackPlacement())
+    if run.config.on_plan is not None or any(isinstance(fix, GridFix) for fix in run.fixes):
+        raise ValueError("smoothing on a floor plan does not estimate step lengths: omit plan and GridFix")
+    stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
+    own, track, _, stood_steps = _dead_reckoned(run.recording, run.config, stood, (None, None), run.with_location)
+    if not track.n_steps:
+        raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
+    track = _with_smoothed_modes(track, own)
+    noise = own.model.noise
+    own = own.with_model(noise=replace(noise, log_scale_std=max(noise.log_scale_std, log_scale_std)))
+    locations = ()
+    if run.with_location and run.recording.location is not None:
+        _, locations = locations_of(run.recording.location)
+    given = tuple(fix for fix in run.fixes if not isinstance(fix, Standstill | GridFix))
+    observed = Observations(fixes=given, locations=locations, loop_closures=tuple(loop_closures))
+    options = None, _CALIBRATION_ANCHOR_S, _online_path(run.recording, own, run.fixes), stood_steps
+    alone, _, clocks = _smooth_track(track, own, observed, options)
+    track, posed = _posed_as(alone, track, own, observed, clocks, options)
+    return ReckonedWalk(track, own, observed, posed, solve(posed.problem), stood_steps)
+
+
+_Options = tuple[float | None, float, WalkedPath | None, StandstillSteps]
+
+
+def _posed_as(
+    smoothed: Smoothed,
+    track: Track,
+    config: Config,
+    observed: Observations,
+    clocks: dict[Source, ClockShift],
+    options: _Options,
+    anchors: Sequence[int] = (),
+) -> tuple[Track, _Posed]:
+    """Return the dead-reckoned track and the problem whose solution is a smoothed walk.
+
+    `anchors` are further numbers of steps at which a state is estimated. The other arguments are those of
+    `_smooth_track`, and the shifts of the clocks are its result.
+    """
+    track = replace(track, mode_prob=smoothed.track.mode_prob)
+    for source, shift in clocks.items():
+        observed = observed.earlier(source, shift.late_s)
+    shape_m = np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale
+    inside = observed.fixes_inside(*_ends_s(track))
+    return track, _problem(track, config, observed, inside, *options, shape_m if observed.locations else None, anchors)
+
+
+def _with_factors(
+    smoothed: Smoothed,
+    track: Track,
+    config: Config,
+    observed: Observations,
+    clocks: dict[Source, ClockShift],
+    options: _Options,
+    factors: UserFactors,
+) -> Smoothed:
+    """Return a smoothed walk with factors of the user in addition to its observations, by GTSAM.
+
+    The observations are those that the walk alone does not contradict.
+    """
+    start = np.array([*smoothed.start_position_m, smoothed.track.walking_heading_rad[0]])
+    poses = np.column_stack([smoothed.track.position_m, smoothed.track.walking_heading_rad])
+    steps = track.steps
+    begin_s = float(steps.time_s[0] - steps.duration_s[0])
+    keys = PoseKeys(np.append(begin_s, track.time_s), np.vstack([start, poses]))
+    user = user_graph(factors, keys)
+    track, posed = _posed_as(smoothed, track, config, observed, clocks, options, user.anchors)
+    nodes = posed.problem.intervals.nodes
+    graph = WalkGraph(posed.problem, posed.used.device_rad[np.maximum(nodes - 1, 0)], posed.steps.time_s, begin_s)
+    found, values = solved_with(graph, solve(posed.problem), user)
+    result, _ = _smoothed(track, posed, found, observed, clocks)
+    of_walk = replace(result.track, person=smoothed.track.person, device=smoothed.track.device)
+    return replace(result, track=of_walk, values=values)
 
 
 def _dead_reckoned(
@@ -533,9 +677,7 @@ def _smooth_track(
     are first linearised, and the steps within standstills. The smoothed result includes the person's step scale if the
     fixes determine it.
     """
-    start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
-    if track.n_steps:
-        start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
+    start_s, end_s = _ends_s(track)
     observed.check_inside(start_s, end_s)
     if track.n_steps == 0:
         places = compress((*observed.fixes, *observed.locations), observed.fixes_inside(start_s, end_s))
@@ -572,6 +714,14 @@ def _smooth_track(
         person = (config.person or Person()).pooled(Person((session,)))
         smoothed = replace(smoothed, track=replace(smoothed.track, person=person))
     return smoothed, walked_var_m2, clocks
+
+
+def _ends_s(track: Track) -> tuple[float, float]:
+    """Return the first and the last time of a track, in s."""
+    start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
+    if track.n_steps:
+        start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
+    return start_s, end_s
 
 
 def _shifted_walk(posed: _Posed, found: Solution, source: Source) -> ShiftedWalk:
@@ -623,12 +773,13 @@ def _problem(
     guess: WalkedPath | None,
     stood: StandstillSteps,
     shape_m: FloatArray | None,
+    anchors: Sequence[int] = (),
 ) -> _Posed:
     """Return the least-squares problem of a track with steps.
 
     `inside` is a mask of the fixes and locations within the recording. `stood` are the steps within standstills.
     `shape_m` (K + 1, 2) are positions of the start and of the steps that show the shape of the walk (`errors_of`), or
-    None for dead reckoning.
+    None for dead reckoning. `anchors` are further numbers of steps with an anchor.
     """
     noise, modes = config.model.noise, config.model.modes
     steps, parameter_error_m = increments(
@@ -661,6 +812,7 @@ def _problem(
         states=used.states,
         measurements=None if guess is None else _measurements_on_path(used, guess),
         shape_m=shape_m,
+        anchors=anchors,
     )
     return _Posed(steps, parameter_error_m, used, problem)
 

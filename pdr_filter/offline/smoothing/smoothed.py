@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -74,6 +75,8 @@ class Smoothed:
         Storey at each step from the given floor changes, NaN before the first change.
     notes : tuple of str
         Warnings and remarks.
+    values : gtsam.Values or None
+        All unknowns of the factor graph if `smooth` was given factors.
 
     See Also
     --------
@@ -98,6 +101,7 @@ class Smoothed:
     observations: Table
     floor: FloatArray
     notes: tuple[str, ...]
+    values: Any = None
 
     __reduce__ = pickled
 

@@ -11,12 +11,14 @@ import numpy as np
 from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES
 from pdr_filter.offline.robust_loss import GNC_FACTOR, truncated_start, truncated_weights
 from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminated, graph_of, joint_covariances
-from pdr_filter.offline.smoothing.location_errors import N_ERRORS
+from pdr_filter.offline.smoothing.location_errors import N_ERRORS, Errors
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, state_transform
 from pdr_filter.offline.smoothing.problem import (
     MIN_HEADING_LENGTH_M,
     ObservedDirections,
+    ObservedMeasurements,
     ObservedOffsets,
+    ObservedPositions,
     ObservedStates,
     Problem,
 )
@@ -153,12 +155,11 @@ def _guess_rows(problem: Problem) -> list[Rows]:
     return [Rows(measured_.node, H, measured_.guess_m / _GUESS_STD_M, none, np.zeros((0, 0, 0)))]
 
 
-def _measurement_residuals(problem: Problem, mean: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+def measurement_residuals(observed: ObservedMeasurements, mean: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
     """Return the whitened residuals (k,) of each measurement, and their derivatives (k, 4) by the state of its anchor.
 
     The state has east, north, heading offset and log scale. k is the number of components of the measurement.
     """
-    observed = problem.measurements
     at = mean[observed.node, :N_STATES]
     moved_m = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), observed.ahead_m)
     place_m, heading_rad = at[:, :2] + moved_m, observed.device_rad + at[:, HEADING_OFFSET]
@@ -177,7 +178,7 @@ def _measurement_residuals(problem: Problem, mean: FloatArray) -> list[tuple[Flo
 
 def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
     """Return the squared whitened residual (X,) of each measurement."""
-    return np.array([float(r @ r) for r, _ in _measurement_residuals(problem, mean)])
+    return np.array([float(r @ r) for r, _ in measurement_residuals(problem.measurements, mean)])
 
 
 def _position_anchors(problem: Problem) -> IntArray:
@@ -303,7 +304,7 @@ def _innovations(
     """
     positions, directions, states = problem.positions, problem.directions, problem.states
     n_positions, nis = len(positions), np.zeros(len(weight))
-    residual, by_node, by_other = _position_residuals(problem, mean)
+    residual, by_node, by_other = position_residuals(problem.positions, problem.errors, mean, mean[problem.n_nodes :])
     own_cov = np.concatenate([joint_cov[:, :N_STATES, :N_STATES], joint_cov[-1:, N_STATES:, N_STATES:]])
 
     def set_nis(at: IntArray, r: FloatArray, H: FloatArray, cov: FloatArray) -> None:
@@ -314,17 +315,17 @@ def _innovations(
     set_nis(of_map, residual[of_map], by_node[of_map], own_cov[positions.node[of_map]])
     by_both = np.concatenate([by_node[correlated], positions.whiten[correlated] @ problem.errors.by], axis=2)
     set_nis(correlated, residual[correlated], by_both, with_error_cov)
-    residual_of_states, by_state = _state_residuals(states, mean)
+    residual_of_states, by_state = state_residuals(states, mean)
     at_states = n_positions + len(directions) + np.arange(len(states))
     set_nis(at_states, residual_of_states, by_state, own_cov[states.node])
     first_measured = n_positions + len(directions) + len(states)
-    for k, (r, H) in enumerate(_measurement_residuals(problem, mean)):
+    for k, (r, H) in enumerate(measurement_residuals(problem.measurements, mean)):
         set_nis(np.array([first_measured + k]), r[None], H[None], own_cov[problem.measurements.node[[k]]])
     pairs = [
         (i, positions.node[i], positions.other[i], residual[i], by_node[i], by_other[i])
         for i in np.flatnonzero(positions.other >= 0)
     ]
-    turn, by_last = _direction_residuals(directions, mean)
+    turn, by_last = direction_residuals(directions, mean)
     ends = zip(directions.last, directions.first, turn, by_last, -by_last, strict=True)
     pairs += [(n_positions + i, *blocks) for i, blocks in enumerate(ends)]
     if pairs:
@@ -382,21 +383,21 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
 
     positions, directions, offsets = problem.positions, problem.directions, problem.offsets
     if len(positions):
-        residual, H, H_other = _position_residuals(problem, mean)
+        residual, H, H_other = position_residuals(problem.positions, problem.errors, mean, mean[problem.n_nodes :])
         rows += _position_rows(problem, H, -residual, H_other, weight)
     if len(directions):
-        residual, by_last = _direction_residuals(directions, mean)
+        residual, by_last = direction_residuals(directions, mean)
         of_directions = weight[len(positions) : len(positions) + len(directions)]
         rows.append(Rows(directions.last, by_last, -residual, directions.first, -by_last, of_directions))
     if len(problem.states):
-        residual, by_state = _state_residuals(problem.states, mean)
+        residual, by_state = state_residuals(problem.states, mean)
         of_states, none = (
             weight[len(positions) + len(directions) :][: len(problem.states)],
             np.full(len(problem.states), -1),
         )
         rows.append(Rows(problem.states.node, by_state, -residual, none, np.zeros((0, 0, 0)), of_states))
     of_measured = weight[len(weight) - len(problem.measurements) :]
-    for k, (residual, by_anchor) in enumerate(_measurement_residuals(problem, mean)):
+    for k, (residual, by_anchor) in enumerate(measurement_residuals(problem.measurements, mean)):
         node, none = problem.measurements.node[[k]], np.full(1, -1)
         rows.append(Rows(node, by_anchor[None], -residual[None], none, np.zeros((0, 0, 0)), of_measured[[k]]))
     if len(offsets):
@@ -430,7 +431,7 @@ def _error_rows(problem: Problem, mean: FloatArray) -> list[Rows]:
     ]
 
 
-def _state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
+def state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the whitened error of each measured state (S, 1), with wrapped angles, and its derivative (S, 1, 4)."""
     error = mean[states.node, states.state] - states.value
     error = np.where(states.state == HEADING_OFFSET, wrap_angle(error), error)
@@ -439,20 +440,21 @@ def _state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArr
     return (error / states.std)[:, None], H
 
 
-def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def position_residuals(
+    positions: ObservedPositions, errors: Errors, mean: FloatArray, error_mean: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the whitened residuals (F, 2) of F observed positions, and their derivatives (F, 2, 4) by both anchors.
 
     The residual is p + e^s R(theta) d + B e - G x_other - z. (p, theta, s) are position, heading offset and log scale
     at the anchor, and d is the displacement from the anchor to the time of the observation. B e is the correlated error
     of the fix, G x_other the position of the other anchor (loop closures only), and z the observed position, all in m.
     """
-    positions, errors = problem.positions, problem.errors
     at, relative = mean[positions.node, :N_STATES], positions.other >= 0
     moved = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
     origin = np.where(relative[:, None], mean[positions.other, :2], 0.0)
     error = at[:, :2] + moved - origin - positions.position_m
     if len(errors):
-        error[errors.position] += np.einsum("nab,nb->na", errors.by, mean[problem.n_nodes :])
+        error[errors.position] += np.einsum("nab,nb->na", errors.by, error_mean)
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
     H[:, :, HEADING_OFFSET] = moved @ TURN.T
@@ -475,7 +477,7 @@ def _position_rows(
     return rows
 
 
-def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
+def direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the whitened residuals (H, 1) of known directions, and their derivatives (H, 1, 4) by the last anchor.
 
     The derivatives by the first anchor have the opposite sign.

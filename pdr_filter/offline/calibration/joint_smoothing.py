@@ -1,0 +1,398 @@
+"""Calibration of step-length parameters by smoothing: one factor graph over many walks, solved by GTSAM.
+
+The graph has the poses, the step scale and the gyroscope bias of each walk, the step-length parameters of each person,
+and those of the population (docs/methods/calibration.md). All observations that the smoother uses calibrate the
+parameters, also where no segment has a known length.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from pdr_filter.filter.imm.motion_model import LOG_SCALE
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.step_length.models import StepLengthFit, length_and_jacobian
+from pdr_filter.offline.calibration.model_forms import hierarchy_of
+from pdr_filter.offline.calibration.priors import StepLengthPrior
+from pdr_filter.offline.calibration.segments import Segment
+from pdr_filter.offline.smoothing.factor_graph import (
+    PersonKeys,
+    WalkGraph,
+    bayes_tree,
+    linear_factor,
+    noise_of,
+    optimised,
+)
+from pdr_filter.offline.smoothing.linear_graph import cov_of
+from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, preintegrate
+from pdr_filter.offline.smoothing.smooth import ReckonedWalk
+from pdr_filter.offline.smoothing.smoothed import Smoothed
+from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.step_length_calibration import of_height, slices_of
+from pdr_filter.values import FloatArray, IntArray, TrackRows, steps_of
+
+# The step lengths are linearised again until no parameter changes by more than this share of its standard deviation.
+_CONVERGED_STDS = 0.01
+_MAX_ITERATIONS = 10
+_MIN_PROB = 1e-3  # a mode with a smaller probability adds less than a millimetre to a step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationWalk:
+    """Walk of a calibration by smoothing: the person, the walk as the smoother sees it, and stretches of known length.
+
+    Attributes
+    ----------
+    subject : str
+        Name of the person.
+    height_m : float or None
+        Body height of the person.
+    walk : ReckonedWalk
+        Walk with its observations.
+    segments : tuple of Segment
+        Stretches of known length that are not positions, such as strides.
+    """
+
+    subject: str
+    height_m: float | None
+    walk: ReckonedWalk
+    segments: tuple[Segment, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointEstimate:
+    """Parameters of the population (P,) and of S people (S, P), with covariances, and the smoothed walks.
+
+    Attributes
+    ----------
+    population, population_cov : array (P,), (P, P)
+        Parameters of the population.
+    people, people_cov : array (S, P), (S, P, P)
+        Parameters of each person.
+    smoothed : tuple of Smoothed
+        Smoothed walks.
+    between_cov : array (P, P)
+        Covariance of the parameters between people.
+    recording_std : float
+        Relative standard deviation of one person's scale between recordings.
+    n_iterations : int
+        Number of linearisations of the step lengths.
+    converged : bool
+        False if the parameters still changed in the last iteration.
+    """
+
+    population: FloatArray
+    population_cov: FloatArray
+    people: FloatArray
+    people_cov: FloatArray
+    smoothed: tuple[Smoothed, ...]
+    between_cov: FloatArray
+    recording_std: float
+    n_iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Variances:
+    """Covariance (Q, Q) of the people's own parameters, and variance of one person's scale between recordings."""
+
+    between: FloatArray
+    recording: float
+
+
+class _Parameters:
+    """Order of the parameters theta (P,) of all contexts, and the F free ones among them."""
+
+    def __init__(self, priors: Mapping[str, StepLengthPrior]) -> None:
+        self.priors = priors
+        self.slices, self.n = slices_of({name: p.model for name, p in priors.items()})
+        self.mean, std, between = (
+            np.concatenate([getattr(p, name) for p in priors.values()]) for name in ("mean", "std", "between_std")
+        )
+        if not (np.isfinite(std).all() and np.isfinite(between).all()):
+            raise ValueError(
+                "a calibration by smoothing needs finite std and between_std of all priors, got inf: give finite ones, "
+                "or calibrate without smooth"
+            )
+        self.free: IntArray = np.flatnonzero(std > 0)
+        self.std, self.between_std = std[self.free], between[self.free]
+        self.personal: IntArray = np.flatnonzero(self.between_std > 0)
+
+    def all(self, free: FloatArray) -> FloatArray:
+        """Return all parameters (P,) from the free ones (F,)."""
+        theta = self.mean.copy()
+        theta[self.free] = free
+        return theta
+
+    def all_cov(self, cov: FloatArray) -> FloatArray:
+        """Return the covariance (P, P) of all parameters from that of the free ones (F, F)."""
+        full = np.zeros((self.n, self.n))
+        full[np.ix_(self.free, self.free)] = cov
+        return full
+
+
+def mode_names(model: PedestrianModel, separate: Mapping[str, str]) -> list[str]:
+    """Return the name of the step length of each mode: its own, if it is calibrated separately, or its context."""
+    return [m.name if m.name in separate else m.context for m in model.modes]
+
+
+def with_parameters(
+    config: Config,
+    priors: Mapping[str, StepLengthPrior],
+    theta: Mapping[str, FloatArray],
+    names: Sequence[str],
+    height_m: float | None,
+    log_scale_std: float,
+) -> Config:
+    """Return a configuration whose modes have the step lengths of a calibration, with known parameters `theta`."""
+    fits = {
+        name: StepLengthFit(of_height(p.model, height_m), theta[name], np.zeros((p.model.n_params,) * 2), p.step_std_m)
+        for name, p in priors.items()
+    }
+    modes = tuple(
+        replace(mode, step_length=fits.get(name, mode.step_length))
+        for mode, name in zip(config.model.modes, names, strict=True)
+    )
+    return config.with_model(modes=modes, noise=replace(config.model.noise, log_scale_std=log_scale_std))
+
+
+def displacement_by_theta(
+    track: TrackRows,
+    model: PedestrianModel,
+    names: Sequence[str],
+    slices: Mapping[str, slice],
+    n_params: int,
+    *,
+    is_weighted: bool,
+) -> FloatArray:
+    """Return the derivative (K, 2, P) of the displacement of each step by the step-length parameters theta (P,).
+
+    It belongs to the displacements of `preintegration.increments`, sum_m mu_m L_m(theta) u(psi + o_m). `names` has the
+    name of the parameters of each mode in `slices`.
+    """
+    prob, offset_rad = track.mode_prob, model.directions.heading_offset_rad
+    by_theta = np.zeros((track.n_steps, 2, n_params))
+    psi = np.asarray(track.steps.device_heading_rad)[:, None] + offset_rad
+    if is_weighted:
+        psi = np.broadcast_to(psi[np.arange(len(psi)), prob.argmax(axis=1)][:, None], psi.shape)
+    along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)
+    each = steps_of(track.steps)
+    for m, (mode, name) in enumerate(zip(model.modes, names, strict=True)):
+        if not mode.moves or name not in slices:
+            continue
+        fit, part = mode.step_length, slices[name]
+        for k in np.flatnonzero(prob[:, m] > _MIN_PROB).tolist():
+            length_m, jacobian = length_and_jacobian(fit.model, each[k], fit.theta)
+            if length_m > 0:  # a negative length counts as zero
+                by_theta[k, :, part] += prob[k, m] * along[k, m][:, None] * jacobian
+    return by_theta
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearised:
+    """Walk at the parameters of its person: increments, factors, and stretches of known length."""
+
+    steps: Increments
+    graph: WalkGraph
+
+
+def estimate_jointly(
+    walks: Sequence[CalibrationWalk],
+    priors: Mapping[str, StepLengthPrior],
+    separate: Mapping[str, str],
+    recording_std: float,
+    loss: str = "gnc",
+    progress: Callable[[float], None] | None = None,
+) -> JointEstimate:
+    """Return the parameters and the smoothed walks that maximise the posterior of all walks together.
+
+    The prior is that of a calibration from segments: theta_s of each person about the population, the population about
+    the mean of the priors, and a scale of each recording. The variances between people and between recordings are
+    estimated by expectation-maximisation (`estimation.estimate_parameters`), the noise of the steps is that of the
+    priors. Step lengths and noise are linearised at the parameters of the last iteration.
+    """
+    parameters = _Parameters(priors)
+    people = list(dict.fromkeys(w.subject for w in walks))
+    n_own, n_free = len(parameters.personal), len(parameters.free)
+    keys = {
+        name: PersonKeys(gtsam.symbol("k", 0), gtsam.symbol("p", s), parameters.personal)
+        for s, name in enumerate(people)
+    }
+    theta = {name: parameters.mean[parameters.free].copy() for name in people}
+    population = parameters.mean[parameters.free].copy()
+    variances = start = _Variances(np.diag(parameters.between_std[parameters.personal] ** 2), recording_std**2)
+    prior = hierarchy_of(priors, recording_std, tuple(priors))
+    guesses = [w.walk.found for w in walks]
+    is_outlier = [np.zeros(len(w.segments), dtype=bool) for w in walks]
+    iteration, converged = 0, False
+    linearised, values = list[_Linearised](), gtsam.Values()
+    tree: Any = None
+    while iteration < _MAX_ITERATIONS and not converged:
+        iteration += 1
+        linearised = [
+            _linearised(w, i, parameters, theta[w.subject], keys[w.subject], separate, variances.recording**0.5)
+            for i, w in enumerate(walks)
+        ]
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        _add_parameters(graph, values, parameters, variances.between, population, theta, keys)
+        for w, of_one, guess, wrong in zip(walks, linearised, guesses, is_outlier, strict=True):
+            weight = guess.weight if loss == "gnc" else of_one.graph.problem.possible
+            of_one.graph.add_to(graph, weight, loss)
+            of_one.graph.insert_into(values, guess)
+            for segment in (s for s, is_wrong in zip(w.segments, wrong.tolist(), strict=True) if not is_wrong):
+                graph.push_back(_length_factor(segment, of_one.graph, parameters, theta[w.subject], loss))
+        values = optimised(graph, values)
+        before = theta
+        theta = {name: keys[name].theta(values) for name in people}
+        population = values.atVector(gtsam.symbol("k", 0))
+        guesses = [of_one.graph.states_of(values, guess) for of_one, guess in zip(linearised, guesses, strict=True)]
+        moved = [np.abs(theta[name] - before[name]) / parameters.std for name in people]
+        converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS
+        tree = bayes_tree(graph, values)
+        if not converged:
+            scatter = np.zeros_like(variances.between)
+            for name in people if n_own else []:
+                apart = theta[name][parameters.personal] - population[parameters.personal]
+                D = np.hstack([-np.eye(n_free)[parameters.personal], np.eye(n_own)])
+                scatter += np.outer(apart, apart) + D @ cov_of(tree, keys[name].keys) @ D.T
+            first = [of_one.graph.scale(0) for of_one in linearised]
+            square = sum(float(values.atVector(key)[0] ** 2 + cov_of(tree, [key])[0, 0]) for key in first)
+            variances = _Variances(
+                (prior.between_dof * start.between + scatter) / (prior.between_dof + len(people)),
+                (prior.recording_dof * start.recording + square) / (prior.recording_dof + len(walks)),
+            )
+        if progress is not None:
+            progress(iteration / _MAX_ITERATIONS)
+    people_cov = np.zeros((len(people), parameters.n, parameters.n))
+    population_cov = cov_of(tree, [gtsam.symbol("k", 0)])
+    for s, name in enumerate(people):
+        # theta = by_keys @ [population, own], with the person's own parameters
+        by_keys = np.zeros((n_free, n_free + n_own))
+        by_keys[:, :n_free] = np.eye(n_free)
+        by_keys[parameters.personal, parameters.personal] = 0.0
+        by_keys[parameters.personal, n_free + np.arange(n_own)] = 1.0
+        by_keys = by_keys if n_own else by_keys[:, :n_free]
+        people_cov[s] = parameters.all_cov(by_keys @ cov_of(tree, keys[name].keys) @ by_keys.T)
+    between_cov = np.zeros((n_free, n_free))
+    between_cov[np.ix_(parameters.personal, parameters.personal)] = variances.between
+    smoothed = [
+        w.walk.smoothed(of_one.steps, of_one.graph.problem, of_one.graph.solution(values, tree, guess))
+        for w, of_one, guess in zip(walks, linearised, guesses, strict=True)
+    ]
+    return JointEstimate(
+        population=parameters.all(population),
+        population_cov=parameters.all_cov(population_cov),
+        people=np.array([parameters.all(theta[name]) for name in people]),
+        people_cov=people_cov,
+        smoothed=tuple(smoothed),
+        between_cov=parameters.all_cov(between_cov),
+        recording_std=variances.recording**0.5,
+        n_iterations=iteration,
+        converged=converged,
+    )
+
+
+def _linearised(
+    of: CalibrationWalk,
+    number: int,
+    parameters: _Parameters,
+    theta: FloatArray,
+    keys: PersonKeys,
+    separate: Mapping[str, str],
+    recording_std: float,
+) -> _Linearised:
+    """Return a walk at the free parameters theta (F,) of its person."""
+    walk, model = of.walk, of.walk.config.model
+    names, full = mode_names(model, separate), parameters.all(theta)
+    by_name = {name: full[part] for name, part in parameters.slices.items()}
+    config = with_parameters(walk.config, parameters.priors, by_name, names, of.height_m, recording_std)
+    steps, with_bias = (walk.increments(config, with_bias=b) for b in (False, True))
+    problem = walk.posed.problem
+    start_s = float(steps.time_s[0] - steps.duration_s[0])
+    lasts_s = max(float(steps.time_s[-1]) - start_s, 1.0)
+    bias_var = float((with_bias.drift_var_rad2 - steps.drift_var_rad2).sum())
+    start_cov = problem.start_cov.copy()
+    start_cov[LOG_SCALE, LOG_SCALE] = recording_std**2 + MIN_STATE_VAR
+    by_theta = displacement_by_theta(
+        walk.track, config.model, names, parameters.slices, parameters.n, is_weighted=walk.track.weighting != "imm"
+    )
+    nodes = problem.intervals.nodes
+    device_rad = walk.posed.used.device_rad[np.maximum(nodes - 1, 0)]
+    return _Linearised(
+        steps,
+        WalkGraph(
+            problem=replace(problem, intervals=preintegrate(steps, nodes), start_cov=start_cov),
+            device_rad=device_rad,
+            time_s=steps.time_s,
+            start_s=start_s,
+            # a constant rate whose effect at the end has the variance of the random walk that stands for the bias
+            rate_std_radps=float(np.sqrt(max(bias_var, 0.0))) / lasts_s,
+            by_theta=np.ascontiguousarray(by_theta[:, :, parameters.free]),
+            about=theta,
+            person=keys,
+            number=number,
+        ),
+    )
+
+
+def _add_parameters(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    parameters: _Parameters,
+    between_cov: FloatArray,
+    population: FloatArray,
+    theta: Mapping[str, FloatArray],
+    keys: Mapping[str, PersonKeys],
+) -> None:
+    """Add the parameters of the population and of the people, with their priors."""
+    key = gtsam.symbol("k", 0)
+    sigmas = gtsam.noiseModel.Diagonal.Sigmas(parameters.std)
+    graph.push_back(gtsam.PriorFactorVector(key, parameters.mean[parameters.free], sigmas))
+    values.insert(key, population)
+    personal = parameters.personal
+    if not len(personal):
+        return
+    own = np.asarray(np.linalg.inv(np.linalg.cholesky(between_cov)), dtype=float)
+    of_population = np.zeros((len(personal), len(parameters.free)))
+    of_population[:, personal] = -own
+    for name, of_one in keys.items():
+        graph.push_back(linear_factor(key, of_population, of_one.person, own))
+        values.insert(of_one.person, theta[name][personal])
+
+
+def _length_factor(
+    segment: Segment, of: WalkGraph, parameters: _Parameters, theta: FloatArray, loss: str
+) -> gtsam.CustomFactor:
+    """Return the factor of a stretch of known length: |sum of its steps| e^s is the length, as in `SegmentSums`."""
+    full = parameters.all(theta)
+    by_all, constant = np.zeros((2, parameters.n)), np.zeros(2)
+    for name, part in parameters.slices.items():
+        by_all[:, part], rest = segment.sums(name, parameters.priors[name].model, full[part])
+        constant += rest
+    way_m, by_free = constant + by_all @ full, by_all[:, parameters.free]
+    own = parameters.priors.get(segment.context_names[int(segment.steps_in.argmax())])
+    step_std_m = 0.0 if own is None else own.step_std_m
+    inverse = 1 / np.sqrt(segment.anchor_std_m**2 + segment.n_steps * step_std_m**2)
+    nodes = of.problem.intervals.nodes
+    node = int(np.searchsorted(nodes, np.searchsorted(of.time_s, segment.start_s), side="right") - 1)
+    person, about = of.person, theta
+    assert person is not None
+    keys = [of.scale(min(node, len(nodes) - 1)), *person.keys]
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:
+        vector = way_m + by_free @ (person.theta(values) - about)
+        scale = np.exp(values.atVector(keys[0])[0])
+        length_m = float(np.hypot(*vector))
+        if jacobians is not None:
+            jacobians[0] = np.array([[inverse * scale * length_m]])
+            by_theta = inverse * scale * (vector / max(length_m, 1e-9)) @ by_free
+            for i, H in enumerate(person.split(by_theta[None]), start=1):
+                jacobians[i] = H
+        return np.array([inverse * (scale * length_m - segment.distance_m)])
+
+    return gtsam.CustomFactor(noise_of(1, loss), keys, error)

@@ -1,0 +1,206 @@
+"""Calibration by smoothing whole walks: observations of each walk, and the result as a `Calibration`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from datetime import date
+from typing import Any
+
+import numpy as np
+
+from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
+from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
+from pdr_filter.offline.calibration.priors import StepLengthPrior
+from pdr_filter.offline.calibration.segments import MIN_WAYPOINT_DISTANCE_M, segments_of, truth_fixes
+from pdr_filter.offline.robust_loss import LOSSES
+from pdr_filter.offline.smoothing.observations import LoopClosure
+from pdr_filter.offline.smoothing.smooth import reckoned_walk
+from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.step_length_calibration import Calibration, of_height, slices_of, typical_step_m
+from pdr_filter.values import Fix, FloatArray, SpeedFix, Step, Table, steps_of, table
+from pdr_filter.values.recording import Recording
+from pdr_filter.version import __version__
+
+
+def calibrate_by_smoothing(
+    recordings: Sequence[Recording],
+    people: Sequence[str],
+    priors: Mapping[str, StepLengthPrior],
+    config: Config | None,
+    separate: Mapping[str, str],
+    observed: tuple[Sequence[Sequence[Fix]], Sequence[Sequence[LoopClosure]]],
+    *,
+    measure: str,
+    loss: str,
+    anchor_std_m: float | None,
+    recording_std: float,
+    walking: str,
+    notes: Sequence[str],
+    progress: Callable[[float], None] | None,
+) -> Calibration:
+    """Return the calibration of recordings that are smoothed together with the step-length parameters.
+
+    `people` has the name of the person of each recording, and `observed` the fixes and the loop closures of each. The
+    other parameters are those of `calibrate`.
+    """
+    if loss not in LOSSES:
+        raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
+    scale_std = scale_std_of(priors.get(walking), recording_std)
+    walks, remarks = list[CalibrationWalk](), list[str](notes)
+    for i, (recording, name, fixes, closures) in enumerate(zip(recordings, people, *observed, strict=True), 1):
+        walk, of_walk = calibration_walk(
+            recording, name, config, list(fixes), list(closures), separate, measure, anchor_std_m, scale_std
+        )
+        walks.append(walk)
+        remarks += of_walk
+        if progress is not None:
+            progress(0.9 * i / len(recordings))
+    if not any(_n_observations(w) for w in walks):
+        raise ValueError(
+            "nothing to calibrate with: no recording has fixes, loop closures, locations or a truth of known length"
+        )
+    found = estimate_jointly(walks, priors, separate, recording_std, loss)
+    if progress is not None:
+        progress(1.0)
+    if not found.converged:
+        remarks.append(f"the calibration did not converge in {found.n_iterations} iterations: treat it with caution")
+    return _assembled(walks, found, priors, separate, remarks)
+
+
+def calibration_walk(
+    recording: Recording,
+    subject: str,
+    config: Config | None,
+    fixes: list[Fix],
+    closures: list[LoopClosure],
+    separate: Mapping[str, str],
+    measure: str,
+    anchor_std_m: float | None,
+    scale_std: float,
+) -> tuple[CalibrationWalk, list[str]]:
+    """Return the walk of a recording with its observations, and notes about unused ones."""
+    notes: list[str] = []
+    speeds = [fix for fix in fixes if isinstance(fix, SpeedFix)]
+    if speeds:
+        notes.append(f"{recording.name}: {len(speeds)} speed fixes are not used to calibrate step lengths")
+        fixes = [fix for fix in fixes if not isinstance(fix, SpeedFix)]
+    is_given = bool(fixes or closures)
+    if not is_given:
+        fixes = [*truth_fixes(recording, anchor_std_m)]
+    walk = reckoned_walk(recording, config, fixes, closures, scale_std)
+    segments: tuple[Any, ...] = ()
+    if not (is_given or fixes or walk.observed.locations):
+        found, remarks = segments_of(recording, walk.track, anchor_std_m, measure, subject, separate)
+        segments, notes = tuple(found), [*notes, *remarks]
+    return CalibrationWalk(subject, recording.subject.height_m, walk, segments), notes
+
+
+def scale_std_of(prior: StepLengthPrior | None, recording_std: float) -> float:
+    """Return the prior standard deviation of the log step scale of an unknown person in one recording."""
+    if prior is None:
+        return recording_std
+    cov = np.diag(prior.std**2 + prior.between_std**2)
+    length_m, std_m = typical_step_m(prior.model, prior.mean, cov)
+    return float(np.hypot(min(std_m / max(length_m, 1e-3), 1.0), recording_std))
+
+
+def _n_observations(of: CalibrationWalk) -> int:
+    """Return the number of observations of a walk that can determine step lengths."""
+    problem = of.walk.posed.problem
+    return len(problem.positions) + len(problem.measurements) + len(of.segments)
+
+
+def _assembled(
+    walks: Sequence[CalibrationWalk],
+    found: JointEstimate,
+    priors: Mapping[str, StepLengthPrior],
+    separate: Mapping[str, str],
+    notes: Sequence[str],
+) -> Calibration:
+    """Return the `Calibration` of a joint estimate."""
+    models = {name: p.model for name, p in priors.items()}
+    subjects = tuple(dict.fromkeys(w.subject for w in walks))
+    heights = {w.subject: w.height_m for w in walks}
+    rows = _table(walks, found, priors, separate, subjects)
+    n_used = [int((w.walk.found.weight > 0).sum()) + len(w.segments) for w in walks]
+    return Calibration(
+        models=models,
+        theta=found.population,
+        theta_cov=found.population_cov,
+        between_cov=found.between_cov,
+        people=found.people,
+        people_cov=found.people_cov,
+        subject_ids=subjects,
+        heights_m=np.array([np.nan if (h := heights[name]) is None else h for name in subjects]),
+        residual_std_m={name: float(p.step_std_m) for name, p in priors.items()},
+        recording_std=found.recording_std,
+        n_segments={name: float(np.sum(rows.context == name)) for name in models},
+        segments=rows,
+        notes=tuple(notes),
+        card={
+            "date": date.today().isoformat(),
+            "pdr_filter": __version__,
+            "people": len(subjects),
+            "recordings": len(walks),
+            "segments": len(rows),
+            "observations": int(sum(n_used)),
+            "metres": round(float(rows.distance_m.sum()), 1),
+        },
+        mode_contexts=separate,
+        tracks=tuple(s.track for s in found.smoothed),
+    )
+
+
+def _table(
+    walks: Sequence[CalibrationWalk],
+    found: JointEstimate,
+    priors: Mapping[str, StepLengthPrior],
+    separate: Mapping[str, str],
+    subjects: Sequence[str],
+) -> Table:
+    """Return the table `Calibration.segments`, with a row for each context of a walk of a few metres.
+
+    The known length is that of the smoothed walk.
+    """
+    slices, _ = slices_of({name: p.model for name, p in priors.items()})
+    start = np.concatenate([p.mean for p in priors.values()])
+    columns: dict[str, list[Any]] = {}
+    for of, smoothed in zip(walks, found.smoothed, strict=True):
+        track, weight = of.walk.track, of.walk.found.weight
+        share = float(weight.mean()) if len(weight) else 1.0
+        names, own = mode_names(of.walk.config.model, separate), found.people[subjects.index(of.subject)]
+        scale, steps = np.exp(smoothed.log_scale), steps_of(track.steps)
+        for name, part in slices.items():
+            prob = track.mode_prob @ np.array([float(n == name) for n in names])
+            model = of_height(priors[name].model, of.height_m)
+            predicted_m = prob * _lengths_m(model, steps, own[part])
+            if not predicted_m.sum() >= MIN_WAYPOINT_DISTANCE_M:
+                continue
+            inside = np.flatnonzero(prob > 0.5 * prob.max())
+            row = {
+                "subject": of.subject,
+                "recording": track.name,
+                "context": name,
+                "start_s": float(track.time_s[inside[0]]),
+                "end_s": float(track.time_s[inside[-1]]),
+                "distance_m": float(scale @ predicted_m),
+                "n_steps": float(prob.sum()),
+                "summed": True,
+                "predicted_m": float(predicted_m.sum()),
+                "left_out_m": np.nan,
+                "stranger_m": np.nan,
+                "uncalibrated_m": float(prob @ _lengths_m(model, steps, start[part])),
+                "misfit": float(np.log(scale @ predicted_m / predicted_m.sum())) / max(found.recording_std, 1e-9),
+                "weight": share,
+                "distrusted": bool(len(weight)) and share == 0.0,
+            }
+            for column, value in row.items():
+                columns.setdefault(column, []).append(value)
+    if not columns:
+        raise ValueError(f"no walk leads over {MIN_WAYPOINT_DISTANCE_M:g} m in any context: record longer walks")
+    return table({name: np.array(values) for name, values in columns.items()})
+
+
+def _lengths_m(model: StepLengthModel, steps: Sequence[Step], theta: FloatArray) -> FloatArray:
+    """Return the lengths (K,) of steps."""
+    return np.array([float(length_and_jacobian(model, step, theta)[0]) for step in steps])

@@ -1,0 +1,108 @@
+"""Step lengths that are calibrated together with the smoothed walks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.offline.calibration.joint_smoothing import displacement_by_theta, mode_names, with_parameters
+from pdr_filter.offline.calibration.model_forms import forms_of
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
+from pdr_filter.offline.smoothing.observations import LoopClosure
+from pdr_filter.offline.smoothing.preintegration import increments
+from pdr_filter.recipes.step_length_calibration import slices_of
+from pdr_filter.values.recording import Recording, Truth
+
+STAND = pdr.simulate.Leg("stationary", duration_s=2.0)
+
+
+def rectangle(seed: int = 0, length_factor: float = 1.25) -> Recording:
+    """A walk of 60 m around a block, of a person with long steps."""
+    sides = [pdr.simulate.Leg("walking", distance_m=d, turn_rad=np.pi / 2) for d in (18.0, 12.0, 18.0, 12.0)]
+    gait = pdr.simulate.Gait(length_factor=length_factor, habit=seed)
+    return pdr.simulate.simulate([STAND, *sides, STAND], gait, seed=seed)
+
+
+def errors_std(one: pdr.Calibration, true_m: float) -> float:
+    """Error of the distance predicted by the calibration, in its standard deviations."""
+    person = next(iter(one.subjects.values()))
+    std = person.k_cov["walking"][0, 0] ** 0.5 / person.k["walking"][0]
+    return float((one.segments.predicted_m.sum() / true_m - 1) / std)
+
+
+def test_a_loop_closure_and_two_fixes_calibrate_a_walk_without_known_lengths() -> None:
+    walk = rectangle()
+    at_s = np.asarray(walk.truth.position.time_s)
+    places = [
+        np.array([np.interp(t, at_s, walk.truth.position[axis]) for axis in ("east_m", "north_m")]) for t in (15, 32)
+    ]
+    fixes = [pdr.PositionFix(float(t), place, 0.3**2 * np.eye(2)) for t, place in zip((15, 32), places, strict=True)]
+    blind = replace(walk, truth=Truth())
+    found = pdr.calibrate(blind, smooth=True, fixes=[fixes], loop_closures=[[LoopClosure(1.0, walk.duration_s - 1.0)]])
+    assert abs(errors_std(found, 60.0)) < 2.0
+    assert found.segments.predicted_m.sum() == pytest.approx(60.0, rel=0.06)
+    assert found.segments.uncalibrated_m.sum() < 54.0  # the average person makes shorter steps
+    (track,) = found.tracks
+    assert np.hypot(*(track.position_m[-1] - track.start_position_m)) < 1.5
+    assert pdr.track(blind, calibration=found).distance_m == pytest.approx(60.0, rel=0.06)
+
+
+def test_waypoints_and_stretches_of_known_length_give_the_parameters_of_a_calibration_from_segments() -> None:
+    walks = [rectangle(seed) for seed in (1, 2)]
+    for part in ("segments", "waypoints"):
+        known = [replace(w, truth=Truth(**{part: getattr(w.truth, part)})) for w in walks]
+        one, other = (
+            next(iter(pdr.calibrate(known, smooth=s, model="bounce").subjects.values())) for s in (False, True)
+        )
+        std = one.k_cov["walking"][0, 0] ** 0.5
+        assert abs(other.k0 - one.k0) < std, part
+        assert other.k_cov["walking"][0, 0] ** 0.5 == pytest.approx(std, rel=0.25), part
+
+
+def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
+    walk = pdr.simulate.demo_walk()
+    found = pdr.calibrate(replace(walk, truth=Truth(waypoints=walk.truth.waypoints)), smooth=True)
+    part = slices_of(found.models)[0]
+    walking, running = part["walking"].start, part["running"].start
+    cov = found.people_cov[0][np.ix_([walking, running], [walking, running])]
+    assert abs(cov[0, 1]) > 0.02 * np.sqrt(cov[0, 0] * cov[1, 1])
+    assert set(found.segments.context) >= {"walking", "running"}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"fixes": [[]]}, "for smooth=True"),
+        ({"smooth": True, "fixes": [[], []]}, "fixes of 2 recordings for 1"),
+        ({"smooth": True}, "nothing to calibrate with"),
+        ({"smooth": True, "loss": "l1"}, "loss must be one of"),
+        ({"smooth": True, "fixes": [[pdr.PositionFix(15.0, np.zeros(2), np.eye(2))]], "priors": "inf"}, "finite std"),
+    ],
+)
+def test_arguments_that_contradict_each_other_are_refused(arguments: dict[str, object], message: str) -> None:
+    if "priors" in arguments:
+        own = DEFAULT_PRIORS["walking"]
+        arguments = {**arguments, "priors": {"walking": replace(own, between_std=np.array([np.inf]))}}
+    with pytest.raises(ValueError, match=message):
+        pdr.calibrate(replace(rectangle(), truth=Truth()), **arguments)
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc", "hc"])
+def test_displacements_depend_on_the_parameters_as_in_the_smoother(weighting: str) -> None:
+    walk, config = pdr.simulate.demo_walk(), pdr.recipes.default().with_weighting(weighting)
+    track, (priors,) = pdr.track(walk, config=config), forms_of(model="eq12").values()
+    slices, n = slices_of({name: p.model for name, p in priors.items()})
+    names, rng = mode_names(config.model, {}), np.random.default_rng(3)
+    thetas = [{name: p.mean + 0.05 * rng.normal(size=len(p.mean)) * p.std for name, p in priors.items()} for _ in "ab"]
+    models = [with_parameters(config, priors, theta, names, None, 0.025).model for theta in thetas]
+    is_weighted = weighting != "imm"
+    moved_m = [
+        increments(track.steps, track.mode_prob, model, track.gap_before_s, is_weighted=is_weighted)[0].displacement_m
+        for model in models
+    ]
+    by_theta = displacement_by_theta(track, models[0], names, slices, n, is_weighted=is_weighted)
+    change = np.concatenate(list(thetas[1].values())) - np.concatenate(list(thetas[0].values()))
+    np.testing.assert_allclose(by_theta @ change, moved_m[1] - moved_m[0], atol=1e-3)
