@@ -96,10 +96,10 @@ from pdr_filter.values import (
     Origin,
     Plan,
     PositionFix,
-    RangeFix,
     Samples,
     Standstill,
     Step,
+    has_position,
     interpolated,
     read_only,
     step_table,
@@ -426,7 +426,7 @@ def _online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> 
     """
     if not any(isinstance(fix, Measurement) for fix in fixes):
         return None
-    if any(isinstance(fix, RangeFix | PositionFix) for fix in fixes):
+    if any(has_position(fix) for fix in fixes):
         config = config.in_world_frame()
     state = init(config)
     for new_state, _ in outputs(recording, config, fixes):
