@@ -24,7 +24,6 @@ from pdr_filter.live.messages import FORCE, Message, parse
 from pdr_filter.live.recorder import DEVICE, Recorder
 from pdr_filter.live.settings import Event, FixError, Settings
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.clock import on_track_clock
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.stream_merging import Sensor
 from pdr_filter.tracking.georeferencing import live_config
@@ -287,12 +286,11 @@ class DeviceSession:
                 if range_m is None
                 else RangeFix(time_s, place_m, float(range_m), std_m)
             )
-            online.add_fix(fix)
+            result = online.add_fix(fix)
         except KeyError as error:
             raise FixError(f"the fix has no {error}: see docs/live.md") from None
         except (TypeError, ValueError) as error:
             raise error if isinstance(error, FixError) else FixError(str(error)) from None
-        result = FixResult.of(on_track_clock(fix, online.state.clock_offset_s), math.nan, "waiting")
         event = {**self._outcome(result), "east_m": east_m, "north_m": north_m, "std_m": std_m}
         if range_m is None:
             self.recorder.fix(time_s, east_m, north_m, std_m)

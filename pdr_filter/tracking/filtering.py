@@ -331,6 +331,17 @@ def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
     return replace_unchecked(state, waiting_fixes=tuple(waiting))
 
 
+def outcome_now(config: Config, state: State, fix: Fix) -> FixResult:
+    """Return the outcome that a waiting fix has with the samples so far. The state uses it before its next event.
+
+    Until then, fixes that were received earlier may still be added. They are used first, as offline.
+    """
+    waiting = FixResult.of(fix, math.nan, "waiting")
+    _, used = _use_due_fixes(config, state, state.sensing.processed_s)
+    same = (result for result in used[::-1] if (result.kind, result.time_s) == (waiting.kind, waiting.time_s))
+    return next(same, waiting)
+
+
 def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArray]:
     """Return position (2,) and covariance (2, 2) after the last final step.
 

@@ -27,6 +27,7 @@ from pdr_filter.tracking.filtering import (
     add_pressure,
     finish,
     init,
+    outcome_now,
     person_of,
     present_position,
     timing_error,
@@ -38,6 +39,7 @@ from pdr_filter.tracking.walked_path import WalkedPath, walked_path
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import (
     Fix,
+    FixResult,
     FloatArray,
     ImuBlock,
     OnPlan,
@@ -465,8 +467,8 @@ class OnlineFilter:
         self.state, output = finish(self.config, self.state)
         return self._with_late(output.updates)
 
-    def add_fix(self, fix: Fix) -> None:
-        """Add a fix: a position, heading, range or speed, or a standstill.
+    def add_fix(self, fix: Fix) -> FixResult:
+        """Add a fix: a position, heading, range or speed, or a standstill, and return its outcome.
 
         The filter uses the fix when it has been received and the step at its time is known. A fix that is added before
         the first sample is checked when it is used, and is then rejected if its time is wrong.
@@ -475,6 +477,13 @@ class OnlineFilter:
         ----------
         fix : PositionFix, GridFix, HeadingFix, RangeFix, SpeedFix, Standstill or Measurement
             The fix, on the clock of the samples. A GridFix requires a floor plan.
+
+        Returns
+        -------
+        FixResult
+            Outcome of the fix, such as "used", "placed" or "rejected", if the step at its time is known already. A NIS
+            above the gate means that the fix contradicts the track. Usually the outcome is "waiting", and `Now.fixes`
+            has the result after a second or two.
 
         Raises
         ------
@@ -494,6 +503,7 @@ class OnlineFilter:
         if np.isfinite(seen.first_time_s) and all(wrong):
             raise ValueError(wrong[0])
         self.state = add_fixes(self.config, self.state, (fix,))
+        return outcome_now(self.config, self.state, fix)
 
     def now(self) -> Now:
         """Return the estimate at the time of the newest sample, including steps that are not accepted yet.

@@ -66,11 +66,13 @@ from pdr_filter.values.fixes import (
     all_fixes,
     check_fix,
     has_frame,
+    has_position,
     measured,
     range_log_densities,
     range_residuals,
     received_s,
     repetition,
+    stated_fixes,
 )
 from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
@@ -167,6 +169,7 @@ __all__ = [
     "feature_set_of",
     "frozen",
     "has_frame",
+    "has_position",
     "heading_from_yaw",
     "how_many",
     "how_often",
@@ -185,6 +188,7 @@ __all__ = [
     "replace_unchecked",
     "rigid_fit",
     "softmax",
+    "stated_fixes",
     "step_table",
     "steps_of",
     "table",

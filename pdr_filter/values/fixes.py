@@ -382,7 +382,9 @@ class Measurement(Protocol):
     Notes
     -----
     A measurement is rejected if its normalised innovation squared exceeds the 99.9 % quantile of the chi-square
-    distribution. Measurements cannot determine the position of a track in an unknown frame.
+    distribution. In an unknown frame, a measurement with a constant Jacobian that determines a position, a heading or
+    both places and rotates the track as a PositionFix and a HeadingFix do. Other measurements wait until fixes have
+    determined the frame.
 
     Examples
     --------
@@ -732,6 +734,46 @@ def measured(fix: Measurement, position_m: FloatArray, heading_rad: float) -> tu
 
 # Displacement, in m and rad, for the numerical check of the sign of a derivative.
 _SMALL = 1e-4
+
+
+def stated_fixes(fix: Measurement) -> tuple[HeadingFix | PositionFix, ...]:
+    """Return the heading fix and the position fix that a measurement of both is equivalent to, in this order.
+
+    A measurement of a position or a heading alone gives one fix, any other measurement none. A measurement r = J x - z
+    with covariance C has a constant J, with x = (east, north, heading). The fixes have the least-squares solution x and
+    its covariance (J' C^-1 J)^-1, without the covariance of heading and position.
+    """
+    if isinstance(fix, RangeFix):
+        return ()
+    try:
+        residual, jacobian, cov = measured(fix, np.zeros(2), 0.0)
+        weighted = jacobian.T @ np.linalg.inv(cov)
+        x_cov = np.linalg.pinv(weighted @ jacobian, hermitian=True)
+        x = -x_cov @ weighted @ residual
+        residual_there, jacobian_there, cov_there = measured(fix, x[:2], float(x[2]))
+    except ValueError:  # such as a bearing at the position of its anchor
+        return ()
+    is_linear = np.allclose(jacobian, jacobian_there) and np.allclose(cov, cov_there)
+    if not is_linear or not np.allclose(weighted @ residual_there, 0.0, atol=1e-6 * np.abs(weighted).max()):
+        return ()
+    has_heading, n_axes = bool(jacobian[:, 2].any()), int(np.linalg.matrix_rank(jacobian[:, :2]))
+    if n_axes == 1 or np.linalg.matrix_rank(jacobian) != n_axes + has_heading:
+        return ()
+    stated: list[HeadingFix | PositionFix] = []
+    if has_heading:
+        stated.append(HeadingFix(fix.time_s, float(x[2]), math.sqrt(float(x_cov[2, 2])), fix.received_time_s))
+    if n_axes:
+        stated.append(PositionFix(fix.time_s, x[:2], np.asarray(x_cov[:2, :2], dtype=float), fix.received_time_s))
+    return tuple(stated)
+
+
+def has_position(fix: Fix) -> bool:
+    """True for a fix that places a track in its frame: a position, a range, or a measurement that states a position."""
+    if isinstance(fix, PositionFix | RangeFix):
+        return True
+    if not isinstance(fix, Measurement):
+        return False
+    return any(isinstance(each, PositionFix) for each in stated_fixes(fix))
 
 
 def has_frame(fix: Fix) -> bool:

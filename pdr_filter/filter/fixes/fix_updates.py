@@ -58,6 +58,7 @@ from pdr_filter.values import (
     FloatArray,
     GridFix,
     HeadingFix,
+    Measurement,
     PositionFix,
     RangeFix,
     SpeedFix,
@@ -65,6 +66,7 @@ from pdr_filter.values import (
     error_given_before,
     read_only,
     repeated_cov_m2,
+    stated_fixes,
     wrap_angle,
 )
 
@@ -79,7 +81,8 @@ def use_fix(
     speed fixes, grid fixes and standstills. A fix that repeats an earlier one is not used: it is "repeated", or
     "frozen" if it is a position and steps continue. If the frame of the fixes is unknown, the first position fix places
     the track in it, and later ones rotate it. A standstill is stored and changes no estimate. `offset_rad`
-    (F,) is the walking heading of each filter minus the heading that the body faces.
+    (F,) is the walking heading of each filter minus the heading that the body faces. In an unknown frame, a
+    measurement of position and heading is used as two fixes (`stated_fixes`), with the outcome of the position.
     """
     if isinstance(fix, Standstill):
         return replace(state, fixes=state.fixes.with_standstill(fix)), "used", np.nan
@@ -93,6 +96,10 @@ def use_fix(
     state = with_reopened_rotation(state)
     if state.frame.is_of_start and not isinstance(fix, PositionFix | HeadingFix | RangeFix):
         state = with_joined_frame(state)  # no density of the rotation follows from a measurement of another class
+    if not state.frame.is_joined and isinstance(fix, Measurement) and (stated := stated_fixes(fix)):
+        for each in stated[:-1]:
+            state, *_ = use_fix(model, arithmetic, state, offset_rad, each)
+        return use_fix(model, arithmetic, state, offset_rad, stated[-1])
     place = _place_at(state, fix.time_s)
     if place is None:
         return state, "rejected", np.inf

@@ -213,9 +213,9 @@ class JumpMarkovModel:
         Backward pass over pairs of a mode j at time k and a mode i at time k + 1, as in Kim's smoother. The later
         measurements are a message about the state in mode i, which is the smoothed density divided by the predicted
         one. Its information matrix is L = P_s^-1 - P_p^-1, and its vector l = P_s^-1 x_s - P_p^-1 x_p. Each pair
-        predicts m = F_i x_j and C = F_i P_j F_i' + Q_i. The message corrects m by C (I + L C)^-1 (l - L m), and C to
-        C (I + L C)^-1. A Rauch-Tung-Striebel step leads back to time k. Given mode i, the pair has the probability
-        p_ji mu_j times the integral of message and prediction. Kim's smoother omits this integral. The pairs of a mode
+        predicts m = F_i x_j and C = F_i P_j F_i' + Q_i. With K = P_j F_i' (I + L C)^-1, its smoothed mean is
+        x_j + K (l - L m), and its covariance P_j - K L F_i P_j. Given mode i, the pair has the probability p_ji mu_j
+        times the integral of message and prediction. Kim's smoother omits this integral. The pairs of a mode
         are combined, which is the only approximation besides that of the filter.
 
         Examples
@@ -228,32 +228,63 @@ class JumpMarkovModel:
         True
         """
         prob, mean, cov = (a.copy() for a in (filtered.mode_prob, filtered.mode_mean, filtered.mode_cov))
-        eye = np.eye(self.F.shape[-1])
+        no_shift = np.zeros(self.F.shape[:2])
         for k in range(len(prob) - 2, -1, -1):
-            mixed_mean, mixed_cov, _ = mix(mean[k], cov[k], prob[k], self.transition_prob)
-            information, vector = _message(mean[k + 1], cov[k + 1], *predict(mixed_mean, mixed_cov, self.F, self.Q))
-            information, vector = information[..., None, :, :, :], vector[..., None, :, :]  # (..., 1, i, n)
-            x, P = mean[k][..., :, None, :], cov[k][..., :, None, :, :]  # (..., j, 1, n)
-            ahead = np.matmul(self.F, x[..., None])[..., 0]  # (..., j, i, n)
-            ahead_cov = self.F @ P @ self.F.swapaxes(-1, -2) + self.Q
-            shrunk = ahead_cov @ np.linalg.inv(eye + information @ ahead_cov)
-            residual = vector - np.matmul(information, ahead[..., None])[..., 0]
-            step = np.matmul(shrunk, residual[..., None])[..., 0]
-            log_match = 0.5 * ((residual * step).sum(axis=-1) + ((vector + residual) * ahead).sum(axis=-1))
-            log_match -= 0.5 * np.linalg.slogdet(eye + information @ ahead_cov)[1]
-            # a mode without noise has a singular prediction, of which the pseudo-inverse uses the part with noise
-            gain = P @ self.F.swapaxes(-1, -2) @ np.linalg.pinv(ahead_cov, hermitian=True)
-            pair_mean = x + np.matmul(gain, step[..., None])[..., 0]
-            pair_cov = P + gain @ (shrunk - ahead_cov) @ gain.swapaxes(-1, -2)
-            prior = (prob[k][..., :, None] * self.transition_prob).swapaxes(-1, -2)  # (..., i, j)
-            total = prior.sum(axis=-1, keepdims=True)
-            prior = np.divide(prior, total, out=np.full_like(prior, 1 / prior.shape[-1]), where=total > 0)
-            joint = posterior_prob(prior, log_match.swapaxes(-1, -2)).swapaxes(-1, -2) * prob[k + 1][..., None, :]
-            of_mode = joint.sum(axis=-1, keepdims=True)
-            weight = np.divide(joint, of_mode, out=np.full_like(joint, 1 / joint.shape[-1]), where=of_mode > 0)
-            mean[k], cov[k] = combine(pair_mean, pair_cov, weight)
-            prob[k] = of_mode[..., 0] / of_mode.sum(axis=(-1, -2))[..., None]
+            here, later = (prob[k], mean[k], cov[k]), (prob[k + 1], mean[k + 1], cov[k + 1])
+            prob[k], mean[k], cov[k] = one_step_back(here, later, self.F, no_shift, self.Q, self.transition_prob)
         return _estimates(prob, mean, cov, filtered.log_likelihood)
+
+
+_Modes = tuple[FloatArray, FloatArray, FloatArray]  # probabilities (..., M), means and covariances of the modes
+
+
+def one_step_back(
+    filtered: _Modes, later: _Modes, F: FloatArray, shift: FloatArray, Q: FloatArray, transition_prob: FloatArray
+) -> _Modes:
+    """Return the smoothed estimates of the modes at time k, from the smoothed ones `later` at time k + 1.
+
+    `filtered` are the estimates of the filter at time k. In mode m, x_(k+1) = F_m x_k + shift_m + w with covariance
+    Q_m: F and Q are (M, n, n), the shift is (M, n). `JumpMarkovModel.smooth` has the equations.
+    """
+    prob, mean, cov = filtered
+    mixed_mean, mixed_cov, _ = mix(mean, cov, prob, transition_prob)
+    predicted, predicted_cov = predict(mixed_mean, mixed_cov, F, Q)
+    information, vector = _message(later[1], later[2], predicted + shift, predicted_cov)
+    information, vector = information[..., None, :, :, :], vector[..., None, :, :]  # (..., 1, i, n)
+    x, P = mean[..., :, None, :], cov[..., :, None, :, :]  # (..., j, 1, n)
+    ahead = np.matmul(F, x[..., None])[..., 0] + shift  # (..., j, i, n)
+    ahead_cov = F @ P @ F.swapaxes(-1, -2) + Q
+    ratio = np.eye(F.shape[-1]) + information @ ahead_cov
+    shrink, residual = np.linalg.inv(ratio), vector - np.matmul(information, ahead[..., None])[..., 0]
+    step = np.matmul(ahead_cov @ shrink, residual[..., None])[..., 0]
+    log_match = 0.5 * ((residual * step).sum(axis=-1) + ((vector + residual) * ahead).sum(axis=-1))
+    log_match -= 0.5 * np.log(np.linalg.det(ratio))
+    gain = P @ F.swapaxes(-1, -2) @ shrink
+    pair_mean = x + np.matmul(gain, residual[..., None])[..., 0]
+    pair_cov = P - gain @ information @ F @ P
+    prior = (prob[..., :, None] * transition_prob).swapaxes(-1, -2)  # (..., i, j)
+    total = prior.sum(axis=-1, keepdims=True)
+    prior = np.divide(prior, total, out=np.full_like(prior, 1 / prior.shape[-1]), where=total > 0)
+    joint = posterior_prob(prior, log_match.swapaxes(-1, -2)).swapaxes(-1, -2) * later[0][..., None, :]
+    of_mode = joint.sum(axis=-1, keepdims=True)
+    weight = np.divide(joint, of_mode, out=np.full_like(joint, 1 / joint.shape[-1]), where=of_mode > 0)
+    smoothed, smoothed_cov = combine(pair_mean, pair_cov, weight)
+    return of_mode[..., 0] / of_mode.sum(axis=(-1, -2))[..., None], smoothed, smoothed_cov
+
+
+def _inverse(cov: FloatArray) -> FloatArray:
+    """Return the inverses of covariances (..., n, n), scaled to unit variances because the states differ in unit.
+
+    A mode without noise has a singular covariance, of which the pseudo-inverse uses the part with noise.
+    """
+    std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
+    scale = 1.0 / np.where(std > 0, std, 1.0)
+    scale = scale[..., :, None] * scale[..., None, :]
+    try:
+        inverse = np.linalg.inv(cov * scale)
+    except np.linalg.LinAlgError:
+        inverse = np.linalg.pinv(cov * scale, hermitian=True)
+    return inverse * scale
 
 
 def _message(
@@ -262,14 +293,18 @@ def _message(
     """Return information matrix (..., n, n) and vector (..., n) of the later measurements.
 
     They are the quotient of the smoothed and the predicted density. Directions in which the mixture makes the smoothed
-    covariance the larger one have no information.
+    covariance the larger one have no information. The axes of these directions are those of predicted states with unit
+    variances, because the states differ in unit.
     """
-    inverse, before = (np.linalg.pinv(each, hermitian=True) for each in (smoothed_cov, predicted_cov))
+    inverse, before = _inverse(smoothed_cov), _inverse(predicted_cov)
     vector = np.matmul(inverse, smoothed[..., None]) - np.matmul(before, predicted[..., None])
-    value, axes = np.linalg.eigh(inverse - before)
+    std = np.sqrt(np.diagonal(predicted_cov, axis1=-2, axis2=-1))[..., None]
+    std = np.where(std > 0, std, 1.0)
+    value, axes = np.linalg.eigh((inverse - before) * std * std.swapaxes(-1, -2))
     value = np.where(value > 1e-9 * np.abs(value).max(axis=-1, keepdims=True), value, 0.0)
+    axes = axes / std
     information = (axes * value[..., None, :]) @ axes.swapaxes(-1, -2)
-    along = np.where(value[..., None] > 0, axes.swapaxes(-1, -2) @ vector, 0.0)
+    along = np.where(value[..., None] > 0, (axes * std * std).swapaxes(-1, -2) @ vector, 0.0)
     return information, (axes @ along)[..., 0]
 
 

@@ -12,7 +12,9 @@ the filter. It scales each step of D and decays to s_b in `Intervals.steps_from`
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,11 +26,12 @@ from pdr_filter.filter.imm.motion_model import (
     MAX_HEADING_VARIANCE,
     N_STATES,
     Directions,
+    StepMotion,
     step_motion,
     stepless_var_m2,
 )
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.values import BoolArray, FloatArray, IntArray, Table, read_only, steps_of
+from pdr_filter.filter.imm.pedestrian_model import ModeLengths, PedestrianModel
+from pdr_filter.values import BoolArray, FloatArray, IntArray, Step, Table, read_only, steps_of
 
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).
 TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -126,18 +129,7 @@ def increments(
         lengths = [of.weighted(weights) for of, weights in zip(lengths, mode_prob, strict=True)]
         directions = [of.weighted(weights) for of, weights in zip(directions, mode_prob, strict=True)]
         prob = np.ones((n, 1))
-    way = Directions(
-        *(np.array([getattr(of, name) for of in directions]).reshape(prob.shape) for name in Directions.__slots__)
-    )
-    move = step_motion(
-        np.asarray(steps.device_heading_rad)[:, None],
-        0.0,
-        0.0,
-        np.array([of.length_m for of in lengths]).reshape(prob.shape),
-        np.array([of.residual_var_m2 for of in lengths]).reshape(prob.shape),
-        way,
-        np.array([step.turned_rad for step in each]).reshape(n, 1),
-    )
+    way, move = _motion(each, lengths, directions)
     along, across = move.along, move.across
     displacement_m = move.length_m[..., None] * along
     displacement = np.einsum("km,kma->ka", prob, displacement_m)
@@ -174,6 +166,62 @@ def increments(
     )
     scale_error_m = noise.log_scale_std * np.where(unknown_var[:, None] > 0, displacement, 0.0)
     return walking, np.concatenate([parameter_std_m[..., None] * along, scale_error_m[:, None]], axis=1)
+
+
+def _motion(
+    steps: Sequence[Step], lengths: Sequence[ModeLengths], directions: Sequence[Directions]
+) -> tuple[Directions, StepMotion]:
+    """Return the directions (K, M) of the modes and the motion of K steps in M modes, without scale and offset."""
+    n = len(steps)
+    way = Directions(
+        *(np.array([getattr(of, name) for of in directions]).reshape(n, -1) for name in Directions.__slots__)
+    )
+    length_m, var_m2 = (
+        np.array([getattr(of, name) for of in lengths]).reshape(n, -1) for name in ("length_m", "residual_var_m2")
+    )
+    device_rad, turned_rad = (
+        np.array([getattr(step, name) for step in steps])[:, None] for name in ("device_heading_rad", "turned_rad")
+    )
+    return way, step_motion(device_rad, 0.0, 0.0, length_m, var_m2, way, turned_rad)
+
+
+class ModeSteps(NamedTuple):
+    """Displacements of K steps in M modes, before the scale of the person and the heading offset.
+
+    Attributes
+    ----------
+    displacement_m : array (K, M, 2)
+        Displacement, of which `Increments` has the mean over the modes.
+    cov_m2 : array (K, M, 2, 2)
+        Covariance, independent between steps.
+    parameter_error_m : array (K, M, 2)
+        Error due to the parameters of the length model of the mode, for one standard deviation.
+    """
+
+    displacement_m: FloatArray
+    cov_m2: FloatArray
+    parameter_error_m: FloatArray
+
+    def of(self, modes: BoolArray) -> ModeSteps:
+        """Return the displacements in the modes of a mask (M,)."""
+        return ModeSteps(*(each[:, modes] for each in self))
+
+
+def mode_steps(steps: Table, model: PedestrianModel, unknown_var_rad2: FloatArray) -> ModeSteps:
+    """Return the displacements of steps in each mode.
+
+    `unknown_var_rad2` (K,) are the variances of the heading from time without angular rate (`Increments`).
+    """
+    each = steps_of(steps)
+    lengths = [model.lengths(step) for step in each]
+    way, move = _motion(each, lengths, [model.directions] * len(each))
+    along, across = move.along, move.across
+    around_m2 = way.extra_var_m2 + unknown_var_rad2[:, None] / 3.0 * move.length_m**2
+    cov = move.var_along_m2[..., None, None] * along[..., :, None] * along[..., None, :]
+    cov += move.var_across_m2[..., None, None] * across[..., :, None] * across[..., None, :]
+    cov += around_m2[..., None, None] * np.eye(2)
+    parameter_std_m = np.array([of.parameter_std_m for of in lengths])
+    return ModeSteps(move.length_m[..., None] * along, cov, parameter_std_m[..., None] * along)
 
 
 def _elapsed_s(steps: Table, gap_before_s: FloatArray) -> FloatArray:

@@ -35,6 +35,7 @@ from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of
 from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, ShiftPrior, estimated_shift
 from pdr_filter.offline.smoothing.factor_graph import PoseKeys, UserFactors, WalkGraph, solved_with, user_graph
 from pdr_filter.offline.smoothing.location_errors import turned_to
+from pdr_filter.offline.smoothing.mode_evidence import step_log_evidence, switching_walk
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -44,7 +45,14 @@ from pdr_filter.offline.smoothing.observations import (
     check_options,
 )
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
-from pdr_filter.offline.smoothing.preintegration import TURN, Increments, increments, scaled_rotation, step_states
+from pdr_filter.offline.smoothing.preintegration import (
+    TURN,
+    Increments,
+    increments,
+    mode_steps,
+    scaled_rotation,
+    step_states,
+)
 from pdr_filter.offline.smoothing.problem import (
     Measurements,
     Problem,
@@ -89,10 +97,10 @@ from pdr_filter.values import (
     Origin,
     Plan,
     PositionFix,
-    RangeFix,
     Samples,
     Standstill,
     Step,
+    has_position,
     interpolated,
     read_only,
     step_table,
@@ -326,7 +334,6 @@ def smooth(
     else:
         key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
         config, track, sensing, stood_steps = memory.of(given, key, reckoned)
-    track = _with_smoothed_modes(track, config)
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
         where, locations = locations_of(recording.location)
@@ -563,7 +570,7 @@ def _online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> 
     """
     if not any(isinstance(fix, Measurement) for fix in fixes):
         return None
-    if any(isinstance(fix, RangeFix | PositionFix) for fix in fixes):
+    if any(has_position(fix) for fix in fixes):
         config = config.in_world_frame()
     state = init(config)
     for new_state, _ in outputs(recording, config, fixes):
@@ -679,6 +686,7 @@ def _smooth_track(
     """
     start_s, end_s = _ends_s(track)
     observed.check_inside(start_s, end_s)
+    filtered, track = track, _with_smoothed_modes(track, config)
     if track.n_steps == 0:
         places = compress((*observed.fixes, *observed.locations), observed.fixes_inside(start_s, end_s))
         known = independent([f for f in places if isinstance(f, PositionFix)])
@@ -700,6 +708,13 @@ def _smooth_track(
             if late_s := clocks[source].late_s:
                 on_clock = on_clock.earlier(source, late_s)
                 found = solved(on_clock)
+    blind = track
+    for _ in range(_MOST_MODE_PASSES if track.weighting == "imm" and found[1].weight.any() else 0):
+        told = _with_observed_modes(filtered, blind, config, *found)
+        if np.abs(told.mode_prob - track.mode_prob).max() < _SAME_PROB:
+            break
+        track = told
+        found = solved(on_clock)
     smoothed, walked_var_m2 = _smoothed(track, *found, observed, clocks)
     if len(found[0].problem.errors):
         # the shrinkage of the locations follows the shape of the walk, which the first solution knows best
@@ -722,6 +737,30 @@ def _ends_s(track: Track) -> tuple[float, float]:
     if track.n_steps:
         start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
     return start_s, end_s
+
+
+# Passes of mode probabilities and positions, and the difference of probabilities below which the next one is the same:
+# 0.01 of the difference between two lengths is less than 1 cm.
+_MOST_MODE_PASSES, _SAME_PROB = 3, 0.01
+
+
+def _with_observed_modes(filtered: Track, blind: Track, config: Config, posed: _Posed, found: Solution) -> Track:
+    """Return the track with mode probabilities smoothed with the evidence of the observations in a solved problem.
+
+    `filtered` has the mode probabilities of the dead reckoning, and `blind` the same smoothed, without observations. A
+    mode with less than one expected step keeps the latter.
+    """
+    model, likely = config.model, blind.mode_prob.sum(axis=0) >= 1.0
+    if likely.sum() < 2:
+        return blind
+    of_modes = mode_steps(filtered.steps, model, posed.steps.unknown_var_rad2).of(likely)
+    start_prob, transition_prob = model.long_run_mode_prob, model.transition_prob
+    evidence = step_log_evidence(filtered.mode_prob, start_prob, transition_prob)[:, likely]
+    between = start_prob[likely], transition_prob[likely][:, likely]
+    walk = switching_walk(posed.steps, of_modes, posed.problem, found, evidence, *between)
+    prob = blind.mode_prob.copy()
+    prob[:, likely] = walk.smoothed()[0] * prob[:, likely].sum(axis=1, keepdims=True)
+    return replace(blind, mode_prob=read_only(prob))
 
 
 def _shifted_walk(posed: _Posed, found: Solution, source: Source) -> ShiftedWalk:

@@ -28,9 +28,9 @@ from pdr_filter.values import (
     IntArray,
     Measurement,
     PositionFix,
-    RangeFix,
     SpeedFix,
     TrackRows,
+    has_position,
 )
 
 # The magnetic field during this time is one measurement of north: twice the memory of `MagneticNorth`.
@@ -79,9 +79,8 @@ class Used:
 
     @property
     def has_places(self) -> bool:
-        """True if there are position fixes, locations or ranges, which may be in any frame."""
-        ranges = any(isinstance(fix, RangeFix) for fix in self.measured)
-        return bool(self.observed.fixes or self.observed.locations) or ranges
+        """True if fixes or locations place the walk in their frame (`values.has_position`)."""
+        return bool(self.observed.fixes or self.observed.locations) or any(map(has_position, self.measured))
 
     @property
     def is_oriented(self) -> bool:

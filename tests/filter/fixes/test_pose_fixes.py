@@ -1,0 +1,109 @@
+"""Fixes of position and heading at once, and the outcome that `add_fix` returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import FloatArray, stated_fixes
+
+ANGLE_RAD, SHIFT_M = 2.0, np.array([100.0, 50.0])
+TIMES_S = (4.0, 14.0, 26.0, 38.0)
+
+
+@dataclass(frozen=True)
+class Door:
+    """The pedestrian goes through a door at a known place, along a known direction."""
+
+    time_s: float
+    pose: tuple[float, float, float]
+    cov: FloatArray
+    received_time_s: float | None = None
+    by_pose: FloatArray = field(default_factory=lambda: np.eye(3))
+
+    def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        turn_rad = (heading_rad - self.pose[2] + np.pi) % (2 * np.pi) - np.pi
+        error = np.array([position_m[0] - self.pose[0], position_m[1] - self.pose[1], turn_rad])
+        return self.by_pose @ error, self.by_pose, self.by_pose @ self.cov @ self.by_pose.T
+
+
+@pytest.fixture(scope="module")
+def walk() -> pdr.Recording:
+    return simulate([Leg("walking", distance_m=d, turn_rad=1.5) for d in (20.0, 15.0, 20.0)], seed=1)
+
+
+def poses(walk: pdr.Recording) -> list[tuple[float, float, float]]:
+    """True positions and walking directions at four times, in a rotated and shifted frame."""
+    path = walk.truth.position
+    rotation = np.array([[np.cos(ANGLE_RAD), np.sin(ANGLE_RAD)], [-np.sin(ANGLE_RAD), np.cos(ANGLE_RAD)]])
+
+    def at(time_s: float) -> FloatArray:
+        return rotation @ [np.interp(time_s, path.time_s, path[axis]) for axis in ("east_m", "north_m")] + SHIFT_M
+
+    ways = [at(t + 0.5) - at(t - 0.5) for t in TIMES_S]
+    return [(*at(t).tolist(), float(np.arctan2(*way))) for t, way in zip(TIMES_S, ways, strict=True)]
+
+
+@pytest.mark.parametrize("weighting", ["imm", "hc"])
+def test_a_fix_of_position_and_heading_places_a_track_as_the_two_fixes_do(walk: pdr.Recording, weighting: str) -> None:
+    cov = np.diag([0.25, 0.25, 0.01])
+    doors = [Door(t, pose, cov) for t, pose in zip(TIMES_S, poses(walk), strict=True)]
+    two = [
+        fix
+        for door in doors
+        for fix in (
+            pdr.HeadingFix(door.time_s, door.pose[2], 0.1),
+            pdr.PositionFix(door.time_s, door.pose[:2], cov[:2, :2]),
+        )
+    ]
+    config = pdr.recipes.default(walk.subject).in_world_frame()
+    track, expected = (pdr.track(walk, config=config, weighting=weighting, fixes=fixes) for fixes in (doors, two))
+    assert track.frame == expected.frame == "fixes"
+    assert [each.outcome for each in track.fixes] == [each.outcome for each in expected.fixes[1::2]]
+    assert "placed" in {each.outcome for each in track.fixes} and track.fixes[0].kind == "door"
+    np.testing.assert_allclose(track.position_m, expected.position_m, atol=0.15)
+    if weighting == "imm":
+        smoothed, expected = (pdr.smooth(walk, fixes).track for fixes in (doors, two))
+        np.testing.assert_allclose(smoothed.position_m, expected.position_m, atol=0.01)
+
+
+def test_the_fixes_of_a_linear_measurement_have_its_least_squares_pose() -> None:
+    """In other axes, with a component measured twice; a bearing or one axis of the position give no fix."""
+    rng = np.random.default_rng(3)
+    by_pose, root = rng.normal(size=(4, 3)), rng.normal(size=(3, 3))
+    door = Door(1.0, (3.0, -2.0, 0.7), root @ root.T, by_pose=by_pose[:3])
+    heading, position = stated_fixes(door)
+    assert isinstance(heading, pdr.HeadingFix) and isinstance(position, pdr.PositionFix)
+    assert heading.walking_heading_rad == pytest.approx(0.7) and heading.std_rad**2 == pytest.approx(door.cov[2, 2])
+    np.testing.assert_allclose(position.position_m, [3.0, -2.0], atol=1e-9)
+    np.testing.assert_allclose(position.cov_m2, door.cov[:2, :2])
+    for rows, kinds in (([0, 1], [pdr.PositionFix]), ([2], [pdr.HeadingFix]), ([0], []), ([0, 2], [])):
+        found = stated_fixes(Door(1.0, (3.0, -2.0, 0.7), np.eye(3), by_pose=np.eye(3)[rows]))
+        assert [type(fix) for fix in found] == kinds
+    assert stated_fixes(pdr.RangeFix(1.0, (3.0, 4.0), 5.0, 0.1)) == ()
+
+
+def test_an_added_fix_returns_its_outcome_or_that_it_waits(walk: pdr.Recording) -> None:
+    samples = pdr.merge_streams(walk)
+    online = pdr.OnlineFilter(pdr.recipes.default(walk.subject).in_world_frame())
+    columns = samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps
+    n = int(np.searchsorted(samples.time_s, 30.0))
+    online.push(*(column[:n] for column in columns))
+    (a, b, c, d), cov = poses(walk), 0.04 * np.eye(2)
+    times_s = dict(zip((a, b, c, d), TIMES_S, strict=True))
+    added = [online.add_fix(pdr.PositionFix(times_s[p], p[:2], cov)) for p in (a, b, c)]
+    twice, late = online.add_fix(pdr.PositionFix(times_s[c], c[:2], cov)), pdr.PositionFix(times_s[d], d[:2], cov)
+    assert [each.outcome for each in (*added, twice)] == ["placed", "turned", "turned", "repeated"]
+    assert online.add_fix(late).outcome == "waiting" and np.isnan(added[0].nis)
+    before = online.save()
+    wrong = online.add_fix(pdr.PositionFix(25.0, np.array([900.0, 0.0]), cov))
+    assert wrong.outcome == "rejected" and wrong.nis > online.config.model.fix_gate_nis
+    resumed = pdr.OnlineFilter.load(before)
+    resumed.push(*(column[n:] for column in columns))
+    resumed.finish()
+    assert [each.outcome for each in resumed.state.last_fixes] == ["placed", "turned", "turned", "repeated", "turned"]
+    np.testing.assert_equal(resumed.state.last_fixes[2].nis, added[2].nis)
