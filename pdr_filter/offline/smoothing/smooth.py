@@ -455,7 +455,6 @@ def reckoned_walk(
     own, track, _, stood_steps = _dead_reckoned(run.recording, run.config, stood, (None, None), run.with_location)
     if not track.n_steps:
         raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
-    track = _with_smoothed_modes(track, own)
     noise = own.model.noise
     own = own.with_model(noise=replace(noise, log_scale_std=max(noise.log_scale_std, log_scale_std)))
     locations = ()
