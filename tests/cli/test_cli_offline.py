@@ -164,11 +164,11 @@ def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) 
 
 
 def test_a_walk_is_smoothed_with_loop_closures_of_a_file(walk: Path, tmp_path: Path) -> None:
-    (tmp_path / "loops.csv").write_text("first_s,second_s\n5,26\n", encoding="utf-8")
+    (tmp_path / "loops.csv").write_text("first_s,second_s\n4.5,23.5\n", encoding="utf-8")
     result = run("smooth", walk, "--loop-closures", tmp_path / "loops.csv", "--out", tmp_path)
     assert result.exit_code == 0
     assert "1 observations, 0 not used" in result.stdout
-    smoothed = pdr.smooth(pdr.read(walk), loop_closures=[LoopClosure(5.0, 26.0)])
+    smoothed = pdr.smooth(pdr.read(walk), loop_closures=[LoopClosure(4.5, 23.5)])
     smoothed.track.to_csv(tmp_path / "expected.csv")
     assert (tmp_path / "short_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
     (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n5,5,5\n20,5,12\n", encoding="utf-8")
