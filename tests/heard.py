@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import ArrayLike
 
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, Wifi
 from pdr_filter.values.recording import Recording
+from pdr_filter.walk_map.chains import Chain, chain_of, content_of
 
 SPACING_M = 8.0
 SCAN_S = 2.2
@@ -51,6 +54,22 @@ def hearing(walk: Recording, start_m: ArrayLike, heard: Callable[[FloatArray, Fl
     time_s = np.arange(0.2, walk.duration_s - 1.5, SCAN_S)
     place_m = np.column_stack([np.interp(time_s + 0.6, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     return replace(walk, wifi=heard(time_s, place_m), truth=replace(walk.truth, position=truth, waypoints=points))
+
+
+@contextmanager
+def chains_made_once() -> Iterator[None]:
+    """Make the chain of equal walks once: it takes most of the time of a map of few walks."""
+    made: dict[tuple[str, str, str | None], Chain] = {}
+
+    def once(recording: Recording, key: str = "", salt: str | None = None) -> Chain:
+        walk = content_of(recording), recording.name, salt
+        if walk not in made:
+            made[walk] = chain_of(recording, key, salt)
+        return replace(made[walk], key=key)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pdr_filter.walk_map.chains.chain_of", once)
+        yield
 
 
 def round_a_block(turns: int = 3) -> list[Leg]:

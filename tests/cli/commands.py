@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 from typer.testing import CliRunner, Result
 
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
-from pdr_filter.io.files.own_format import write_recording
 
 
 def run(*arguments: object) -> Result:
@@ -27,8 +24,3 @@ def short_walk() -> pdr.Recording:
     legs = [pdr.simulate.Leg("walking", distance_m=7.0, turn_rad=turn) for turn in (0.0, *[np.pi / 2] * 3)]
     still = pdr.simulate.Leg("stationary", duration_s=4.0)
     return pdr.simulate.simulate([still, *legs], pdr.simulate.Gait(height_m=1.86), "pocket", name="short_walk")
-
-
-def demo_file(folder: Path) -> Path:
-    """Simulated walk as a file."""
-    return write_recording(pdr.simulate.demo_walk(), folder / "demo_walk.zip")

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import one_line, run
-from heard import round_a_block, walk_with_wifi
+from commands import one_line, run, short_walk
+from heard import chains_made_once, round_a_block, walk_with_wifi
 
 import pdr_filter as pdr
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _chains_once() -> Iterator[None]:
+    with chains_made_once():
+        yield
 
 
 def test_a_folder_becomes_a_map_with_a_radio_map_a_plan_and_a_report(tmp_path: Path) -> None:
@@ -19,7 +26,7 @@ def test_a_folder_becomes_a_map_with_a_radio_map_a_plan_and_a_report(tmp_path: P
     walks.mkdir()
     for seed in (1, 2):
         walk_with_wifi(round_a_block(), seed).save(walks / f"walk{seed}.zip")
-    pdr.simulate.demo_walk().save(walks / "deaf.zip")
+    short_walk().save(walks / "deaf.zip")
     marks = walks / "walk1.zip.marks"
     marks.mkdir()
     (marks / "fixes.csv").write_text("time_s,east_m,north_m,std_m\n0.5,100.0,50.0,0.5\n")
@@ -27,7 +34,7 @@ def test_a_folder_becomes_a_map_with_a_radio_map_a_plan_and_a_report(tmp_path: P
     result = run("map", walks, "--out", out, "--hash", "secret")
     assert result.exit_code == 0
     assert "group 0: 2 walks" in result.stdout
-    assert "apart: demo_walk: no Wi-Fi" in result.stdout
+    assert "apart: short_walk: no Wi-Fi" in result.stdout
     found = pdr.WalkMap.load(out / "map")
     assert len(found.walks) == 2
     at_mark_m = found.walks[0].position_m[0]
@@ -59,11 +66,11 @@ def test_an_empty_folder_is_named(tmp_path: Path) -> None:
 
 
 def test_a_folder_without_a_walk_that_can_be_joined_is_refused_after_the_reasons(tmp_path: Path) -> None:
-    pdr.simulate.demo_walk().save(tmp_path / "deaf.zip")
+    short_walk().save(tmp_path / "deaf.zip")
     for given in (tmp_path, tmp_path / "deaf.zip"):
         result = run("map", given, "--out", tmp_path / "out")
         assert result.exit_code == 2
-        assert "apart: demo_walk: no Wi-Fi scans" in result.stdout
+        assert "apart: short_walk: no Wi-Fi scans" in result.stdout
         assert "no map was written, because no walk could be joined" in one_line(result.stderr)
         assert not (tmp_path / "out" / "map").exists() and not (tmp_path / "out" / "map.html").exists()
 
@@ -96,7 +103,7 @@ def test_no_file_has_names_of_walks_unless_they_are_asked_for(tmp_path: Path) ->
     walks.mkdir()
     for seed in (1, 2):
         replace(walk_with_wifi(round_a_block(), seed), name=f"anna_{seed}").save(walks / f"{seed}.zip")
-    replace(pdr.simulate.demo_walk(), name="anna_3").save(walks / "3.zip")
+    replace(short_walk(), name="anna_3").save(walks / "3.zip")
 
     def names_in(out: Path) -> set[str]:
         files = [path for path in out.rglob("*") if path.is_file() and path.parent.name != "cache"]
@@ -118,7 +125,7 @@ def test_fixes_that_are_not_the_marks_of_a_recording_are_named_with_the_place_wh
 ) -> None:
     walks = tmp_path / "walks"
     walks.mkdir()
-    pdr.simulate.demo_walk().save(walks / "deaf.zip")
+    short_walk().save(walks / "deaf.zip")
     (walks / "fixes.csv").write_text("time_s,east_m,north_m\n0.5,100.0,50.0\n")
     for command in (("map", walks, "--out", tmp_path / "out"), ("smooth", walks / "deaf.zip")):
         said = run(*command).stderr

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import demo_file, one_line, run, short_walk
+from commands import one_line, run, short_walk
 
 import pdr_filter as pdr
 from pdr_filter.io.files.own_format import write_recording
@@ -19,11 +19,6 @@ from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.recipes.step_length_calibration import load_calibration
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Truth
-
-
-@pytest.fixture(scope="module")
-def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return demo_file(tmp_path_factory.mktemp("walks"))
 
 
 def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
@@ -144,7 +139,7 @@ def test_smoothing_does_not_use_the_truth_unasked(walk: Path, tmp_path: Path) ->
     assert "0 observations" in result.stdout
     assert "ground truth" not in result.stdout
     pdr.smooth(pdr.read(walk)).track.to_csv(tmp_path / "expected.csv")
-    assert (tmp_path / "demo_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
+    assert (tmp_path / "short_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
 
 
 def test_a_height_replaces_that_of_the_recording_and_of_its_marks(tmp_path: Path) -> None:
@@ -190,14 +185,14 @@ def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) 
 
 
 def test_a_walk_is_smoothed_with_loop_closures_of_a_file(walk: Path, tmp_path: Path) -> None:
-    (tmp_path / "loops.csv").write_text("first_s,second_s\n3,110\n", encoding="utf-8")
+    (tmp_path / "loops.csv").write_text("first_s,second_s\n4.5,23.5\n", encoding="utf-8")
     result = run("smooth", walk, "--loop-closures", tmp_path / "loops.csv", "--out", tmp_path)
     assert result.exit_code == 0
     assert "1 observations, 0 not used" in result.stdout
-    smoothed = pdr.smooth(pdr.read(walk), loop_closures=[LoopClosure(3.0, 110.0)])
+    smoothed = pdr.smooth(pdr.read(walk), loop_closures=[LoopClosure(4.5, 23.5)])
     smoothed.track.to_csv(tmp_path / "expected.csv")
-    assert (tmp_path / "demo_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
-    (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n3,5,5\n100,5,30\n", encoding="utf-8")
+    assert (tmp_path / "short_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
+    (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n5,5,5\n20,5,12\n", encoding="utf-8")
     both = run("smooth", walk, "--fixes", tmp_path / "fixes.csv", "--loop-closures", tmp_path / "loops.csv")
     assert "3 observations" in both.stdout
 
@@ -223,7 +218,7 @@ def test_a_walk_without_known_places_is_smoothed_as_by_pdr_smooth(walk: Path, tm
     assert result.exit_code == 0
     assert "0 observations, 0 not used" in result.stdout
     pdr.smooth(bare).track.to_csv(tmp_path / "expected.csv")
-    assert (tmp_path / "demo_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
+    assert (tmp_path / "short_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -235,7 +230,7 @@ def test_a_walk_without_known_places_is_smoothed_as_by_pdr_smooth(walk: Path, tm
         ("first_s,second_s\n1,x\n", "'x' is not a number"),
         ("first_s,second_s\n1,9\n9,9\n", "row 2: first_s must be before second_s, got 9 and 9"),
         ("first_s,second_s,std_m\n1,9,0\n", "row 1: std_m is 0; write a positive number"),
-        ("first_s,second_s\n1,900\n", "loop closure 1 at 900.0 s is outside the recording, 0.0 to 11"),
+        ("first_s,second_s\n1,900\n", "loop closure 1 at 900.0 s is outside the recording, 0.0 to "),
     ],
 )
 def test_a_file_of_loop_closures_that_cannot_be_used_is_one_line(

@@ -41,7 +41,7 @@ def with_times(messages: Messages, change: Callable[[int], Any]) -> Messages:
 
 def outage(messages: Messages) -> Messages:
     """Twenty seconds without network: the newest message arrives before those that were kept."""
-    return [*messages[:30], messages[70], *messages[30:70], *messages[71:]]
+    return [*messages[:15], messages[55], *messages[15:55], *messages[56:]]
 
 
 def set_back(messages: Messages) -> Messages:

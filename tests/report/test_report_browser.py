@@ -104,8 +104,7 @@ def test_network_access_and_errors_of_a_page_are_detected(browser: Browser, tmp_
     assert any("error" in complaint for complaint in browser.complaints)
 
 
-@pytest.mark.parametrize("theme", ["light", "dark"])
-@pytest.mark.parametrize("screen", WIDTHS)
+@pytest.mark.parametrize(("screen", "theme"), [("wide", "light"), ("phone", "dark")])
 def test_all_is_drawn_on_any_screen_and_nothing_leaves_the_page(
     browser: Browser, page: Path, track: Track, screen: str, theme: str
 ) -> None:

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heard import walk_with_wifi
+from heard import chains_made_once, walk_with_wifi
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg
 from pdr_filter.values.recording import Recording
-from pdr_filter.walk_map.chains import Chain, chain_of, hashed
+from pdr_filter.walk_map.chains import chain_of, hashed
 from pdr_filter.walk_map.drawing import plan_text
 from pdr_filter.walk_map.joint import _known_rows
 from pdr_filter.walk_map.walk_map import MappedWalk, _known_pose
@@ -50,16 +50,7 @@ def known(recording: Recording, floor: int | None = None) -> list[tuple[str, obj
 
 @pytest.fixture(scope="module", autouse=True)
 def _chains_once() -> Iterator[None]:
-    """Compute the chain of each walk once: it takes most of the time of a small map."""
-    found: dict[tuple[str, str], Chain] = {}
-
-    def once(recording: Recording, key: str = "", salt: str | None = None) -> Chain:
-        if (key, recording.name) not in found:
-            found[key, recording.name] = chain_of(recording, key, salt)
-        return found[key, recording.name]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pdr_filter.walk_map.chains.chain_of", once)
+    with chains_made_once():
         yield
 
 

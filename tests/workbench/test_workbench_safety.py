@@ -187,11 +187,11 @@ def test_an_unknown_recipe_is_named(tmp_path: Path) -> None:
     with_bench(tmp_path, scenario)
 
 
-def test_a_folder_of_ten_thousand_files_is_listed(tmp_path: Path) -> None:
-    for k in range(10_000):
+def test_a_folder_of_thousands_of_files_is_listed(tmp_path: Path) -> None:
+    for k in range(2000):
         (tmp_path / f"{k:05d}.zip").write_bytes(b"PK nothing")
     walks = Walks(tmp_path)
-    assert len(walks.scan()) == 10_000
+    assert len(walks.scan()) == 2000
     assert walks.scan() == []
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from joblib import parallel_config
 
 from models.training.carrying_training import (
     FEATURE_NAMES,
@@ -45,7 +46,8 @@ def paths(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 def test_a_small_training_writes_both_models_with_held_out_scores(paths: list[Path], tmp_path: Path) -> None:
     told: list[float] = []
-    cards = train_carrying(paths, tmp_path, lambda what, done: told.append(done), n_simulated=2)
+    with parallel_config(backend="threading"):
+        cards = train_carrying(paths, tmp_path, lambda what, done: told.append(done), n_simulated=2)
     assert [card["name"] for card in cards] == ["carrying", "carrying_accelerometer"]
     assert told == sorted(told) and told[-1] == pytest.approx(1.0)
     for card in cards:

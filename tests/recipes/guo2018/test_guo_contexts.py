@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import cut_uniform, uniform_block
+from joblib import parallel_config
 from scipy.spatial.transform import Rotation
 
 from models.training.data_sets import recordings_of
@@ -234,7 +235,8 @@ def test_a_small_training_writes_a_model_with_a_card_of_people_left_out(tmp_path
         write_recording(replace(recording, name=name, meta={**meta, "name": name}), tmp_path / dataset / f"{name}.zip")
     paths = [*recordings_of(tmp_path, DATASETS), tmp_path / "elsewhere" / "elsewhere_e.zip"]
     told: list[float] = []
-    card = train_guo(paths, tmp_path / "models", lambda _, done: told.append(done), n_simulated=1)
+    with parallel_config(backend="threading"):
+        card = train_guo(paths, tmp_path / "models", lambda _, done: told.append(done), n_simulated=1)
     assert told == sorted(told) and told[-1] == pytest.approx(1.0)
     assert card["n_windows"]["calling"] == 0  # the recording of another data set is not used
     assert set(card["made_windows"]) == {
