@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, cast
 
@@ -255,6 +256,7 @@ def describe(recording: Recording) -> Description:
             *(report.about() if READING_KEY in recording.meta else ()),
             *recording.notes,
             *(note.text for note in absences_in(recording.streams)),
+            *_sensor_notes(recording),
         ),
     )
 
@@ -330,6 +332,25 @@ def median_norm(values: FloatArray) -> float:
         squares = np.einsum("ij,ij->i", values, values)  # NaN for incomplete rows
     squares = squares[~np.isnan(squares)]
     return float(np.median(np.sqrt(squares))) if len(squares) else float("nan")
+
+
+def _sensor_notes(recording: Recording) -> list[str]:
+    """Return warnings about stuck and coarse sensors, as those of a track."""
+    # imported late: the live server does not load the filter
+    from pdr_filter.sensing.conditioning import Conditioner, merge_streams
+    from pdr_filter.sensing.features.barometer import ClimbRate
+
+    found: list[str] = []
+    with suppress(ValueError):  # times of another clock, which `absences_in` names, or an absurd unit
+        conditioner = Conditioner()
+        state, _ = conditioner.update(conditioner.init(), merge_streams(recording))
+        found += state.report.sensor_notes()
+    if recording.barometer is not None:
+        with suppress(ValueError):  # pressures in Pa, which `_unit_sentences` names
+            stage = ClimbRate()
+            climbs, _ = stage.update(stage.init(), recording.barometer.time_s, recording.barometer.values[:, 0])
+            found += [climbs.note] if climbs.note else []
+    return found
 
 
 def _unit_sentences(recording: Recording) -> tuple[str, ...]:

@@ -182,6 +182,23 @@ class IntakeReport:
         """False if all samples so far are without an angular rate."""
         return self.n_emitted == 0 or self.n_without_rate < self.n_emitted
 
+    def sensor_notes(self) -> list[str]:
+        """Return a warning for each sensor that was stuck, and for a coarse accelerometer."""
+        found: list[str] = []
+        for stuck, n_dead, treatment in (
+            ("an axis of the accelerometer was stuck at one value while the phone moved", self.n_dead_force, "dropped"),
+            ("an axis of the gyroscope was stuck at one value while the phone moved", self.n_dead_rate, _WITHOUT_RATE),
+            ("the magnetometer was stuck at one value while the phone turned", self.n_dead_field, _WITHOUT_FIELD),
+        ):
+            if n_dead:
+                found.append(f"{stuck}: {n_dead} of {self.n_received} samples were {treatment}")
+        if _COARSE_MPS2 < self.resolution_mps2 < np.inf:
+            found.append(
+                f"the accelerometer is rounded to {self.resolution_mps2:.2g} m/s2, probably by the app: walking "
+                "directions are less certain than stated; record it without rounding"
+            )
+        return found
+
     def notes(self) -> tuple[str, ...]:
         """Return one warning for each kind of repaired, dropped or missing samples, or an empty tuple without any."""
         found: list[str] = []
@@ -195,18 +212,7 @@ class IntakeReport:
                 f"{how_many(self.n_implausible, 'sample')} beyond {MAX_FORCE_MPS2:g} m/s2 or {MAX_RATE_RADPS:g} rad/s, "
                 "the range of phone sensors, treated as missing: an impact, a wrong unit or a damaged file"
             )
-        for stuck, n_dead, treatment in (
-            ("an axis of the accelerometer was stuck at one value while the phone moved", self.n_dead_force, "dropped"),
-            ("an axis of the gyroscope was stuck at one value while the phone moved", self.n_dead_rate, _WITHOUT_RATE),
-            ("the magnetometer was stuck at one value while the phone turned", self.n_dead_field, _WITHOUT_FIELD),
-        ):
-            if n_dead:
-                found.append(f"{stuck}: {n_dead} of {self.n_received} samples were {treatment}")
-        if _COARSE_MPS2 < self.resolution_mps2 < np.inf:
-            found.append(
-                f"the accelerometer is rounded to {self.resolution_mps2:.2g} m/s2, probably by the app: walking "
-                "directions are less certain than stated; record it without rounding"
-            )
+        found += self.sensor_notes()
         if self.n_wild_field:
             found.append(
                 f"{how_many(self.n_wild_field, 'magnetic field')} beyond {MAX_FIELD_UT:g} uT, the range of phone "

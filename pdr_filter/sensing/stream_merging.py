@@ -34,7 +34,10 @@ from pdr_filter.values.limits import GAP_INTERVALS
 Sensor = Literal["accelerometer", "gyroscope", "magnetometer", "barometer"]
 SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 # Consequence of a time without the samples of a sensor.
-_LOST = {"accelerometer": "no steps are known there", "barometer": "heights and storeys are uncertain"}
+_LOST = {
+    "accelerometer": "the track has no steps there and its deviations do not cover them",
+    "barometer": "heights and storeys are uncertain",
+}
 _COLUMNS = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3, "barometer": 1}
 # Largest number of buffered rows of each sensor: twice `wait_s` at the rate of the fastest phones, 2000 Hz.
 _MAX_ROWS = 20_000

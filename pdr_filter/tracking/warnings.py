@@ -220,4 +220,4 @@ def _fix_notes(state: State) -> Iterator[Note]:
         yield Note("fixes", words + "s: smooth the recording (pdr_filter.smooth), which uses late fixes")
     if n_ahead := len(state.waiting_fixes) - n_late:
         words = f"fixes from after the last sample were not used: {n_ahead}; check that fixes and "
-        yield Note("fixes", words + "samples have one clock")
+        yield Note("fixes", words + "samples have one clock (pdr_filter.smooth estimates a shift)")

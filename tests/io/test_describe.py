@@ -93,6 +93,22 @@ def test_units_are_said_to_be_plausible_or_not() -> None:
     assert describe(weak).units[1] == "magnetometer: median |magnetic field| 0.48 uT, not plausible, expected 20 to 80"
 
 
+def test_stuck_and_coarse_sensors_are_named() -> None:
+    time_s, rng = np.arange(0.0, 20.0, 0.01), np.random.default_rng(0)
+    force, rate = 9.81 + rng.normal(size=(2000, 3)), rng.normal(size=(2000, 3))
+    whole = recording(accelerometer=Samples(time_s, force), gyroscope=Samples(time_s, rate))
+    assert describe(whole).notes == ()
+    force[1000:] = force[1000]
+    stuck = replace(whole, accelerometer=Samples(time_s, force))
+    assert [n.partition(" while")[0] for n in describe(stuck).notes] == [
+        "an axis of the accelerometer was stuck at one value"
+    ]
+    pressure = Samples(time_s, 1000.0 + np.round(time_s[:, None] / 5.0) * 0.5)
+    assert [n.partition(";")[0] for n in describe(replace(whole, barometer=pressure)).notes] == [
+        "heights and stairs are uncertain: the pressure is rounded to 0.5 hPa"
+    ]
+
+
 def test_median_norm_leaves_out_incomplete_rows_and_bears_absurd_values() -> None:
     assert median_norm(np.array([[3.0, 4.0], [np.nan, 100.0], [1e308, 1e308], [3.0, 4.0]])) == 5.0
     assert math.isnan(median_norm(np.full((2, 3), np.nan)))

@@ -340,7 +340,7 @@ def test_a_sensor_that_ends_or_begins_half_way_is_named_online_offline_and_in_in
     part = replace(stream, time_s=stream.time_s[kept], values=stream.values[kept])
     recording = replace(DEMO, **{sensor: part})
     at = f"since {part.time_s[-1]:.1f}" if is_end else f"before {part.time_s[0]:.1f}"
-    lost = "no steps are known there" if sensor == "accelerometer" else "the other sensors are used without it"
+    lost = "the track has no steps there" if sensor == "accelerometer" else "the other sensors are used without it"
     (note,) = (note.text for note in absences_in(recording.streams))
     assert note.startswith(f"{sensor}: no samples {at} s") and lost in note
     assert note in describe(recording).notes

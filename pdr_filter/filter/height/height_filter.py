@@ -79,9 +79,6 @@ _UNSEEN_LIFT_M2 = 0.04
 _UNSEEN_MOST_M2 = (4 * USUAL_STOREY_M) ** 2
 # Standard deviation of the height of a storey that has not been visited: storeys have 2.6 to 5.5 m.
 _STOREY_STD_M = 0.7
-# Time of a stuck barometer, and resolution, from which a warning is issued. On ipin2023 a resolution of 0.1 hPa, 0.8 m,
-# changes distances by less than 1 %, and 0.3 hPa hide the stairs.
-_NOTABLE_STUCK_S, _COARSE_HPA = 5.0, 0.2
 # Age of the last pressure from which steps are processed without a barometer.
 PRESSURE_AGE_S = 4.0
 # Largest delay of a step by the step gate. For this time a second of the barometer may still receive steps.
@@ -421,21 +418,19 @@ def notes(state: HeightState, barometer: ClimbState, is_absence_named: bool = Fa
     `is_absence_named` is True if another warning names the times without samples of the barometer.
     """
     found, known = list[Note](), state.known
-    cause, is_odd = "" if is_absence_named else "the pressure has gaps", False
-    if barometer.stuck_s >= _NOTABLE_STUCK_S:
-        cause, is_odd = f"the barometer gave one value for {barometer.stuck_s:.0f} s in total", True
+    cause, fault = "" if is_absence_named else "the pressure has gaps", barometer.fault
+    if fault:
+        cause = fault
     elif math.isnan(known.pressure_s):
         cause = "there is no barometer"
-    elif _COARSE_HPA < barometer.resolution_hpa < math.inf:
-        cause, is_odd = f"the pressure is rounded to {barometer.resolution_hpa:.2g} hPa", True
     elif state.step_s - known.pressure_s > PRESSURE_AGE_S and not is_absence_named:
         cause = f"the pressure ends at {known.pressure_s:.0f} s"
     if cause and is_floor_unknown(np.array(known.height_std_m)):
         words = f"height and storey are unknown, ± {known.height_std_m:.0f} m at the end: "
         words += f"{cause}, and nothing else shows stairs; "
         found.append(Note("height", words + "record the pressure, or give fixes with floors"))
-    elif is_odd:
-        found.append(Note("height", f"heights and stairs are uncertain: {cause}; record the pressure without rounding"))
+    elif fault:
+        found.append(Note("height", barometer.note))
     if known.most_air_m >= _NOTABLE_AIR_M:
         hpa = known.most_air_m / _M_PER_HPA
         words = (

@@ -5,8 +5,8 @@ watches and tables that are logged separately differ by seconds. All observation
 by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_PROB`, normal with the standard deviation
 `_SHIFT_STD_S`. A walk with turns determines the shift to a second or two. On a straight walk it looks like another
 start, and the prior alone makes its positions uncertain by the distance walked in sqrt(`_SHIFTED_PROB`) `_SHIFT_STD_S`
-= 1.4 s, about 2 m. A rest before or after the walk decreases or increases this. Observations from after the last sample
-show a late clock on a straight walk, too (`ShiftPrior.of`).
+= 1.4 s, about 2 m. A rest before or after the walk decreases or increases this. Observations from before the first
+sample or after the last one show another clock on a straight walk, too (`ShiftPrior.of`).
 
 Let F(d) be the least sum of squares of the walk whose observations are earlier by d, F its minimum at D, G = F(0) - F
 and I half of its second derivative there. With the prior mean p of a shift and its prior information q = 1 / s^2, a
@@ -25,10 +25,10 @@ from pdr_filter.values import FloatArray
 
 # Assumed share of sources with another clock, and standard deviation of their shifts in s, which covers 18 s.
 _SHIFTED_PROB, _SHIFT_STD_S = 0.02, 10.0
-# Probability of another clock if observations come from after the last sample, by more than a second and less than
-# three standard deviations of a shift. In 21 of 21 recordings of ipin2023 the last location is from before the last
-# sample. Samples that end early and another clock are then assumed to be equally probable.
-_SHIFTED_PROB_AFTER_END, _AFTER_END_S = 0.5, (1.0, 3.0 * _SHIFT_STD_S)
+# Probability of another clock if observations come from outside the samples, by more than a second and less than three
+# standard deviations of a shift. In 20 of 20 recordings of ipin2023 all locations lie within the samples. A receiver
+# that runs longer than the samples and another clock are then assumed to be equally probable.
+_SHIFTED_PROB_OUTSIDE, _OUTSIDE_S, _MOST_OUTSIDE_S = 0.5, 1.0, 3.0 * _SHIFT_STD_S
 # Smallest odds at which a shift is applied, so that one in a hundred is false, and smallest shift in s: that of a phone
 # that rounds times to seconds.
 _ODDS, _MIN_SHIFT_S = 100.0, 1.0
@@ -42,26 +42,34 @@ _MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 10
 
 
 class ShiftPrior(NamedTuple):
-    """Prior of a shift in s: zero, or with a probability `prob` normal with `mean_s` and `std_s`, above `least_s`."""
+    """Prior of a shift in s: zero, or with a probability `prob` normal with `mean_s` and `std_s` between two limits."""
 
     prob: float = _SHIFTED_PROB
     mean_s: float = 0.0
     std_s: float = _SHIFT_STD_S
     least_s: float = -np.inf
+    most_s: float = np.inf
 
     @classmethod
-    def of(cls, time_s: FloatArray, end_s: float) -> ShiftPrior:
-        """Return the prior of the shift of observations at these times (F,), with the last sample at `end_s`.
+    def of(cls, time_s: FloatArray, start_s: float, end_s: float) -> ShiftPrior:
+        """Return the prior of the shift of observations at these times (F,), for samples from `start_s` to `end_s`.
 
-        On the right clock, observations do not come from after the last sample. If the given ones do, and their clock
-        is another one, then both probably end together: the last observation is at most one interval before the last
-        sample.
+        On the right clock, observations lie within the samples, but for one that may be older. If the given ones do
+        not, and their clock is another one, then both probably begin or end together, to one interval.
         """
-        after_s, interval_s = float(time_s.max()) - end_s, float(np.median(np.diff(np.sort(time_s))))
-        least_s = after_s - _AFTER_END_S[0]
-        if not _AFTER_END_S[0] < after_s < _AFTER_END_S[1]:
-            return cls(least_s=min(least_s, 0.0))
-        return cls(_SHIFTED_PROB_AFTER_END, after_s + 0.5 * interval_s, _AFTER_END_S[0] + 0.5 * interval_s, least_s)
+        ordered_s = np.sort(time_s)
+        half_s = 0.5 * float(np.median(np.diff(ordered_s)))
+        least_s = float(ordered_s[-1]) - end_s - _OUTSIDE_S
+        most_s = float(ordered_s[1]) - start_s + _OUTSIDE_S
+        for outside_s, sign in ((least_s, 1.0), (-most_s, -1.0)):
+            if least_s < most_s and 0.0 < outside_s < _MOST_OUTSIDE_S:
+                mean_s = sign * (outside_s + _OUTSIDE_S + half_s)
+                return cls(_SHIFTED_PROB_OUTSIDE, mean_s, _OUTSIDE_S + half_s, least_s, most_s)
+        return cls(least_s=min(least_s, 0.0), most_s=max(most_s, 0.0))
+
+    def limited(self, shift_s: float) -> float:
+        """Return the possible shift that is nearest to a shift."""
+        return min(max(shift_s, self.least_s), self.most_s)
 
 
 class ShiftedWalk(NamedTuple):
@@ -122,12 +130,12 @@ def estimated_shift(at: Callable[[float], ShiftedWalk], prior: ShiftPrior) -> Cl
     zero = at(0.0)
     odds, mean_s, var_s2 = _posterior(zero.gain, zero.remaining_s, zero.information, prior)
     if odds > _POSSIBLE_ODDS or zero.is_rejecting:
-        shifted = {max(late_s, prior.least_s) for late_s in _STARTS_S} - {0.0}
-        starts = {0.0: zero, **{late_s: at(late_s) for late_s in shifted}}
+        possible = {prior.limited(late_s) for late_s in (0.0, *_STARTS_S)}
+        starts = {late_s: at(late_s) if late_s else zero for late_s in possible}
         late_s, walk = min(starts.items(), key=lambda start: start[1].squares)
         change_s = walk.remaining_s
         for _ in range(_MOST_SOLUTIONS):
-            change_s = max(float(np.clip(change_s, -_MAX_CHANGE_S, _MAX_CHANGE_S)), prior.least_s - late_s)
+            change_s = prior.limited(late_s + float(np.clip(change_s, -_MAX_CHANGE_S, _MAX_CHANGE_S))) - late_s
             if abs(change_s) < _SMALL_CHANGE_S:
                 break
             new = at(late_s + change_s)
@@ -138,7 +146,7 @@ def estimated_shift(at: Callable[[float], ShiftedWalk], prior: ShiftPrior) -> Cl
         odds, mean_s, var_s2 = _posterior(zero.squares - walk.squares, late_s, walk.information, prior)
     if odds > _ODDS and abs(mean_s) > _MIN_SHIFT_S:
         return ClockShift(mean_s, var_s2)
-    error_s2 = odds / (1.0 + odds) * (mean_s**2 + var_s2)
+    error_s2 = odds / (1.0 + odds) * min(mean_s**2 + var_s2, max(prior.least_s**2, prior.most_s**2))
     if error_s2 < _MIN_SHIFT_S**2:
         return ClockShift()
     return ClockShift(0.0, error_s2, mean_s if error_s2 > _NAMED_SHIFT_S**2 else 0.0)

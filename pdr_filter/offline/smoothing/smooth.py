@@ -703,7 +703,7 @@ def _smooth_track(
     for source in get_args(Source):
         at_s = np.array([fix.time_s for fix in getattr(observed, source) if isinstance(fix, PositionFix)])
         if len(at_s) >= _MIN_POSITIONS:
-            clocks[source] = estimated_shift(partial(walk, source=source), ShiftPrior.of(at_s, end_s))
+            clocks[source] = estimated_shift(partial(walk, source=source), ShiftPrior.of(at_s, start_s, end_s))
             if late_s := clocks[source].late_s:
                 on_clock = on_clock.earlier(source, late_s)
                 found = solved(on_clock)

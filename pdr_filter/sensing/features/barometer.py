@@ -44,6 +44,9 @@ _ROUNDING_S = 1e-6
 # draughts in a second. The longest equal stretch of the phones of ipin2023 and ipin21 lasts 0.5 s.
 _FINE_HPA = 0.03
 _COARSE_HPA, _DIGITS = (1.0, 0.1), 1e-4  # resolutions of whole numbers and of one decimal, and rounding errors
+# Time of a stuck barometer, and resolution, from which a warning is issued. On ipin2023 a resolution of 0.1 hPa, 0.8 m,
+# changes distances by less than 1 %, and 0.3 hPa hide the stairs.
+_NOTABLE_STUCK_S, _NOTABLE_HPA = 5.0, 0.2
 # Samples in a row, in order, that lie behind the last time and show a backward clock jump instead of late samples.
 _CLOCK_RESET_SAMPLES = 10
 
@@ -111,6 +114,20 @@ class ClimbState:
     def resolution_hpa(self) -> float:
         """Resolution of the sensor in hPa, or infinity if it is unknown."""
         return _resolution(self.quantum_hpa, self.samples[1, -1]) if self.samples.size else math.inf
+
+    @property
+    def fault(self) -> str:
+        """Clause that names a stuck or coarse barometer, or an empty text."""
+        if self.stuck_s >= _NOTABLE_STUCK_S:
+            return f"the barometer gave one value for {self.stuck_s:.0f} s in total"
+        if _NOTABLE_HPA < self.resolution_hpa < math.inf:
+            return f"the pressure is rounded to {self.resolution_hpa:.2g} hPa"
+        return ""
+
+    @property
+    def note(self) -> str:
+        """Warning about a stuck or coarse barometer, or an empty text."""
+        return self.fault and f"heights and stairs are uncertain: {self.fault}; record the pressure without rounding"
 
 
 @dataclass(frozen=True)
