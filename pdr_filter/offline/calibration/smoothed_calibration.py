@@ -64,6 +64,9 @@ def calibrate_by_smoothing(
         progress(1.0)
     if not found.converged:
         remarks.append(f"the calibration did not converge in {found.n_iterations} iterations: treat it with caution")
+    for of, is_wrong in zip(walks, found.outliers, strict=True):
+        wrong = [s for s, is_one in zip(of.segments, is_wrong, strict=True) if is_one]
+        remarks += [f"distrusted: {s.name}: {s.distance_m:.2f} m given, which its steps contradict" for s in wrong]
     return _assembled(walks, found, priors, separate, remarks)
 
 
