@@ -123,6 +123,11 @@ class _FreeParameters:
                 "a calibration by smoothing needs finite std and between_std of all priors, got inf: give finite ones, "
                 "or calibrate without smooth"
             )
+        if not std.any():
+            raise ValueError(
+                "nothing to calibrate: the standard deviations of all step-length parameters are 0; give a prior with "
+                "a positive std, or name a model of walking (model, --model)"
+            )
         self.free: IntArray = np.flatnonzero(std > 0)
         self.std, self.between_std = std[self.free], between[self.free]
         self.personal: IntArray = np.flatnonzero(self.between_std > 0)

@@ -88,7 +88,11 @@ def calibration_walk(
         notes.append(f"{recording.name}: {len(speeds)} speed fixes are not used to calibrate step lengths")
         fixes = [fix for fix in fixes if not isinstance(fix, SpeedFix)]
     is_given = bool(fixes or closures)
-    if not is_given:
+    if is_given and recording.gyroscope is None:
+        notes.append(
+            f"{recording.name}: no gyroscope, so no headings: fixes and loop closures do not calibrate its step lengths"
+        )
+    if not is_given and recording.gyroscope is not None:
         fixes = [*truth_fixes(recording, anchor_std_m)]
     walk = reckoned_walk(recording, config, fixes, closures, scale_std)
     segments: tuple[Any, ...] = ()
