@@ -20,6 +20,7 @@ from pdr_filter.filter.step_length.models import StepLengthFit, length_and_jacob
 from pdr_filter.offline.calibration.model_forms import hierarchy_of
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import Segment
+from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.offline.smoothing.factor_graph import (
     PersonKeys,
     WalkGraph,
@@ -80,6 +81,8 @@ class JointEstimate:
         Covariance of the parameters between people.
     recording_std : float
         Relative standard deviation of one person's scale between recordings.
+    outliers : tuple of list of bool
+        True for each stretch of known length of each walk that was rejected.
     n_iterations : int
         Number of linearisations of the step lengths.
     converged : bool
@@ -93,19 +96,20 @@ class JointEstimate:
     smoothed: tuple[Smoothed, ...]
     between_cov: FloatArray
     recording_std: float
+    outliers: tuple[list[bool], ...]
     n_iterations: int
     converged: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Variances:
+class _ScaleVariances:
     """Covariance (Q, Q) of the people's own parameters, and variance of one person's scale between recordings."""
 
     between: FloatArray
     recording: float
 
 
-class _Parameters:
+class _FreeParameters:
     """Order of the parameters theta (P,) of all contexts, and the F free ones among them."""
 
     def __init__(self, priors: Mapping[str, StepLengthPrior]) -> None:
@@ -118,6 +122,11 @@ class _Parameters:
             raise ValueError(
                 "a calibration by smoothing needs finite std and between_std of all priors, got inf: give finite ones, "
                 "or calibrate without smooth"
+            )
+        if not std.any():
+            raise ValueError(
+                "nothing to calibrate: the standard deviations of all step-length parameters are 0; give a prior with "
+                "a positive std, or name a model of walking (model, --model)"
             )
         self.free: IntArray = np.flatnonzero(std > 0)
         self.std, self.between_std = std[self.free], between[self.free]
@@ -216,7 +225,7 @@ def estimate_jointly(
     estimated by expectation-maximisation (`estimation.estimate_parameters`), the noise of the steps is that of the
     priors. Step lengths and noise are linearised at the parameters of the last iteration.
     """
-    parameters = _Parameters(priors)
+    parameters = _FreeParameters(priors)
     people = list(dict.fromkeys(w.subject for w in walks))
     n_own, n_free = len(parameters.personal), len(parameters.free)
     keys = {
@@ -225,10 +234,10 @@ def estimate_jointly(
     }
     theta = {name: parameters.mean[parameters.free].copy() for name in people}
     population = parameters.mean[parameters.free].copy()
-    variances = start = _Variances(np.diag(parameters.between_std[parameters.personal] ** 2), recording_std**2)
+    variances = start = _ScaleVariances(np.diag(parameters.between_std[parameters.personal] ** 2), recording_std**2)
     prior = hierarchy_of(priors, recording_std, tuple(priors))
     guesses = [w.walk.found for w in walks]
-    is_outlier = [np.zeros(len(w.segments), dtype=bool) for w in walks]
+    outliers = [[False] * len(w.segments) for w in walks]
     iteration, converged = 0, False
     linearised, values = list[_Linearised](), gtsam.Values()
     tree: Any = None
@@ -240,19 +249,33 @@ def estimate_jointly(
         ]
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         _add_parameters(graph, values, parameters, variances.between, population, theta, keys)
-        for w, of_one, guess, wrong in zip(walks, linearised, guesses, is_outlier, strict=True):
+        # wrong lengths have little weight before they are found
+        of_lengths, lengths = "huber" if loss == "gnc" and iteration == 1 else loss, list[list[gtsam.CustomFactor]]()
+        for w, of_one, guess, wrong in zip(walks, linearised, guesses, outliers, strict=True):
             weight = guess.weight if loss == "gnc" else of_one.graph.problem.possible
             of_one.graph.add_to(graph, weight, loss)
             of_one.graph.insert_into(values, guess)
-            for segment in (s for s, is_wrong in zip(w.segments, wrong.tolist(), strict=True) if not is_wrong):
-                graph.push_back(_length_factor(segment, of_one.graph, parameters, theta[w.subject], loss))
+            lengths.append(
+                [
+                    _length_factor(segment, of_one.graph, keys[w.subject], parameters, theta[w.subject], of_lengths)
+                    for segment in w.segments
+                ]
+            )
+            for factor, is_wrong in zip(lengths[-1], wrong, strict=True):
+                if not is_wrong:
+                    graph.push_back(factor)
         values = optimised(graph, values)
         before = theta
         theta = {name: keys[name].theta(values) for name in people}
         population = values.atVector(gtsam.symbol("k", 0))
         guesses = [of_one.graph.states_of(values, guess) for of_one, guess in zip(linearised, guesses, strict=True)]
         moved = [np.abs(theta[name] - before[name]) / parameters.std for name in people]
-        converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS
+        before_outliers = outliers
+        if loss == "gnc":
+            outliers = [
+                [bool(abs(f.unwhitenedError(values)[0]) > OUTLIER_STDS) for f in of_walk] for of_walk in lengths
+            ]
+        converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS and outliers == before_outliers
         tree = bayes_tree(graph, values)
         if not converged:
             scatter = np.zeros_like(variances.between)
@@ -262,7 +285,7 @@ def estimate_jointly(
                 scatter += np.outer(apart, apart) + D @ cov_of(tree, keys[name].keys) @ D.T
             first = [of_one.graph.scale(0) for of_one in linearised]
             square = sum(float(values.atVector(key)[0] ** 2 + cov_of(tree, [key])[0, 0]) for key in first)
-            variances = _Variances(
+            variances = _ScaleVariances(
                 (prior.between_dof * start.between + scatter) / (prior.between_dof + len(people)),
                 (prior.recording_dof * start.recording + square) / (prior.recording_dof + len(walks)),
             )
@@ -292,6 +315,7 @@ def estimate_jointly(
         smoothed=tuple(smoothed),
         between_cov=parameters.all_cov(between_cov),
         recording_std=variances.recording**0.5,
+        outliers=tuple(outliers),
         n_iterations=iteration,
         converged=converged,
     )
@@ -300,7 +324,7 @@ def estimate_jointly(
 def _linearised(
     of: CalibrationWalk,
     number: int,
-    parameters: _Parameters,
+    parameters: _FreeParameters,
     theta: FloatArray,
     keys: PersonKeys,
     separate: Mapping[str, str],
@@ -343,7 +367,7 @@ def _linearised(
 def _add_parameters(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
-    parameters: _Parameters,
+    parameters: _FreeParameters,
     between_cov: FloatArray,
     population: FloatArray,
     theta: Mapping[str, FloatArray],
@@ -366,7 +390,7 @@ def _add_parameters(
 
 
 def _length_factor(
-    segment: Segment, of: WalkGraph, parameters: _Parameters, theta: FloatArray, loss: str
+    segment: Segment, of: WalkGraph, person: PersonKeys, parameters: _FreeParameters, theta: FloatArray, loss: str
 ) -> gtsam.CustomFactor:
     """Return the factor of a stretch of known length: |sum of its steps| e^s is the length, as in `SegmentSums`."""
     full = parameters.all(theta)
@@ -380,8 +404,7 @@ def _length_factor(
     inverse = 1 / np.sqrt(segment.anchor_std_m**2 + segment.n_steps * step_std_m**2)
     nodes = of.problem.intervals.nodes
     node = int(np.searchsorted(nodes, np.searchsorted(of.time_s, segment.start_s), side="right") - 1)
-    person, about = of.person, theta
-    assert person is not None
+    about = theta
     keys = [of.scale(min(node, len(nodes) - 1)), *person.keys]
 
     def error(_: gtsam.CustomFactor, values: gtsam.Values, jacobians: Any) -> FloatArray:

@@ -64,6 +64,9 @@ def calibrate_by_smoothing(
         progress(1.0)
     if not found.converged:
         remarks.append(f"the calibration did not converge in {found.n_iterations} iterations: treat it with caution")
+    for of, is_wrong in zip(walks, found.outliers, strict=True):
+        wrong = [s for s, is_one in zip(of.segments, is_wrong, strict=True) if is_one]
+        remarks += [f"distrusted: {s.name}: {s.distance_m:.2f} m given, which its steps contradict" for s in wrong]
     return _assembled(walks, found, priors, separate, remarks)
 
 
@@ -85,7 +88,11 @@ def calibration_walk(
         notes.append(f"{recording.name}: {len(speeds)} speed fixes are not used to calibrate step lengths")
         fixes = [fix for fix in fixes if not isinstance(fix, SpeedFix)]
     is_given = bool(fixes or closures)
-    if not is_given:
+    if is_given and recording.gyroscope is None:
+        notes.append(
+            f"{recording.name}: no gyroscope, so no headings: fixes and loop closures do not calibrate its step lengths"
+        )
+    if not is_given and recording.gyroscope is not None:
         fixes = [*truth_fixes(recording, anchor_std_m)]
     walk = reckoned_walk(recording, config, fixes, closures, scale_std)
     segments: tuple[Any, ...] = ()

@@ -483,15 +483,48 @@ class PoseKeys:
     estimates: FloatArray
 
     def contact(self, time_s: float) -> int:
-        """Return the number of steps before the contact nearest to a time."""
+        """Return the number of steps before the contact nearest to a time.
+
+        Parameters
+        ----------
+        time_s : float
+            Time on the clock of the recording, in s.
+
+        Returns
+        -------
+        int
+            Number of steps, 0 for the start.
+        """
         return int(np.abs(self.time_s - time_s).argmin())
 
     def key(self, time_s: float) -> int:
-        """Return the key of the pose at the contact nearest to a time."""
+        """Return the key of the pose at the contact nearest to a time.
+
+        Parameters
+        ----------
+        time_s : float
+            Time on the clock of the recording, in s.
+
+        Returns
+        -------
+        int
+            Key for a factor of GTSAM.
+        """
         return int(gtsam.symbol("x", self.contact(time_s)))
 
     def estimate(self, time_s: float) -> gtsam.Pose2:
-        """Return the pose at the contact nearest to a time, smoothed without the factors."""
+        """Return the pose at the contact nearest to a time, smoothed without the factors.
+
+        Parameters
+        ----------
+        time_s : float
+            Time on the clock of the recording, in s.
+
+        Returns
+        -------
+        gtsam.Pose2
+            East, north, and angle of the walking heading, counter-clockwise from east.
+        """
         east_m, north_m, heading_rad = self.estimates[self.contact(time_s)].tolist()
         return gtsam.Pose2(east_m, north_m, 0.5 * np.pi - heading_rad)
 

@@ -62,6 +62,16 @@ def test_waypoints_and_stretches_of_known_length_give_the_parameters_of_a_calibr
         assert other.k_cov["walking"][0, 0] ** 0.5 == pytest.approx(std, rel=0.25), part
 
 
+def test_a_wrong_length_is_rejected_and_named() -> None:
+    walk = rectangle()
+    segments = walk.truth.segments.copy()
+    right = pdr.calibrate(replace(walk, truth=Truth(segments=segments)), smooth=True)
+    segments.distance_m[1] *= 1.6
+    found = pdr.calibrate(replace(walk, truth=Truth(segments=segments)), smooth=True)
+    assert found.k["walking"][0] == pytest.approx(right.k["walking"][0], rel=0.01)
+    assert any("distrusted" in note and "28.80 m given" in note for note in found.notes)
+
+
 def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
     walk = pdr.simulate.demo_walk()
     found = pdr.calibrate(replace(walk, truth=Truth(waypoints=walk.truth.waypoints)), smooth=True)

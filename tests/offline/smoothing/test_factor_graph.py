@@ -137,7 +137,7 @@ def test_two_fixes_and_a_loop_closure_estimate_the_step_length_of_people_within_
         factor = float(np.exp(rng.normal(scale=0.15)))  # wider than the prior of a calibration, 12 %
         walk = simulated_walk(120, rng, any_rotation=True, log_scale_std=0.025, loop=True)
         of_average = replace(walk.steps, displacement_m=walk.steps.displacement_m / factor)
-        observed = Observations(tuple(walk.fixes(40, 0.5, rng)[:2]), (LoopClosure(0.0, STEP_S * 120),))
+        observed = Observations(tuple(walk.fixes(40, 0.2, rng)[:2]), (LoopClosure(0.0, STEP_S * 120),))
         problem = pose_problem(of_average, np.zeros(4), START_COV, observed, anchor_interval_s=5.0)
         wide = START_COV.copy()
         wide[LOG_SCALE, LOG_SCALE] = 0.15**2
