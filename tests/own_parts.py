@@ -73,6 +73,31 @@ class DeviceHeading:
         return replace(step, walking_heading_rad=step.device_heading_rad, walking_heading_std_rad=0.35)
 
 
+@dataclass(frozen=True)
+class HeadingRule:
+    """The direction of the last step that differs by more than 10 degrees from the phone; the phone's at first."""
+
+    def init(self) -> dict[str, float]:
+        return {"held": np.nan}
+
+    def after_gap(self, state: dict[str, float]) -> dict[str, float]:
+        return state
+
+    def update(
+        self, state: dict[str, float], block: Any, attitude: Any, contexts: Any, steps: Sequence[tuple[int, pdr.Step]]
+    ) -> tuple[dict[str, float], list[tuple[int, pdr.Step]]]:
+        return self.finish(state, steps)
+
+    def finish(
+        self, state: dict[str, float], steps: Sequence[tuple[int, pdr.Step]]
+    ) -> tuple[dict[str, float], list[tuple[int, pdr.Step]]]:
+        held, found = state["held"], []
+        for number, step in steps:
+            held = held if abs(step.device_heading_rad - held) < 0.17 else step.device_heading_rad
+            found.append((number, replace(step, walking_heading_rad=held, walking_heading_std_rad=0.0)))
+        return {"held": held}, found
+
+
 @dataclass  # neither frozen nor hashable, as people write them
 class RootOfRange:
     n_params: int = 2

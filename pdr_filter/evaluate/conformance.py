@@ -285,8 +285,8 @@ def _check_steps(run: _Run, samples: StageSamples, steps: list[Step]) -> None:
 
 def _check_headings(run: _Run, steps: list[Step]) -> None:
     std = np.array([s.walking_heading_std_rad for s in steps])
-    if not (std > 0).all():
-        run.fail("must return a positive walking_heading_std_rad for each step, infinite for an unknown heading")
+    if not (std >= 0).all():
+        run.fail("must return a walking_heading_std_rad of 0 or more for each step, infinite for an unknown heading")
     known = [s for s in steps if np.isfinite(s.walking_heading_std_rad)]
     if len(known) > _FEWEST_STEPS:
         turned = known[-1].walking_heading_rad - known[0].walking_heading_rad

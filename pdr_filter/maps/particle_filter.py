@@ -425,7 +425,7 @@ class ParticleFilter:
         state = replace(
             state,
             reckoned=extended_path(state.reckoned, step, mean_m),
-            heading_rad=step.device_heading_rad,
+            heading_rad=step.reference_heading_rad,
             is_placed=is_placed,
         )
         if len(state.weight) == 0:
@@ -440,7 +440,7 @@ class ParticleFilter:
         own_std_m = np.sqrt(own_var_m2 + _UNEVEN_VAR_M2)
         scaled_m = np.exp(x[:, SCALE]) * (length_m[mode] + own_std_m[mode] * z[1])
         own = model.directions
-        psi = step.device_heading_rad + x[:, OFFSET]
+        psi = step.reference_heading_rad + x[:, OFFSET]
         psi += own.heading_offset_rad[mode] + np.sqrt(own.step_var_rad2(step.turned_rad))[mode] * z[2]
         x[:, EAST] += scaled_m * np.sin(psi)
         x[:, NORTH] += scaled_m * np.cos(psi)

@@ -24,7 +24,7 @@ def extended_path(path: FloatArray, step: Step, length_m: float) -> FloatArray:
 
     Rows are time, east, north and device heading. Only the last `TRAIL_STEPS` rows are kept.
     """
-    heading_rad = step.device_heading_rad
+    heading_rad = step.reference_heading_rad
     last = path[-1, 1:3] if len(path) else np.zeros(2)
     to = last + length_m * np.array([math.sin(heading_rad), math.cos(heading_rad)])
     return np.concatenate([path, [[step.time_s, *to, heading_rad]]])[-TRAIL_STEPS:]
@@ -67,7 +67,7 @@ def advance_offsets(
     )
     q = np.minimum((measured + unmeasured + step.offset_change_std_rad**2)[mode], MAX_HEADING_VARIANCE)
     r, log_weight = step.walking_heading_std_rad**2, np.zeros(len(x))
-    if np.isfinite(r) and step.time_s > pedestrian.heading_zero.time_s:
+    if np.isfinite(r) and not step.states_heading and step.time_s > pedestrian.heading_zero.time_s:
         shown = step.walking_heading_rad - step.device_heading_rad - pedestrian.heading_zero.offset_rad + x[:, TURN]
         v = wrap_angle(shown - x[:, OFFSET])
         gain = q / np.maximum(q + r, 1e-12)

@@ -35,7 +35,18 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.step_statistics import UNKNOWN_HEADING_RAD
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import collected, outputs, position_before
-from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, Note, Origin, read_only, wrap_angle
+from pdr_filter.values import (
+    Cluster,
+    Fix,
+    FixOutcome,
+    FloatArray,
+    FloorPassage,
+    Note,
+    Origin,
+    read_only,
+    reference_headings,
+    wrap_angle,
+)
 from pdr_filter.values.recording import Recording
 
 # Factor on the smallest number of particles of the online filter: paths share fewer of their early steps.
@@ -274,7 +285,7 @@ def _with_rows(track: Track, rows: Sequence[_Row], origin: Origin | None) -> Smo
     position = np.array([row.cluster.position_m for row in rows])
     length = np.array([row.length_m for row in rows])
     offset, offset_std = np.array([(row.offset, row.offset_std) for row in rows]).T
-    heading = np.asarray(track.steps.device_heading_rad) + offset
+    heading = reference_headings(track.steps) + offset
     off_plan_s = track.time_s[[row.is_off_plan for row in rows]]
     off_plan = [note.text for note in off_plan_notes(len(off_plan_s), *off_plan_s[[0, -1]])] if len(off_plan_s) else []
     smoothed = replace(

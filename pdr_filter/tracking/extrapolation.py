@@ -241,7 +241,8 @@ def _place_after(state: State, last: StepUpdate | None, is_candidate: bool) -> P
     pedestrian = state.tracker.pedestrian
     if last is None or (last.is_final and not is_candidate):
         mean, _ = pedestrian.estimates.combined
-        heading_rad = state.sensing.attitude.device_heading_rad + float(mean[HEADING_OFFSET])
+        stated_rad = 0.0 if last is None else last.step.reference_heading_rad - last.step.device_heading_rad
+        heading_rad = state.sensing.attitude.device_heading_rad + stated_rad + float(mean[HEADING_OFFSET])
         return replace(track_place(pedestrian), heading_rad=heading_rad)
     place = last.of_start or Place(
         last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.steps.n_final

@@ -88,7 +88,7 @@ from pdr_filter.values.replace import replace_unchecked
 from pdr_filter.values.rigid_fit import rigid_fit
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.schema import check_declared, check_members, check_whole
-from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
+from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, reference_headings, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
 from pdr_filter.values.wifi import Wifi, WifiScan, address_text, loudness
@@ -183,6 +183,7 @@ __all__ = [
     "range_residuals",
     "read_only",
     "received_s",
+    "reference_headings",
     "repeated_cov_m2",
     "repetition",
     "replace_unchecked",

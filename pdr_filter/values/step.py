@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from pdr_filter.values.arrays import Table, table
+from pdr_filter.values.arrays import FloatArray, Table, table
 
 # Thresholds of `Step.direction_trust`, the squared length of the mean direction of strides. From the first on, strides
 # agree: pockets and hands have 0.6 to 0.98, handbags 0.05 to 0.3 (docs/methods/heading.md). Below the second they agree
@@ -56,7 +56,8 @@ class Step:
         Walking direction measured from the samples, without the axes of the phone, rad. It has the zero of
         `device_heading_rad` and is not wrapped.
     walking_heading_std_rad : float, default inf
-        Standard deviation of `walking_heading_rad`, rad. Infinite if there is no measurement.
+        Standard deviation of `walking_heading_rad`, rad. Infinite if there is no measurement. 0 if a heading stage
+        states the direction of the step: the heading offset is then that from this direction.
     offset_change_std_rad : float, default 0.0
         Standard deviation of the change of the heading offset (walking direction minus device heading) since the
         previous step, rad. 0 while the phone stays in its place, large when it was moved.
@@ -150,6 +151,16 @@ class Step:
         return "strides" if self.direction_trust >= TRUSTED else "device"
 
     @property
+    def states_heading(self) -> bool:
+        """True if a heading stage states the direction of the step, in place of a measurement of the heading offset."""
+        return self.walking_heading_std_rad == 0.0
+
+    @property
+    def reference_heading_rad(self) -> float:
+        """Heading to which the filter adds its heading offset: that of the device, or the stated direction, rad."""
+        return self.walking_heading_rad if self.states_heading else self.device_heading_rad
+
+    @property
     def is_quick_and_soft(self) -> bool:
         """True if the step is too quick for walking and too soft for running.
 
@@ -181,6 +192,12 @@ class Step:
 def step_table(steps: Sequence[Step]) -> Table:
     """Return a table with one row for each step and one float column for each field of `Step`."""
     return table({f.name: np.array([getattr(s, f.name) for s in steps], dtype=float) for f in fields(Step)})
+
+
+def reference_headings(rows: Table) -> FloatArray:
+    """Return `Step.reference_heading_rad` (K,) of the K steps of a table."""
+    is_stated = np.asarray(rows.walking_heading_std_rad) == 0.0
+    return np.where(is_stated, np.asarray(rows.walking_heading_rad), np.asarray(rows.device_heading_rad))
 
 
 def steps_of(rows: Table) -> tuple[Step, ...]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from own_parts import FIT, Crossings, CrossingState, DeviceHeading, Exponential, RootOfRange, own_config
+from own_parts import FIT, Crossings, CrossingState, DeviceHeading, Exponential, HeadingRule, RootOfRange, own_config
 
 import pdr_filter as pdr
 from pdr_filter.filter.step_length.models import bounce_fit
@@ -43,6 +43,30 @@ def test_parts_of_other_packages_give_the_same_track_online_and_offline(recordin
     assert track.distance_m == pytest.approx(70.0, rel=0.2)
     default = pdr.track(recording)
     assert not np.array_equal(track.steps.time_s, default.steps.time_s)
+
+
+@pytest.mark.parametrize("weighting", ["imm", "hc"])
+def test_steps_lead_along_the_directions_that_a_stage_states(recording: pdr.Recording, weighting: str) -> None:
+    """With one known length, the path is the sum of the stated unit vectors; fixes turn it as a whole."""
+    plain = pdr.recipes.default(recording.subject)
+    modes = [
+        replace(mode, step_length=pdr.known_length(0.7, 0.03), heading_offset_rad=0.0) for mode in plain.model.modes
+    ]
+    config = plain.with_modes(modes).with_heading(HeadingRule())
+    track = pdr.track(recording, config=config, weighting=weighting)
+    held = np.asarray(track.steps.walking_heading_rad)
+    stated_m = np.cumsum(0.7 * np.column_stack([np.sin(held), np.cos(held)]), axis=0)
+    moved = np.abs(np.diff(track.position_m, axis=0) - np.diff(stated_m, axis=0)).max(axis=1)
+    assert len(set(held.tolist())) < 0.7 * track.n_steps and np.isfinite(track.position_cov_m2).all()
+    assert np.median(moved) < 1e-3 and (track.steps.device_heading_rad != held).any()
+    online = pdr.OnlineFilter(replace(config.with_weighting(weighting)))
+    updates = [u for u in (*pushed(online, recording), *online.finish()) if u.is_final]
+    np.testing.assert_array_equal([u.position_m for u in updates], track.position_m)
+    if weighting == "imm":
+        turned_m = np.column_stack([stated_m[:, 1], -stated_m[:, 0]])  # by a quarter of a revolution
+        fixes = [pdr.PositionFix(track.time_s[k], turned_m[k], 0.01 * np.eye(2)) for k in range(5, track.n_steps, 10)]
+        smoothed = pdr.smooth(recording, fixes, config=config).track
+        np.testing.assert_allclose(smoothed.position_m, turned_m, atol=0.25)
 
 
 def test_tracks_with_parts_of_other_packages_are_smoothed_and_drawn(recording: pdr.Recording, tmp_path: Any) -> None:

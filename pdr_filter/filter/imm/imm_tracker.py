@@ -210,7 +210,7 @@ class ImmTracker:
 
         `x` (4,) is the combined mean after the step.
         """
-        heading_rad = step.device_heading_rad + float(x[HEADING_OFFSET]) + self.model.mean_heading_offset_rad(prob)
+        heading_rad = step.reference_heading_rad + float(x[HEADING_OFFSET]) + self.model.mean_heading_offset_rad(prob)
         return Walked(
             length_m=float(prob.dot(motion.length_m)),
             length_var_m2=lengths.mixture_var_m2(prob),

@@ -422,7 +422,7 @@ def advance(
     The drift of the heading offset is not included (see `predict_heading`).
     """
     motion = step_motion(
-        step.device_heading_rad,
+        step.reference_heading_rad,
         mean[..., HEADING_OFFSET],
         mean[..., LOG_SCALE],
         length_m,

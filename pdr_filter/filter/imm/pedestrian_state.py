@@ -306,7 +306,7 @@ def with_heading(
     var_m2 = float(stepless_var_m2(max(step.stepless_s - state.steps.stepless_s, 0.0)))
     drifted_cov[:, [EAST, NORTH], [EAST, NORTH]] += var_m2
     cov = drifted_cov
-    if math.isfinite(step.walking_heading_std_rad):
+    if math.isfinite(step.walking_heading_std_rad) and not step.states_heading:
         if math.isinf(zero.time_s):
             offset_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
             zero, cov = HeadingZero(offset_rad, step.time_s), expect_first_direction(cov, step.walking_heading_std_rad)

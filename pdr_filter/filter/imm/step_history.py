@@ -91,7 +91,7 @@ class StepHistory:
         speed = after_step(self.speed, walked.length_m, walked.length_var_m2, step.duration_s, scale_var, is_first)
         trail = np.empty((min(len(self.trail) + 1, TRAIL_STEPS), 4))
         trail[:-1] = self.trail[len(self.trail) + 1 - len(trail) :]
-        trail[-1] = step.time_s, x[EAST], x[NORTH], step.device_heading_rad
+        trail[-1] = step.time_s, x[EAST], x[NORTH], step.reference_heading_rad
         return StepHistory(self.n_final + 1, step.time_s, speed=speed, trail=trail)
 
     def after_gap(self, gap_s: float) -> StepHistory:

@@ -346,7 +346,7 @@ class WeightedTracker:
         walked = Walked(
             length_m=float(motion.length_m[0]),
             length_var_m2=float(length_var_m2[0]),
-            heading_rad=step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0]),
+            heading_rad=step.reference_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0]),
             parameter_std_m=weights * lengths.parameter_std_m * motion.scale,
             direction=motion.along,
         )

@@ -180,7 +180,7 @@ def _motion(
         np.array([getattr(of, name) for of in lengths]).reshape(n, -1) for name in ("length_m", "residual_var_m2")
     )
     device_rad, turned_rad = (
-        np.array([getattr(step, name) for step in steps])[:, None] for name in ("device_heading_rad", "turned_rad")
+        np.array([getattr(step, name) for step in steps])[:, None] for name in ("reference_heading_rad", "turned_rad")
     )
     return way, step_motion(device_rad, 0.0, 0.0, length_m, var_m2, way, turned_rad)
 

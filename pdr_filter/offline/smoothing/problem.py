@@ -475,7 +475,7 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) 
     so the smoother can use it as a linear measurement. The standard deviations are the same as of the walking headings.
     """
     std = np.asarray(track.steps.walking_heading_std_rad)
-    (known,) = np.isfinite(std).nonzero()
+    (known,) = (np.isfinite(std) & (std > 0.0)).nonzero()
     if not len(known):
         return NO_OFFSETS
     sideways = mode_offsets(track, modes)

@@ -31,6 +31,7 @@ from pdr_filter.values import (
     SpeedFix,
     TrackRows,
     has_position,
+    reference_headings,
 )
 
 # The magnetic field during this time is one measurement of north: twice the memory of `MagneticNorth`.
@@ -133,7 +134,7 @@ def usable(
     is_state = np.array([isinstance(f, HeadingFix | SpeedFix) for f in fixes], dtype=bool)
     at_state, at_measured = np.flatnonzero(inside & is_state), np.flatnonzero(inside & ~is_place & ~is_state)
     other = [f for f in compress(fixes, inside) if not isinstance(f, PositionFix | HeadingFix | SpeedFix)]
-    device_rad = np.asarray(track.steps.device_heading_rad) + mode_offsets(track, modes)
+    device_rad = reference_headings(track.steps) + mode_offsets(track, modes)
     state_fixes = [f for f in compress(fixes, inside) if isinstance(f, HeadingFix | SpeedFix)]
     of_states = _of_state_fixes(state_fixes, track, steps, device_rad, log_scale_std)
     # Online the gate rejects such speeds. Here many of them would agree with each other and outweigh the prior. An

@@ -16,7 +16,10 @@ class HeadingStage(Protocol):
 
     The stage sets `Step.walking_heading_rad`, `Step.walking_heading_std_rad` and `Step.offset_change_std_rad`.
     `config.with_heading` uses such a stage, and `pdr_filter.testing.check_stage` tests it. Headings are in rad,
-    clockwise, with the zero of `Step.device_heading_rad`. These further attributes are optional:
+    clockwise, with the zero of `Step.device_heading_rad`. A walking heading with a standard deviation above 0 measures
+    the heading offset. One with a standard deviation of 0 states the direction of the step, as decided by a rule for
+    each step. The filter then estimates only the error that all stated directions share, and a stage must state the
+    directions of all steps. These further attributes are optional:
 
     - `drift`: a `HeadingDrift`, which must equal the `HeadingDrift` of the filter.
     - `learns_directions`: True if the stage sets `Step.shown_offset_rad`, which the magnetic north needs. False if
@@ -162,7 +165,7 @@ def with_shown_offsets(stage: HeadingStage, steps: list[tuple[int, Step]]) -> li
             replace_unchecked(
                 step,
                 shown_offset_rad=step.walking_heading_rad - step.device_heading_rad,
-                shown_offset_std_rad=step.walking_heading_std_rad,
+                shown_offset_std_rad=math.inf if step.states_heading else step.walking_heading_std_rad,
             ),
         )
         for number, step in steps
