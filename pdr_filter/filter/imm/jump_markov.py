@@ -178,13 +178,16 @@ class JumpMarkovModel:
         shape = (len(measured), *batch, n_modes)
         means, covs, probs, evidence = np.empty((*shape, n)), np.empty((*shape, n, n)), np.empty(shape), np.zeros(shape)
         is_missing = np.isnan(measured) @ np.ones((d, 1)) > 0  # (T, ..., 1)
+        any_missing = np.isnan(measured.reshape(len(measured), -1).sum(axis=1)).tolist()
+        H = self.H[0] if np.array_equal(self.H, self.H[[0] * n_modes]) else self.H
         R = np.broadcast_to(self.R, (*batch, *self.R.shape))
         predicted = np.empty(shape)
         for k in range(len(measured)):
             x, cov, predicted[k] = mix(x, cov, prob, self.transition_prob)
             before_x, before_cov = predict(x, cov, self.F, self.Q)
-            x, cov, evidence[k], _ = update(before_x, before_cov, measured[k], self.H, R)
-            if (missing := is_missing[k]).any():
+            x, cov, evidence[k], _ = update(before_x, before_cov, measured[k], H, R)
+            if any_missing[k]:
+                missing = is_missing[k]
                 evidence[k] = np.where(missing, 0.0, evidence[k])
                 x = np.where(missing[..., None], before_x, x)
                 cov = np.where(missing[..., None, None], before_cov, cov)
