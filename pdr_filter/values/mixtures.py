@@ -65,11 +65,12 @@ def posterior_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatA
 def reweighted(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
     """Return the probabilities proportional to p_k exp(e_k), shape (..., K), of K hypotheses.
 
-    p_k is the probability of hypothesis k before, and e_k its finite log evidence of a few nats. `posterior_prob`
-    accepts evidence of any size, but must compute the logarithms of the probabilities.
+    p_k is the probability of hypothesis k before, and e_k its finite log evidence of a few nats, or of any size if all
+    probabilities are positive. `posterior_prob` also accepts a hypothesis of probability zero with the largest
+    evidence, but must compute the logarithms of the probabilities.
     """
-    relative = prob * np.exp(log_evidence - log_evidence.max(axis=-1, keepdims=True))
-    return relative / relative.sum(axis=-1, keepdims=True)
+    relative = prob * np.exp(log_evidence - np.maximum.reduce(log_evidence, axis=-1, keepdims=True))
+    return relative / np.add.reduce(relative, axis=-1, keepdims=True)
 
 
 def combine(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatArray, FloatArray]:

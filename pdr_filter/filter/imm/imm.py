@@ -10,11 +10,12 @@ underflow.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Protocol
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, check_transition_prob
+from pdr_filter.values import FloatArray, check_transition_prob, read_only
 from pdr_filter.values.mixtures import combine, posterior_prob, product
 
 _LOG_2_PI = float(np.log(2 * np.pi))
@@ -238,11 +239,16 @@ def update(
     S_inverse, log_det_S = _inverse(HP @ H.swapaxes(-1, -2) + R_)
     K = HP.swapaxes(-1, -2) @ S_inverse
     updated_mean = mean + np.matmul(K, innovation[..., None])[..., 0]
-    I_KH = np.eye(mean.shape[-1]) - K @ H
+    I_KH = _identity(mean.shape[-1]) - K @ H
     updated_cov = I_KH @ cov @ I_KH.swapaxes(-1, -2) + K @ R_ @ K.swapaxes(-1, -2)
-    nis = (innovation * np.matmul(S_inverse, innovation[..., None])[..., 0]).sum(axis=-1)
+    nis = np.add.reduce(innovation * np.matmul(S_inverse, innovation[..., None])[..., 0], axis=-1)
     log_likelihood = -0.5 * (nis + log_det_S + z.shape[-1] * _LOG_2_PI)
     return updated_mean, updated_cov, log_likelihood, nis
+
+
+@cache
+def _identity(n: int) -> FloatArray:
+    return read_only(np.eye(n))
 
 
 def _inverse(S: FloatArray) -> tuple[FloatArray, FloatArray]:

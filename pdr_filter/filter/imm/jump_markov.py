@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.filter.imm.imm import mix, predict, update
 from pdr_filter.values import FloatArray, check_transition_prob
-from pdr_filter.values.mixtures import combine, posterior_prob
+from pdr_filter.values.mixtures import combine, posterior_prob, reweighted
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,17 +178,22 @@ class JumpMarkovModel:
         shape = (len(measured), *batch, n_modes)
         means, covs, probs, evidence = np.empty((*shape, n)), np.empty((*shape, n, n)), np.empty(shape), np.zeros(shape)
         is_missing = np.isnan(measured) @ np.ones((d, 1)) > 0  # (T, ..., 1)
+        any_missing = np.isnan(measured.reshape(len(measured), -1).sum(axis=1)).tolist()
+        H = self.H[0] if np.array_equal(self.H, self.H[[0] * n_modes]) else self.H
         R = np.broadcast_to(self.R, (*batch, *self.R.shape))
         predicted = np.empty(shape)
+        # each mode can be reached, so that the most likely one is possible: products need no logarithms
+        with_evidence = reweighted if (self.transition_prob > 0).all() else posterior_prob
         for k in range(len(measured)):
             x, cov, predicted[k] = mix(x, cov, prob, self.transition_prob)
             before_x, before_cov = predict(x, cov, self.F, self.Q)
-            x, cov, evidence[k], _ = update(before_x, before_cov, measured[k], self.H, R)
-            if (missing := is_missing[k]).any():
+            x, cov, evidence[k], _ = update(before_x, before_cov, measured[k], H, R)
+            if any_missing[k]:
+                missing = is_missing[k]
                 evidence[k] = np.where(missing, 0.0, evidence[k])
                 x = np.where(missing[..., None], before_x, x)
                 cov = np.where(missing[..., None, None], before_cov, cov)
-            prob = posterior_prob(predicted[k], evidence[k])
+            prob = with_evidence(predicted[k], evidence[k])
             means[k], covs[k], probs[k] = x, cov, prob
         highest = evidence.max(axis=-1)
         density = (predicted * np.exp(evidence - highest[..., None])).sum(axis=-1)
