@@ -170,7 +170,7 @@ def test_locations_from_outside_the_samples_show_another_clock_without_turns() -
     for other, word in zip(others, (" late ", " early "), strict=True):
         assert [n for n in other.notes if n.startswith("the locations are ") and word in n]
         places_m = [HERE.east_north_m(t.latitude_deg, t.longitude_deg) for t in (right, other)]
-        assert (np.linalg.norm(places_m[1] - places_m[0], axis=1) < 2.5 * other.position_std_m).all()
+        assert (np.linalg.norm(places_m[1] - places_m[0], axis=1) < 3.0 * other.position_std_m).all()
     # locations from the first to the last sample exclude another clock
     assert right.position_std_m.max() < 5.0
 
