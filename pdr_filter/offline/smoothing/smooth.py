@@ -388,6 +388,14 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     return track, posed.used.device_rad, posed.problem
 
 
+def _ends_s(track: Track) -> tuple[float, float]:
+    """Return the first and the last time of a track, in s."""
+    start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
+    if track.n_steps:
+        start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
+    return start_s, end_s
+
+
 class ReckonedWalk(NamedTuple):
     """Walk with its observations, as the smoother uses them, for a problem of many walks.
 
@@ -731,14 +739,6 @@ def _smooth_track(
         person = (config.person or Person()).pooled(Person((session,)))
         smoothed = replace(smoothed, track=replace(smoothed.track, person=person))
     return smoothed, walked_var_m2, clocks
-
-
-def _ends_s(track: Track) -> tuple[float, float]:
-    """Return the first and the last time of a track, in s."""
-    start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
-    if track.n_steps:
-        start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
-    return start_s, end_s
 
 
 # Passes of mode probabilities and positions, and the difference of probabilities below which the next one is the same:
