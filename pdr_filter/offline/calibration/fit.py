@@ -232,7 +232,10 @@ def calibrate(
 
 def _for_each(name: str, given: Iterable[Iterable[Any]] | None, recordings: Sequence[Recording]) -> list[list[Any]]:
     """Return the observations of each recording as lists, empty ones if none are given."""
-    lists = [[] for _ in recordings] if given is None else [list(of_one) for of_one in given]
+    each = [()] * len(recordings) if given is None else list(given)
+    if any(not isinstance(of_one, Iterable) for of_one in each):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(f"{name} must have one list for each recording, got {each[0]!r:.40}: put it into a list")
+    lists = [list(of_one) for of_one in each]
     if len(lists) != len(recordings):
         raise ValueError(f"got {name} of {len(lists)} recordings for {len(recordings)}: give one list for each")
     return lists

@@ -87,6 +87,7 @@ def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
     [
         ({"fixes": [[]]}, "for smooth=True"),
         ({"smooth": True, "fixes": [[], []]}, "fixes of 2 recordings for 1"),
+        ({"smooth": True, "fixes": [pdr.Standstill(1.0, 2.0)]}, "fixes must have one list for each recording"),
         ({"smooth": True}, "nothing to calibrate with"),
         ({"smooth": True, "loss": "l1"}, "loss must be one of"),
         ({"smooth": True, "fixes": [[pdr.PositionFix(15.0, np.zeros(2), np.eye(2))]], "priors": "inf"}, "finite std"),
