@@ -166,7 +166,8 @@ def test_without_turns_the_deviation_along_the_walk_is_wider(monkeypatch: pytest
 
 
 def test_locations_from_outside_the_samples_show_another_clock_without_turns() -> None:
-    right, *others = (pdr.smooth(located(walk(), late_s)).track for late_s in (0.0, 18.0, -18.0))
+    straight = walk(leg_m=70.0)
+    right, *others = (pdr.smooth(located(straight, late_s)).track for late_s in (0.0, 18.0, -18.0))
     for other, word in zip(others, (" late ", " early "), strict=True):
         assert [n for n in other.notes if n.startswith("the locations are ") and word in n]
         places_m = [HERE.east_north_m(t.latitude_deg, t.longitude_deg) for t in (right, other)]
