@@ -186,7 +186,7 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
     events: list[Event] = []
     devices = Devices(Settings(), tmp_path, events.append)
     bodies = own_messages(walk)
-    for body in bodies[:90]:
+    for body in bodies[:55]:
         devices.take(body, "", "", "", 0.0)
     (session,) = devices.sessions.values()
     unfixed = pdr.track(replace(walk, meta={}))
@@ -195,7 +195,7 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
     here[1] += 3.0
     fix = {"device": "p", "session": "s", "fix": {"east_m": here[0], "north_m": here[1], "std_m": 0.2}}
     devices.take(json.dumps(fix).encode(), "", "", "", 0.0)
-    for body in bodies[90:]:
+    for body in bodies[55:]:
         devices.take(body, "", "", "", 0.0)
     devices.close()
     assert positions(session)[-1, 1] - unfixed.position_m[-1, 1] > 0.5
@@ -212,13 +212,13 @@ def test_a_range_to_an_anchor_is_used_and_is_on_record_as_a_file_of_ranges(walk:
     events: list[Event] = []
     devices = Devices(Settings(), tmp_path, events.append)
     bodies = own_messages(walk)
-    for body in bodies[:90]:
+    for body in bodies[:55]:
         devices.take(body, "", "", "", 0.0)
     (session,) = devices.sessions.values()
     east_m, north_m = session.online.position_m
     fix = {"east_m": east_m + 12.0, "north_m": north_m, "range_m": 12.4, "std_m": 1.0}
     devices.take(json.dumps({"device": "p", "session": "s", "fix": fix}).encode(), "", "", "", 0.0)
-    for body in bodies[90:]:
+    for body in bodies[55:]:
         devices.take(body, "", "", "", 0.0)
     devices.close()
     told = [(e["kind"], e["outcome"]) for e in events if e["event"] == "fix"]
@@ -237,7 +237,7 @@ def test_what_became_of_a_fix_is_told_also_by_the_next_process(
     events: list[Event] = []
     devices = Devices(Settings(), tmp_path, events.append)
     bodies = own_messages(walk)
-    for body in bodies[:60]:
+    for body in bodies[:48]:
         devices.take(body, "", "", "", 0.0)
     (session,) = devices.sessions.values()
     east_m, north_m = session.online.position_m
@@ -247,7 +247,7 @@ def test_what_became_of_a_fix_is_told_also_by_the_next_process(
     assert (waiting["outcome"], waiting["east_m"]) == ("waiting", pytest.approx(east_m + away_m))
     devices.close()
     devices = Devices(Settings(), tmp_path, events.append)
-    for body in bodies[60:70]:
+    for body in bodies[48:58]:
         devices.take(body, "", "", "", 0.0)
     _, told = (e for e in events if e["event"] == "fix")
     assert (told["outcome"], told["time_s"]) == (outcome, waiting["time_s"])

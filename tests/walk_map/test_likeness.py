@@ -303,7 +303,7 @@ def test_of_two_contradicting_positions_both_are_found(chain: Chain) -> None:
     assert contradicting(chain, [first, last], north) == [first, last]
 
 
-@pytest.mark.parametrize("off_rad", [0.0, np.pi, 1.8])
+@pytest.mark.parametrize("off_rad", [0.0, np.pi, 2.5])
 def test_a_known_heading_that_the_magnetometer_contradicts_is_found(chain: Chain, off_rad: float) -> None:
     assert chain.knows_north
     step, first = 8, fixes_along(chain, 5)[0]

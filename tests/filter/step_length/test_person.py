@@ -215,7 +215,9 @@ def test_a_configuration_with_a_person_notes_the_step_length(learnt: pdr.Person)
 def test_online_and_offline_tracking_learn_the_same_person(first: Recording, learnt: pdr.Person) -> None:
     here = fixes_of(first.location)[0]
     assert here is not None
-    online = pdr.OnlineFilter(recipes.default(first.subject).with_magnetic_north(here.declination_rad()))
+    own = recipes.default(first.subject)
+    own = own.with_magnetic_north(here.declination_rad(), field_ut=here.magnetic_field_ut())
+    online = pdr.OnlineFilter(own)
     assert online.person is None
     online.push_location(first.location.time_s, *first.location.values.T[[0, 1, 3]])
     online, _ = pushed(online, cut_randomly(pdr.merge_streams(first), 3, mean_length=700), n_resumed=1)
