@@ -35,7 +35,7 @@ from pdr_filter.offline.smoothing.smooth import ReckonedWalk
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import of_height, slices_of
-from pdr_filter.values import FloatArray, IntArray, TrackRows, steps_of
+from pdr_filter.values import FloatArray, IntArray, TrackRows, reference_headings, steps_of
 
 # The step lengths are linearised again until no parameter changes by more than this share of its standard deviation.
 _CONVERGED_STDS = 0.01
@@ -186,7 +186,7 @@ def displacement_by_theta(
     """
     prob, offset_rad = track.mode_prob, model.directions.heading_offset_rad
     by_theta = np.zeros((track.n_steps, 2, n_params))
-    psi = np.asarray(track.steps.device_heading_rad)[:, None] + offset_rad
+    psi = reference_headings(track.steps)[:, None] + offset_rad
     if is_weighted:
         psi = np.broadcast_to(psi[np.arange(len(psi)), prob.argmax(axis=1)][:, None], psi.shape)
     along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)

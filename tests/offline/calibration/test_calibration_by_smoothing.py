@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from own_parts import HeadingRule
 
 import pdr_filter as pdr
 from pdr_filter.offline.calibration.joint_smoothing import displacement_by_theta, mode_names, with_parameters
@@ -101,15 +102,16 @@ def test_arguments_that_contradict_each_other_are_refused(arguments: dict[str, o
         pdr.calibrate(replace(rectangle(), truth=Truth()), **arguments)
 
 
-@pytest.mark.parametrize("weighting", ["imm", "wc", "hc"])
+@pytest.mark.parametrize("weighting", ["imm", "wc", "hc", "stated heading"])
 def test_displacements_depend_on_the_parameters_as_in_the_smoother(weighting: str) -> None:
-    walk, config = pdr.simulate.demo_walk(), pdr.recipes.default().with_weighting(weighting)
+    walk, config = pdr.simulate.demo_walk(), pdr.recipes.default()
+    config = config.with_weighting(weighting) if " " not in weighting else config.with_heading(HeadingRule())
     track, (priors,) = pdr.track(walk, config=config), forms_of(model="eq12").values()
     slices, n = slices_of({name: p.model for name, p in priors.items()})
     names, rng = mode_names(config.model, {}), np.random.default_rng(3)
     thetas = [{name: p.mean + 0.05 * rng.normal(size=len(p.mean)) * p.std for name, p in priors.items()} for _ in "ab"]
     models = [with_parameters(config, priors, theta, names, None, 0.025).model for theta in thetas]
-    is_weighted = weighting != "imm"
+    is_weighted = weighting in ("wc", "hc")
     moved_m = [
         increments(track.steps, track.mode_prob, model, track.gap_before_s, is_weighted=is_weighted)[0].displacement_m
         for model in models
