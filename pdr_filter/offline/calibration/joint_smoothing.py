@@ -270,13 +270,17 @@ def estimate_jointly(
         population = values.atVector(gtsam.symbol("k", 0))
         guesses = [of_one.graph.states_of(values, guess) for of_one, guess in zip(linearised, guesses, strict=True)]
         moved = [np.abs(theta[name] - before[name]) / parameters.std for name in people]
+        tree = bayes_tree(graph, values)
         before_outliers = outliers
         if loss == "gnc":
             outliers = [
-                [bool(abs(f.unwhitenedError(values)[0]) > OUTLIER_STDS) for f in of_walk] for of_walk in lengths
+                [
+                    abs(_held_out_error(factor, values, tree, is_used=not is_wrong)) > OUTLIER_STDS
+                    for factor, is_wrong in zip(of_walk, wrong, strict=True)
+                ]
+                for of_walk, wrong in zip(lengths, before_outliers, strict=True)
             ]
         converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS and outliers == before_outliers
-        tree = bayes_tree(graph, values)
         if not converged:
             scatter = np.zeros_like(variances.between)
             for name in people if n_own else []:
@@ -419,3 +423,16 @@ def _length_factor(
         return np.array([inverse * (scale * length_m - segment.distance_m)])
 
     return gtsam.CustomFactor(noise_of(1, loss), keys, error)
+
+
+def _held_out_error(factor: gtsam.CustomFactor, values: gtsam.Values, tree: Any, *, is_used: bool) -> float:
+    """Return the error of a known length predicted by everything else, in its standard deviations.
+
+    The residual would be too small, because the length itself moves the parameters.
+    """
+    residual = float(factor.unwhitenedError(values)[0])
+    H, scaled = factor.linearize(values).jacobian()
+    weight = (float(scaled[0]) / residual) ** 2 if residual else 1.0  # of the robust loss
+    leverage = float((H @ cov_of(tree, list(factor.keys())) @ H.T)[0, 0])  # times the weight
+    left = max(1.0 - leverage, 1e-9) if is_used else 1.0
+    return residual / left / float(np.sqrt(1.0 + leverage / weight / left))

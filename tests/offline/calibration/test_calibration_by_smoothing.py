@@ -73,6 +73,13 @@ def test_a_wrong_length_is_rejected_and_named() -> None:
     assert any("distrusted" in note and "28.80 m given" in note for note in found.notes)
 
 
+def test_the_only_length_is_rejected_if_it_contradicts_the_prior() -> None:
+    walk = replace(rectangle(), truth=Truth())
+    found = pdr.calibrate(walk.of_distance(110.0), smooth=True)
+    assert any("distrusted" in note and "110.00 m given" in note for note in found.notes)
+    assert not any("distrusted" in n for n in pdr.calibrate(walk.of_distance(60.0), smooth=True).notes)
+
+
 def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
     walk = pdr.simulate.demo_walk()
     found = pdr.calibrate(replace(walk, truth=Truth(waypoints=walk.truth.waypoints)), smooth=True)
