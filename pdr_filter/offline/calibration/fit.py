@@ -27,6 +27,7 @@ from pdr_filter.offline.calibration.segments import (
     AnySegment,
     Segment,
     SegmentSums,
+    distinct_names,
     integrate,
     segments_of,
     with_distinct_names,
@@ -112,10 +113,10 @@ def calibrate(
         If True, solve one factor graph over all walks: poses, step scales, gyroscope biases and parameters. The result
         has the smoothed `tracks`, and one segment for each context of a walk.
     fixes : iterable of iterable of Fix, optional
-        Fixes of each recording, for `smooth`, in the order of the recordings. A recording with fixes or loop closures
-        is calibrated with them instead of its truth. Speed fixes and fixes on a floor plan are not used.
+        Fixes of each recording, for `smooth`, in the order of the recordings. A recording with fixes is
+        calibrated with them instead of its truth. Speed fixes and fixes on a floor plan are not used.
     loop_closures : iterable of iterable of LoopClosure, optional
-        Loop closures of each recording, for `smooth`.
+        Loop closures of each recording, for `smooth`, in addition to its fixes or truth. They have no scale.
 
     Returns
     -------
@@ -183,7 +184,11 @@ def calibrate(
         from pdr_filter.offline.calibration.smoothed_calibration import calibrate_by_smoothing
 
         full = next(iter(forms_of(priors, model, prior_std, contexts, walking).values()))
-        people = [r.subject.id or (r.name if each_a_person else subject) or UNNAMED for r in chosen]
+        names = distinct_names(r.name for r in chosen)
+        people = [
+            r.subject.id or (name if each_a_person else subject) or UNNAMED
+            for r, name in zip(chosen, names, strict=True)
+        ]
         n_unnamed = sum(not r.subject.id for r in chosen)
         return calibrate_by_smoothing(
             chosen,

@@ -28,7 +28,7 @@ from pdr_filter.values import (
     limits,
     steps_of,
 )
-from pdr_filter.values.recording import Recording
+from pdr_filter.values.recording import Recording, Truth
 
 # Standard deviation of the distance between two clicked landmarks. Clicks are up to 0.8 s early or 0.1 s late, which is
 # about 0.25 m at each end (measured on 133 straight legs of one person; docs/methods/step_length.md).
@@ -301,21 +301,26 @@ def with_distinct_names(found: Iterable[tuple[Sequence[AnySegment], bool]]) -> l
     Otherwise, recordings with the same name would share an error of scale. Each entry has the segments of one
     recording, and True if its person is named after the recording.
     """
-    used, segments = set[str](), list[AnySegment]()
-    count = Counter[str]()
-    for of_one, is_named_after in found:
-        if not of_one:
-            continue
-        name = plain = of_one[0].recording
+    segments = list[AnySegment]()
+    used = [(of_one, is_named_after) for of_one, is_named_after in found if of_one]
+    names = distinct_names(of_one[0].recording for of_one, _ in used)
+    for (of_one, is_named_after), name in zip(used, names, strict=True):
+        for s in of_one:
+            is_same = name == s.recording
+            segments.append(s if is_same else replace(s, recording=name, subject=name if is_named_after else s.subject))
+    return segments
+
+
+def distinct_names(names: Iterable[str]) -> list[str]:
+    """Return names, with a number after each one that repeats an earlier one."""
+    used, count = list[str](), Counter[str]()
+    for plain in names:
+        name = plain
         while name in used:
             count[plain] += 1
             name = f"{plain} ({count[plain] + 1})"
-        used.add(name)
-        for s in of_one:
-            segments.append(
-                s if name == plain else replace(s, recording=name, subject=name if is_named_after else s.subject)
-            )
-    return segments
+        used.append(name)
+    return used
 
 
 def integrate(
@@ -491,6 +496,12 @@ def segments_of(
     return segments, [f"{recording.name}: {note}" for note in notes]
 
 
+def has_known_lengths(truth: Truth) -> bool:
+    """Return True if a truth has segments of known distance, or strides."""
+    is_walked = truth.segments is not None and bool(np.isfinite(truth.segments.distance_m).any())
+    return is_walked or (truth.strides is not None and len(truth.strides) > 0)
+
+
 def truth_fixes(recording: Recording, anchor_std_m: float | None = None) -> list[PositionFix]:
     """Return the waypoints at the ends of the segments of a recording as position fixes, in the order of time.
 
@@ -498,8 +509,7 @@ def truth_fixes(recording: Recording, anchor_std_m: float | None = None) -> list
     distance of two waypoints.
     """
     truth = recording.truth
-    is_walked = truth.segments is not None and np.isfinite(truth.segments.distance_m).any()
-    if is_walked or (truth.strides is not None and len(truth.strides)) or truth.waypoints is None:
+    if has_known_lengths(truth) or truth.waypoints is None:
         return []
     std_m = WAYPOINT_STD_M if anchor_std_m is None else anchor_std_m
     stretches, _ = _stretches(recording, anchor_std_m)

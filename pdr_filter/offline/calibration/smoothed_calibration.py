@@ -11,7 +11,12 @@ import numpy as np
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
 from pdr_filter.offline.calibration.priors import StepLengthPrior
-from pdr_filter.offline.calibration.segments import MIN_WAYPOINT_DISTANCE_M, segments_of, truth_fixes
+from pdr_filter.offline.calibration.segments import (
+    MIN_WAYPOINT_DISTANCE_M,
+    has_known_lengths,
+    segments_of,
+    truth_fixes,
+)
 from pdr_filter.offline.robust_loss import LOSSES
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.offline.smoothing.smooth import reckoned_walk
@@ -54,12 +59,20 @@ def calibrate_by_smoothing(
         walks.append(walk)
         remarks += of_walk
         if progress is not None:
-            progress(0.9 * i / len(recordings))
-    if not any(_n_observations(w) for w in walks):
+            progress(0.5 * i / len(recordings))
+    unscaled = [w.walk.track.name for w in walks if not _determines_lengths(w)]
+    if len(unscaled) == len(walks):
         raise ValueError(
-            "nothing to calibrate with: no recording has fixes, loop closures, locations or a truth of known length"
+            "nothing to calibrate with: no recording has two positions (fixes, locations, waypoints), a range or "
+            "another measurement of the position, or a stretch of known length: give one of them, loop closures alone "
+            "have no scale"
         )
-    found = estimate_jointly(walks, priors, separate, recording_std, loss)
+    remarks += [
+        f"{name}: no two positions, range or stretch of known length: it hardly calibrates step lengths; give fixes"
+        for name in unscaled
+    ]
+    of_estimate = None if progress is None else lambda share: progress(0.5 + 0.5 * share)
+    found = estimate_jointly(walks, priors, separate, recording_std, loss, of_estimate)
     if progress is not None:
         progress(1.0)
     if not found.converged:
@@ -87,16 +100,16 @@ def calibration_walk(
     if speeds:
         notes.append(f"{recording.name}: {len(speeds)} speed fixes are not used to calibrate step lengths")
         fixes = [fix for fix in fixes if not isinstance(fix, SpeedFix)]
-    is_given = bool(fixes or closures)
-    if is_given and recording.gyroscope is None:
+    if (fixes or closures) and recording.gyroscope is None:
         notes.append(
             f"{recording.name}: no gyroscope, so no headings: fixes and loop closures do not calibrate its step lengths"
         )
-    if not is_given and recording.gyroscope is not None:
+    if not fixes and recording.gyroscope is not None:
         fixes = [*truth_fixes(recording, anchor_std_m)]
     walk = reckoned_walk(recording, config, fixes, closures, scale_std)
     segments: tuple[Any, ...] = ()
-    if not (is_given or fixes or walk.observed.locations):
+    # the graph has waypoints and locations as positions
+    if not fixes and (has_known_lengths(recording.truth) or not walk.observed.locations):
         found, remarks = segments_of(recording, walk.track, anchor_std_m, measure, subject, separate)
         segments, notes = tuple(found), [*notes, *remarks]
     return CalibrationWalk(subject, recording.subject.height_m, walk, segments), notes
@@ -111,10 +124,12 @@ def scale_std_of(prior: StepLengthPrior | None, recording_std: float) -> float:
     return float(np.hypot(min(std_m / max(length_m, 1e-3), 1.0), recording_std))
 
 
-def _n_observations(of: CalibrationWalk) -> int:
-    """Return the number of observations of a walk that can determine step lengths."""
+def _determines_lengths(of: CalibrationWalk) -> bool:
+    """Return True if the observations of a walk can determine step lengths. Loop closures have no scale."""
     problem = of.walk.posed.problem
-    return len(problem.positions) + len(problem.measurements) + len(of.segments)
+    positions = problem.positions
+    n_places = len(np.unique(positions.node[positions.other < 0]))
+    return n_places > 1 or len(problem.measurements) > 0 or len(of.segments) > 0
 
 
 def _assembled(

@@ -15,8 +15,10 @@ from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.offline.smoothing.preintegration import increments
 from pdr_filter.recipes.step_length_calibration import slices_of
+from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording, Truth
 
+TWO_FIXES = [pdr.PositionFix(t, np.array([0.0, t]), np.eye(2)) for t in (15.0, 25.0)]
 STAND = pdr.simulate.Leg("stationary", duration_s=2.0)
 
 
@@ -80,6 +82,25 @@ def test_the_only_length_is_rejected_if_it_contradicts_the_prior() -> None:
     assert not any("distrusted" in n for n in pdr.calibrate(walk.of_distance(60.0), smooth=True).notes)
 
 
+def test_loop_closures_and_locations_do_not_replace_known_lengths() -> None:
+    walk = replace(rectangle(), truth=Truth()).of_distance(60.0)
+    alone = pdr.calibrate(walk, smooth=True).k["walking"][0]
+    closed = pdr.calibrate(walk, smooth=True, loop_closures=[[LoopClosure(1.0, walk.duration_s - 1.0)]])
+    time_s = np.arange(2.0, walk.duration_s, 5.0)
+    coarse = Samples(time_s, np.tile([48.0, 11.0, 500.0, 50.0], (len(time_s), 1)))
+    located = pdr.calibrate(replace(walk, location=coarse), smooth=True)
+    for one in (closed, located):
+        assert one.k["walking"][0] == pytest.approx(alone, rel=0.02)
+
+
+def test_recordings_of_one_name_are_different_people_and_the_progress_reaches_the_estimate() -> None:
+    walk, shares = replace(rectangle(), truth=Truth(), meta={}), list[float]()
+    found = pdr.calibrate([walk, walk], smooth=True, fixes=[TWO_FIXES] * 2, each_a_person=True, progress=shares.append)
+    assert found.subject_ids == (walk.name, f"{walk.name} (2)")
+    assert shares == sorted(shares)
+    assert sum(0.5 < share < 1.0 for share in shares) > 1
+
+
 def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
     walk = pdr.simulate.demo_walk()
     found = pdr.calibrate(replace(walk, truth=Truth(waypoints=walk.truth.waypoints)), smooth=True)
@@ -97,8 +118,10 @@ def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
         ({"smooth": True, "fixes": [[], []]}, "fixes of 2 recordings for 1"),
         ({"smooth": True, "fixes": [pdr.Standstill(1.0, 2.0)]}, "fixes must have one list for each recording"),
         ({"smooth": True}, "nothing to calibrate with"),
+        ({"smooth": True, "fixes": [TWO_FIXES[:1]]}, "nothing to calibrate with"),
+        ({"smooth": True, "loop_closures": [[LoopClosure(1.0, 37.0)]]}, "loop closures alone have no scale"),
         ({"smooth": True, "loss": "l1"}, "loss must be one of"),
-        ({"smooth": True, "fixes": [[pdr.PositionFix(15.0, np.zeros(2), np.eye(2))]], "priors": "inf"}, "finite std"),
+        ({"smooth": True, "fixes": [TWO_FIXES], "priors": "inf"}, "finite std"),
     ],
 )
 def test_arguments_that_contradict_each_other_are_refused(arguments: dict[str, object], message: str) -> None:
