@@ -35,7 +35,7 @@ from pdr_filter.offline.smoothing.smooth import ReckonedWalk
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import of_height, slices_of
-from pdr_filter.values import FloatArray, IntArray, TrackRows, steps_of
+from pdr_filter.values import FloatArray, IntArray, TrackRows, reference_headings, steps_of
 
 # The step lengths are linearised again until no parameter changes by more than this share of its standard deviation.
 _CONVERGED_STDS = 0.01
@@ -186,7 +186,7 @@ def displacement_by_theta(
     """
     prob, offset_rad = track.mode_prob, model.directions.heading_offset_rad
     by_theta = np.zeros((track.n_steps, 2, n_params))
-    psi = np.asarray(track.steps.device_heading_rad)[:, None] + offset_rad
+    psi = reference_headings(track.steps)[:, None] + offset_rad
     if is_weighted:
         psi = np.broadcast_to(psi[np.arange(len(psi)), prob.argmax(axis=1)][:, None], psi.shape)
     along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)
@@ -270,13 +270,17 @@ def estimate_jointly(
         population = values.atVector(gtsam.symbol("k", 0))
         guesses = [of_one.graph.states_of(values, guess) for of_one, guess in zip(linearised, guesses, strict=True)]
         moved = [np.abs(theta[name] - before[name]) / parameters.std for name in people]
+        tree = bayes_tree(graph, values)
         before_outliers = outliers
         if loss == "gnc":
             outliers = [
-                [bool(abs(f.unwhitenedError(values)[0]) > OUTLIER_STDS) for f in of_walk] for of_walk in lengths
+                [
+                    abs(_held_out_error(factor, values, tree, is_used=not is_wrong)) > OUTLIER_STDS
+                    for factor, is_wrong in zip(of_walk, wrong, strict=True)
+                ]
+                for of_walk, wrong in zip(lengths, before_outliers, strict=True)
             ]
         converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS and outliers == before_outliers
-        tree = bayes_tree(graph, values)
         if not converged:
             scatter = np.zeros_like(variances.between)
             for name in people if n_own else []:
@@ -419,3 +423,16 @@ def _length_factor(
         return np.array([inverse * (scale * length_m - segment.distance_m)])
 
     return gtsam.CustomFactor(noise_of(1, loss), keys, error)
+
+
+def _held_out_error(factor: gtsam.CustomFactor, values: gtsam.Values, tree: Any, *, is_used: bool) -> float:
+    """Return the error of a known length predicted by everything else, in its standard deviations.
+
+    The residual would be too small, because the length itself moves the parameters.
+    """
+    residual = float(factor.unwhitenedError(values)[0])
+    H, scaled = factor.linearize(values).jacobian()
+    weight = (float(scaled[0]) / residual) ** 2 if residual else 1.0  # of the robust loss
+    leverage = float((H @ cov_of(tree, list(factor.keys())) @ H.T)[0, 0])  # times the weight
+    left = max(1.0 - leverage, 1e-9) if is_used else 1.0
+    return residual / left / float(np.sqrt(1.0 + leverage / weight / left))

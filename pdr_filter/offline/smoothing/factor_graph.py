@@ -42,6 +42,7 @@ from pdr_filter.values import FloatArray, IntArray, read_only, wrap_angle
 
 # Walks with up to a million contacts have distinct keys.
 _MOST_CONTACTS = 1_000_000
+_OWN_LETTERS = "b, e, f, s, x"  # of the keys of `WalkGraph`
 # Smallest standard deviation of the turning rate of a gyroscope bias, 0.002 degrees in a minute.
 _MIN_RATE_RADPS = 1e-6
 
@@ -551,6 +552,13 @@ def user_graph(factors: UserFactors, keys: PoseKeys) -> UserGraph:
             f"unknowns, got {made!r}"
         )
     anchors: list[int] = []
+    used = [key for key in graph.keyVector() if gtsam.Symbol(key).chr() != ord("x")]
+    taken = [key for key in [*values.keys(), *used] if chr(gtsam.Symbol(key).chr()) in _OWN_LETTERS.split(", ")]
+    if taken:
+        raise ValueError(
+            f"factors give the unknown {gtsam.DefaultKeyFormatter(taken[0])}, but the letters {_OWN_LETTERS} "
+            "belong to the walk: use another letter, and no values for the poses of PoseKeys.key"
+        )
     for key in graph.keyVector():
         symbol = gtsam.Symbol(key)
         if symbol.chr() == ord("x"):

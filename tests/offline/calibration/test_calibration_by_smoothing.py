@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from own_parts import HeadingRule
 
 import pdr_filter as pdr
 from pdr_filter.offline.calibration.joint_smoothing import displacement_by_theta, mode_names, with_parameters
@@ -14,8 +15,10 @@ from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.offline.smoothing.preintegration import increments
 from pdr_filter.recipes.step_length_calibration import slices_of
+from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording, Truth
 
+TWO_FIXES = [pdr.PositionFix(t, np.array([0.0, t]), np.eye(2)) for t in (15.0, 25.0)]
 STAND = pdr.simulate.Leg("stationary", duration_s=2.0)
 
 
@@ -72,6 +75,32 @@ def test_a_wrong_length_is_rejected_and_named() -> None:
     assert any("distrusted" in note and "28.80 m given" in note for note in found.notes)
 
 
+def test_the_only_length_is_rejected_if_it_contradicts_the_prior() -> None:
+    walk = replace(rectangle(), truth=Truth())
+    found = pdr.calibrate(walk.of_distance(110.0), smooth=True)
+    assert any("distrusted" in note and "110.00 m given" in note for note in found.notes)
+    assert not any("distrusted" in n for n in pdr.calibrate(walk.of_distance(60.0), smooth=True).notes)
+
+
+def test_loop_closures_and_locations_do_not_replace_known_lengths() -> None:
+    walk = replace(rectangle(), truth=Truth()).of_distance(60.0)
+    alone = pdr.calibrate(walk, smooth=True).k["walking"][0]
+    closed = pdr.calibrate(walk, smooth=True, loop_closures=[[LoopClosure(1.0, walk.duration_s - 1.0)]])
+    time_s = np.arange(2.0, walk.duration_s, 5.0)
+    coarse = Samples(time_s, np.tile([48.0, 11.0, 500.0, 50.0], (len(time_s), 1)))
+    located = pdr.calibrate(replace(walk, location=coarse), smooth=True)
+    for one in (closed, located):
+        assert one.k["walking"][0] == pytest.approx(alone, rel=0.02)
+
+
+def test_recordings_of_one_name_are_different_people_and_the_progress_reaches_the_estimate() -> None:
+    walk, shares = replace(rectangle(), truth=Truth(), meta={}), list[float]()
+    found = pdr.calibrate([walk, walk], smooth=True, fixes=[TWO_FIXES] * 2, each_a_person=True, progress=shares.append)
+    assert found.subject_ids == (walk.name, f"{walk.name} (2)")
+    assert shares == sorted(shares)
+    assert sum(0.5 < share < 1.0 for share in shares) > 1
+
+
 def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
     walk = pdr.simulate.demo_walk()
     found = pdr.calibrate(replace(walk, truth=Truth(waypoints=walk.truth.waypoints)), smooth=True)
@@ -89,8 +118,10 @@ def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
         ({"smooth": True, "fixes": [[], []]}, "fixes of 2 recordings for 1"),
         ({"smooth": True, "fixes": [pdr.Standstill(1.0, 2.0)]}, "fixes must have one list for each recording"),
         ({"smooth": True}, "nothing to calibrate with"),
+        ({"smooth": True, "fixes": [TWO_FIXES[:1]]}, "nothing to calibrate with"),
+        ({"smooth": True, "loop_closures": [[LoopClosure(1.0, 37.0)]]}, "loop closures alone have no scale"),
         ({"smooth": True, "loss": "l1"}, "loss must be one of"),
-        ({"smooth": True, "fixes": [[pdr.PositionFix(15.0, np.zeros(2), np.eye(2))]], "priors": "inf"}, "finite std"),
+        ({"smooth": True, "fixes": [TWO_FIXES], "priors": "inf"}, "finite std"),
     ],
 )
 def test_arguments_that_contradict_each_other_are_refused(arguments: dict[str, object], message: str) -> None:
@@ -101,15 +132,16 @@ def test_arguments_that_contradict_each_other_are_refused(arguments: dict[str, o
         pdr.calibrate(replace(rectangle(), truth=Truth()), **arguments)
 
 
-@pytest.mark.parametrize("weighting", ["imm", "wc", "hc"])
+@pytest.mark.parametrize("weighting", ["imm", "wc", "hc", "stated heading"])
 def test_displacements_depend_on_the_parameters_as_in_the_smoother(weighting: str) -> None:
-    walk, config = pdr.simulate.demo_walk(), pdr.recipes.default().with_weighting(weighting)
+    walk, config = pdr.simulate.demo_walk(), pdr.recipes.default()
+    config = config.with_weighting(weighting) if " " not in weighting else config.with_heading(HeadingRule())
     track, (priors,) = pdr.track(walk, config=config), forms_of(model="eq12").values()
     slices, n = slices_of({name: p.model for name, p in priors.items()})
     names, rng = mode_names(config.model, {}), np.random.default_rng(3)
     thetas = [{name: p.mean + 0.05 * rng.normal(size=len(p.mean)) * p.std for name, p in priors.items()} for _ in "ab"]
     models = [with_parameters(config, priors, theta, names, None, 0.025).model for theta in thetas]
-    is_weighted = weighting != "imm"
+    is_weighted = weighting in ("wc", "hc")
     moved_m = [
         increments(track.steps, track.mode_prob, model, track.gap_before_s, is_weighted=is_weighted)[0].displacement_m
         for model in models

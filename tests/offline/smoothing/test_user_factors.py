@@ -74,6 +74,13 @@ def one(factor: Any) -> gtsam.NonlinearFactorGraph:
     return graph
 
 
+def valued(key: int) -> gtsam.Values:
+    """The value of one unknown."""
+    values = gtsam.Values()
+    values.insert(key, gtsam.Pose2())
+    return values
+
+
 UNIT = gtsam.noiseModel.Unit.Create(2)
 RANGE = gtsam.noiseModel.Unit.Create(1)
 
@@ -84,6 +91,8 @@ RANGE = gtsam.noiseModel.Unit.Create(1)
         (lambda keys: [], "must return a gtsam.NonlinearFactorGraph"),
         (lambda keys: one(gtsam.PoseTranslationPrior2D(gtsam.symbol("x", 900), gtsam.Pose2(), UNIT)), "the pose x900"),
         (lambda keys: one(gtsam.RangeFactor2D(keys.key(5.0), LANDMARK, 3.0, RANGE)), "l0 without a value"),
+        (lambda keys: (gtsam.NonlinearFactorGraph(), valued(keys.key(5.0))), "the unknown x.*belong to the walk"),
+        (lambda keys: (gtsam.NonlinearFactorGraph(), valued(gtsam.symbol("s", 0))), "the unknown s0.*another letter"),
     ],
 )
 def test_factors_that_cannot_be_used_are_refused(factors: Any, message: str) -> None:
