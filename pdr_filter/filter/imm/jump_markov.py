@@ -263,7 +263,7 @@ def one_step_back(
     shrink, residual = np.linalg.inv(ratio), vector - np.matmul(information, ahead[..., None])[..., 0]
     step = np.matmul(ahead_cov @ shrink, residual[..., None])[..., 0]
     log_match = 0.5 * ((residual * step).sum(axis=-1) + ((vector + residual) * ahead).sum(axis=-1))
-    log_match -= 0.5 * np.log(np.linalg.det(ratio))
+    log_match -= 0.5 * np.linalg.slogdet(ratio)[1]
     gain = P @ F.swapaxes(-1, -2) @ shrink
     pair_mean = x + np.matmul(gain, residual[..., None])[..., 0]
     pair_cov = P - gain @ information @ F @ P
@@ -277,19 +277,26 @@ def one_step_back(
     return of_mode[..., 0] / of_mode.sum(axis=(-1, -2))[..., None], smoothed, smoothed_cov
 
 
+# Error of an inverse times its matrix above which the matrix is singular after rounding. It is 1e-6 for a condition
+# number of 1e10. Directions whose share of the variance is smaller than the second number have no noise then.
+_SINGULAR, _MIN_SHARE = 1e-3, 1e-10
+
+
 def _inverse(cov: FloatArray) -> FloatArray:
     """Return the inverses of covariances (..., n, n), scaled to unit variances because the states differ in unit.
 
     A mode without noise has a singular covariance, of which the pseudo-inverse uses the part with noise.
     """
-    std = np.sqrt(np.diagonal(cov, axis1=-2, axis2=-1))
+    std = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))  # below zero by rounding
     scale = 1.0 / np.where(std > 0, std, 1.0)
     scale = scale[..., :, None] * scale[..., None, :]
+    scaled = cov * scale
     try:
-        inverse = np.linalg.inv(cov * scale)
+        inverse = np.linalg.inv(scaled)
+        is_exact = np.abs(scaled @ inverse - np.eye(cov.shape[-1])).max() < _SINGULAR
     except np.linalg.LinAlgError:
-        inverse = np.linalg.pinv(cov * scale, hermitian=True)
-    return inverse * scale
+        is_exact = False
+    return (inverse if is_exact else np.linalg.pinv(scaled, rcond=_MIN_SHARE, hermitian=True)) * scale
 
 
 def _message(

@@ -128,8 +128,9 @@ class ClockShift(NamedTuple):
 def estimated_shift(at: Callable[[float], ShiftedWalk], prior: ShiftPrior) -> ClockShift:
     """Return the shift of a source, given a function of the shift in s by which its observations are late."""
     zero = at(0.0)
-    odds, mean_s, var_s2 = _posterior(zero.gain, zero.remaining_s, zero.information, prior)
-    if odds > _POSSIBLE_ODDS or zero.is_rejecting:
+    found = [_posterior(zero.gain, zero.remaining_s, zero.information, prior)]
+    # the parabola at zero says nothing about shifts that are far away, as of observations outside the samples
+    if found[0][0] > _POSSIBLE_ODDS or zero.is_rejecting or prior.limited(0.0) != 0.0:
         possible = {prior.limited(late_s) for late_s in (0.0, *_STARTS_S)}
         starts = {late_s: at(late_s) if late_s else zero for late_s in possible}
         late_s, walk = min(starts.items(), key=lambda start: start[1].squares)
@@ -143,10 +144,13 @@ def estimated_shift(at: Callable[[float], ShiftedWalk], prior: ShiftPrior) -> Cl
                 late_s, walk, change_s = late_s + change_s, new, new.remaining_s
             else:
                 change_s *= 0.5
-        odds, mean_s, var_s2 = _posterior(zero.squares - walk.squares, late_s, walk.information, prior)
+        found.append(_posterior(zero.squares - walk.squares, late_s, walk.information, prior))
+    odds, mean_s, var_s2 = found[-1]
     if odds > _ODDS and abs(mean_s) > _MIN_SHIFT_S:
         return ClockShift(mean_s, var_s2)
-    error_s2 = odds / (1.0 + odds) * min(mean_s**2 + var_s2, max(prior.least_s**2, prior.most_s**2))
+    # the search may end beside the shift that the parabola shows, so that the larger of both errors counts
+    limit_s2 = max(prior.least_s**2, prior.most_s**2)
+    error_s2, mean_s = max((odds / (1.0 + odds) * min(m**2 + v, limit_s2), m) for odds, m, v in found)
     if error_s2 < _MIN_SHIFT_S**2:
         return ClockShift()
     return ClockShift(0.0, error_s2, mean_s if error_s2 > _NAMED_SHIFT_S**2 else 0.0)
