@@ -71,7 +71,11 @@ def calibrate_by_smoothing(
         f"{name}: no two positions, range or stretch of known length: it hardly calibrates step lengths; give fixes"
         for name in unscaled
     ]
-    of_estimate = None if progress is None else lambda share: progress(0.5 + 0.5 * share)
+
+    def of_estimate(share: float) -> None:
+        if progress is not None:
+            progress(0.5 + 0.5 * share)
+
     found = estimate_jointly(walks, priors, separate, recording_std, loss, of_estimate)
     if progress is not None:
         progress(1.0)
