@@ -293,10 +293,11 @@ def _inverse(cov: FloatArray) -> FloatArray:
     scaled = cov * scale
     try:
         inverse = np.linalg.inv(scaled)
-        is_exact = np.abs(scaled @ inverse - np.eye(cov.shape[-1])).max() < _SINGULAR
     except np.linalg.LinAlgError:
-        is_exact = False
-    return (inverse if is_exact else np.linalg.pinv(scaled, rcond=_MIN_SHARE, hermitian=True)) * scale
+        inverse = np.zeros_like(scaled)
+    if not np.abs(scaled @ inverse - np.eye(cov.shape[-1])).max() < _SINGULAR:
+        inverse = np.linalg.pinv(scaled, rcond=_MIN_SHARE, hermitian=True)
+    return inverse * scale
 
 
 def _message(
