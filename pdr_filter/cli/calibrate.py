@@ -165,7 +165,7 @@ def calibrate(
 
 
 def _fitted(rows: Table, contexts: Sequence[str]) -> Table:
-    """Return the rows of a table of parameters or covariances that are of calibrated contexts; all of other tables."""
+    """Return the rows of calibrated contexts of a table of parameters or covariances, and all rows of another table."""
     import numpy as np
 
     columns = [] if "parameter" not in (rows.dtype.names or ()) else ["context", "other_context"]

@@ -54,8 +54,8 @@ class ShiftPrior(NamedTuple):
     def of(cls, time_s: FloatArray, start_s: float, end_s: float) -> ShiftPrior:
         """Return the prior of the shift of observations at these times (F,), for samples from `start_s` to `end_s`.
 
-        On the right clock, observations lie within the samples, but for one that may be older. If the given ones do
-        not, and their clock is another one, then both probably begin or end together, to one interval.
+        On the right clock, observations lie within the samples, but for one that may be older. Observations outside the
+        samples probably have another clock. Shifted, they begin or end with the samples, to one interval.
         """
         ordered_s = np.sort(time_s)
         half_s = 0.5 * float(np.median(np.diff(ordered_s)))
