@@ -342,7 +342,7 @@ def outcome_now(config: Config, state: State, fix: Fix) -> FixResult:
     computed behind many waiting fixes, because each of them would be processed again.
     """
     waiting, until_s = FixResult.of(fix, math.nan, "waiting"), state.sensing.processed_s
-    if sum(due_s(config, each) <= until_s for each in state.waiting_fixes) > _MOST_DUE:
+    if bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f)) > _MOST_DUE:
         return waiting
     _, used = _use_due_fixes(config, state, until_s)
     same = (result for result in used[::-1] if (result.kind, result.time_s) == (waiting.kind, waiting.time_s))
