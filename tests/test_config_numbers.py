@@ -67,7 +67,7 @@ def class_at(value: Any, path: tuple[str, ...]) -> type:
 
 
 def try_all() -> list[str]:
-    """What went wrong. A field that several recipes have is tried in the first of them."""
+    """Return the errors. A field that several recipes share is tried in one of them."""
     warnings.simplefilter("ignore")
     walk, wrong, known = short_walk(), list[str](), set[tuple[type, str]]()
     for recipe, weighting in itertools.product(recipes.RECIPES, ("imm", "wc")):

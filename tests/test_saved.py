@@ -110,7 +110,7 @@ def test_a_saved_filter_of_which_one_value_cannot_be_is_refused_by_its_name(
 @pytest.mark.parametrize("recipe", recipes.RECIPES)
 def test_a_filter_can_be_saved_at_any_time_of_a_segment(recipe: str, until_s: float) -> None:
     online = pdr.OnlineFilter(config_of(recipe))
-    for begin_s in (0.0, 20.0):  # and after a gap
+    for begin_s in (0.0, 20.0):  # the second segment follows a gap
         online.push(*between(begin_s, begin_s + until_s))
         saved = online.save()
         is_same = pdr.OnlineFilter.load(saved).save() == saved

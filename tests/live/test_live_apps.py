@@ -20,7 +20,7 @@ from pdr_filter.live.settings import Settings
 from pdr_filter.values.recording import Recording
 
 Messages = list[dict[str, Any]]
-N_STEPS = 40  # of the walk, but for the last ones, which wait for later samples
+N_STEPS = 40  # least number of steps: the last ones of the walk wait for later samples
 
 
 @pytest.fixture(scope="module")

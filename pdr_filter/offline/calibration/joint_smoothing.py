@@ -432,7 +432,7 @@ def _held_out_error(factor: gtsam.CustomFactor, values: gtsam.Values, tree: Any,
     """
     residual = float(factor.unwhitenedError(values)[0])
     H, scaled = factor.linearize(values).jacobian()
-    weight = (float(scaled[0]) / residual) ** 2 if residual else 1.0  # of the robust loss
-    leverage = float((H @ cov_of(tree, list(factor.keys())) @ H.T)[0, 0])  # times the weight
+    weight = (float(scaled[0]) / residual) ** 2 if residual else 1.0  # weight of the robust loss
+    leverage = float((H @ cov_of(tree, list(factor.keys())) @ H.T)[0, 0])  # leverage times weight
     left = max(1.0 - leverage, 1e-9) if is_used else 1.0
     return residual / left / float(np.sqrt(1.0 + leverage / weight / left))

@@ -148,7 +148,7 @@ def estimated_shift(at: Callable[[float], ShiftedWalk], prior: ShiftPrior) -> Cl
     odds, mean_s, var_s2 = found[-1]
     if odds > _ODDS and abs(mean_s) > _MIN_SHIFT_S:
         return ClockShift(mean_s, var_s2)
-    # the search may end beside the shift that the parabola shows, so that the larger of both errors counts
+    # The search may miss the shift that the parabola shows. The larger of both errors is used.
     limit_s2 = max(prior.least_s**2, prior.most_s**2)
     error_s2, mean_s = max((odds / (1.0 + odds) * min(m**2 + v, limit_s2), m) for odds, m, v in found)
     if error_s2 < _MIN_SHIFT_S**2:

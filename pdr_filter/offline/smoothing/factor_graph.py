@@ -42,7 +42,7 @@ from pdr_filter.values import FloatArray, IntArray, read_only, wrap_angle
 
 # Walks with up to a million contacts have distinct keys.
 _MOST_CONTACTS = 1_000_000
-_OWN_LETTERS = "b, e, f, s, x"  # of the keys of `WalkGraph`
+_OWN_LETTERS = "b, e, f, s, x"  # letters of the keys of `WalkGraph`
 # Smallest standard deviation of the turning rate of a gyroscope bias, 0.002 degrees in a minute.
 _MIN_RATE_RADPS = 1e-6
 
