@@ -15,6 +15,7 @@ from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.solve import response, solve, sum_of_squares
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, Origin, PositionFix, Samples
+from pdr_filter.values.recording import Truth
 
 HERE = Origin(48.137, 11.575)
 STD_M = 3.0
@@ -189,3 +190,15 @@ def test_a_shift_moves_all_fixes_of_its_source_alone() -> None:
     earlier = given.earlier("fixes", 2.0)
     assert [f.time_s for f in earlier.fixes] == [1.0, 2.0]
     assert earlier.locations is given.locations
+
+
+def test_a_rest_reveals_late_fixes_that_lie_outside_the_samples() -> None:
+    rested = simulate([Leg("walking", distance_m=100.0), Leg("stationary", duration_s=20.0)])
+    track = pdr.track(rested)
+    for seed in range(3):
+        at_s = np.arange(1.0, rested.duration_s - 0.5)
+        place_m = np.column_stack([np.interp(at_s, track.time_s, axis) for axis in track.position_m.T])
+        place_m += np.random.default_rng(seed).normal(size=place_m.shape)
+        late = [PositionFix(t + 18.0, p, np.eye(2)) for t, p in zip(at_s.tolist(), place_m, strict=True)]
+        found = pdr.smooth(replace(rested, truth=Truth()), late).track
+        assert np.linalg.norm(found.position_m - track.position_m, axis=1).max() < 3.0
