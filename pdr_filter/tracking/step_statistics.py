@@ -61,7 +61,7 @@ LATE = (
     "because the heading or the context of earlier steps was corrected late: pdr_filter.smooth also corrects the "
     f"earlier positions; {_BIAS_REMEDY}"
 )
-HEADING_UNKNOWN = f"the gyroscope bias is poorly known; {_BIAS_REMEDY}"
+HEADING_UNKNOWN = f"the gyroscope bias is poorly known, or the angular rate is missing; {_BIAS_REMEDY}"
 REJECTED = "not fit the track or its time"
 
 
