@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
+from pdr_filter.filter.fixes.frame_rotation import MAX_NORTH_STD_RAD
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.recipes.config import Config
@@ -145,12 +147,23 @@ def _frame_notes(config: Config, state: State) -> Iterator[Note]:
         far_m = ", ".join(f"{np.linalg.norm(m.world_centre_m - m.track_centre_m):.0f}" for m in frame.relocations)
         words = f"the track was moved by {far_m} m to fixes that agree with each other but not with the track (after a "
         yield Note("fixes", words + "ride, or when the first fixes were wrong): earlier positions were not changed")
-    if state.finished and frame.name == "north" and frame.compass is not None:
-        words = f"north comes from the magnetic field, ± {np.degrees(frame.compass.std_rad):.0f} degrees (one standard "
-        yield Note("heading", words + "deviation): give position fixes or heading_rad for a better north")
-    elif state.finished and frame.name == "start" and config.sensing.north is not None and frame.north is None:
-        words = "the magnetic field does not determine north, as with iron in the phone or a magnetometer without "
-        yield Note("heading", words + "calibration: walk with turns, or give position fixes or heading_rad")
+    if state.finished and (frame.name == "north" or (frame.name == "start" and config.sensing.north is not None)):
+        yield Note("heading", north_note(math.inf if frame.compass is None else frame.compass.std_rad))
+
+
+NORTH_UNKNOWN = "the magnetic field does not determine north"
+
+
+def north_note(std_rad: float) -> str:
+    """Return the warning about a north from the magnetic field, given its standard deviation in rad."""
+    figure = f"± {math.degrees(std_rad):.0f} degrees" if std_rad <= 1.0 else "± a radian or more"
+    figure += ", one standard deviation"
+    if std_rad <= MAX_NORTH_STD_RAD:
+        return f"north comes from the magnetic field ({figure}): give position fixes or heading_rad for a better north"
+    return (
+        f"{NORTH_UNKNOWN} ({figure}), as with iron in the phone or a magnetometer without calibration: walk with "
+        "turns, or give position fixes or heading_rad"
+    )
 
 
 def notes_of_rides(rides: Rides, vertices: FloatArray | None) -> Iterator[Note]:

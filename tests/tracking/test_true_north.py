@@ -236,6 +236,19 @@ def test_online_results_with_north_are_identical_for_any_blocks_and_after_loadin
     np.testing.assert_array_equal(updates[-1].position_cov_m2, track.position_cov_m2[-1])
 
 
+@pytest.mark.parametrize(("iron_ut", "stated"), [(0.0, "± 29 degrees"), (30.0, "± 47 degrees"), (200.0, "± a radian")])
+def test_a_north_uncertain_by_more_than_half_a_quadrant_is_not_used(iron_ut: float, stated: str) -> None:
+    walk = simulate([Leg("walking", distance_m=20.0), Leg("walking", distance_m=10.0, turn_rad=0.5)], seed=2)
+    iron = iron_ut * np.array([0.8, -0.5, 0.33])
+    walk = replace(walk, magnetometer=replace(walk.magnetometer, values=walk.magnetometer.values + iron))
+    for track in (pdr.track(walk, north="magnetic"), pdr.smooth(walk, north="magnetic").track):
+        (note,) = (n for n in track.notes if "the magnetic field" in n)
+        assert stated in note
+        assert note.startswith("north comes from" if iron_ut == 0.0 else "the magnetic field does not determine north")
+        assert track.frame == ("north" if iron_ut == 0.0 else "start")
+        assert (track.position_std_m[-1] > 5.0) == (iron_ut == 0.0)
+
+
 def test_contradicting_sources_of_north_are_refused(walk: Recording) -> None:
     with pytest.raises(ValueError, match=r"north must be one of .*'magnetic'.*got 'true'"):
         pdr.track(walk, north="true")  # pyright: ignore[reportArgumentType]

@@ -11,6 +11,7 @@ import numpy as np
 from pdr_filter.filter.fixes.alignment import Alignment, Place
 from pdr_filter.filter.fixes.frame_rotation import (
     MAX_ANGLE_STD_RAD,
+    MAX_NORTH_STD_RAD,
     MAX_PAIRS,
     Compass,
     PairedPoint,
@@ -100,7 +101,7 @@ class Frame:
         if self.is_joined:
             return 0.0
         rotation = self._provisional or self._density
-        return rotation.angle_var_rad2 if rotation else 0.0 if self.compass is None else self.compass.std_rad**2
+        return rotation.angle_var_rad2 if rotation else 0.0 if self._north is None else self._north.std_rad**2
 
     @property
     def is_of_start(self) -> bool:
@@ -126,9 +127,15 @@ class Frame:
         """
         if self.is_known:
             return "fixes"
-        if self.compass is not None:
+        if self._north is not None:
             return "north"
         return "start" if self.north is None else "heading fixes"
+
+    @property
+    def _north(self) -> Compass | None:
+        """Compass that names the direction of north, or None."""
+        compass = self.compass
+        return None if compass is None or compass.std_rad > MAX_NORTH_STD_RAD else compass
 
     @cached_property
     def _density(self) -> RotationDensity | None:
@@ -370,9 +377,9 @@ class Frame:
             return None
         if self._density is not None:
             return self.most_probable(0)
-        if self.compass is None:
+        if self._north is None:
             return None
-        angle_rad, var_rad2 = self.compass.angle_rad, self.compass.std_rad**2
+        angle_rad, var_rad2 = self._north.angle_rad, self._north.std_rad**2
         return Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
 
     def moved(self, alignment: Alignment) -> Frame:

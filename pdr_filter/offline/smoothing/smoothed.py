@@ -21,7 +21,7 @@ from pdr_filter.offline.smoothing.solve import Solution
 from pdr_filter.offline.smoothing.usable import Used, name_list
 from pdr_filter.tracking.step_statistics import HEADING_UNKNOWN, LATE, UNKNOWN_HEADING_RAD, StepCounts
 from pdr_filter.tracking.track import Track
-from pdr_filter.tracking.warnings import heading_notes
+from pdr_filter.tracking.warnings import NORTH_UNKNOWN, heading_notes, north_note
 from pdr_filter.values import (
     FixResult,
     FloatArray,
@@ -208,6 +208,10 @@ def notes_of_solution(
         notes.append("the fixes do not determine the direction of the walk: the most probable north is used")
     if used.knows_north and (found.weight[-used.n_north :] < 0.5).any():
         notes.append("magnetic north contradicts all other observations of the walk: not used")
+    is_north = used.frame == "north"
+    if is_north or (not used.frame and any(NORTH_UNKNOWN in note for note in track.notes)):
+        last_rad = np.hypot(track.steps.north_std_rad[-1:], track.steps.shown_offset_std_rad[-1:])
+        notes.append(north_note(float((used.states.std[-used.n_north :] if is_north else last_rad).min())))
     log_scale = float(found.mean[:, LOG_SCALE].mean())
     if n_good and abs(log_scale) > 2.0 * prior_log_scale_std:
         longer = "longer" if log_scale > 0 else "shorter"
@@ -230,7 +234,7 @@ def notes_of_solution(
 
 
 # Texts of online warnings about headings, which the smoother has estimated again.
-_ONLINE_ALONE = (HEADING_UNKNOWN, LATE)
+_ONLINE_ALONE = (HEADING_UNKNOWN, LATE, NORTH_UNKNOWN)
 
 
 def notes_of_reckoning(track: Track, found: Solution, heading_std_rad: FloatArray) -> list[str]:

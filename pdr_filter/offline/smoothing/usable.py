@@ -8,7 +8,7 @@ from itertools import compress
 
 import numpy as np
 
-from pdr_filter.filter.fixes.frame_rotation import agreement_limit
+from pdr_filter.filter.fixes.frame_rotation import MAX_NORTH_STD_RAD, agreement_limit
 from pdr_filter.filter.fixes.repeated_fixes import Repetition, repetitions
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, Mode
 from pdr_filter.offline.smoothing.location_errors import (
@@ -245,13 +245,14 @@ def _of_state_fixes(
 def _magnetic_north(track: TrackRows, modes: Sequence[Mode]) -> ObservedStates:
     """Return magnetic north as measurements of the heading offset, one for each `_NORTH_INTERVAL_S` with a known north.
 
-    A measurement is at the last step of its interval that has a known north.
+    A measurement is at the last step of its interval that has a known north, if that names a direction.
     """
     steps = track.steps
     std = np.hypot(np.asarray(steps.north_std_rad), np.asarray(steps.shown_offset_std_rad))
     known = np.flatnonzero(np.isfinite(std))
     interval = (track.time_s[known] // _NORTH_INTERVAL_S).astype(int)
     last = known[np.append(np.diff(interval) > 0, True)] if len(known) else known
+    last = last[std[last] <= MAX_NORTH_STD_RAD]
     value = (np.asarray(steps.shown_offset_rad) - np.asarray(steps.north_rad))[last]
     return ObservedStates(last + 1, np.full(len(last), HEADING_OFFSET), value, std[last])
 
