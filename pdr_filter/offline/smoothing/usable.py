@@ -185,7 +185,9 @@ def usable(
         notes = (*notes, words + "probably states too small: they are used with their scatter")
     anchors = {tuple(f.anchor_m.tolist()) if isinstance(f, RangeFix) else () for f in other if has_position(f)}
     if not n_places and len(anchors) == 1 and () not in anchors:
-        words = "ranges to one anchor fit the walk in any direction from it, and mirrored, so that the smoothed walk may "
+        words = (
+            "ranges to one anchor fit the walk in any direction from it, and mirrored, so that the smoothed walk may "
+        )
         notes = (*notes, words + "be another one: give ranges to a second anchor, a position, or the heading")
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
     columns = ([getattr(part, name) for part in (of_states, north)] for name in ObservedStates.__slots__)

@@ -86,7 +86,9 @@ def test_doors_decide_on_which_side_of_a_beacon_a_walk_is() -> None:
     ranges = np.hypot(*(places_m - beacon_m).T) + rng.normal(scale=0.3, size=len(at))
     fixes = [pdr.RangeFix(t, beacon_m, r, 0.3) for t, r in zip(times_s.tolist(), ranges.tolist(), strict=True)]
     doors = [
-        Door(float(times_s[k]), (*places_m[k].tolist(), float(walk.heading_offset_rad[at[k]])), np.diag([0.1, 0.1, 0.01]))
+        Door(
+            float(times_s[k]), (*places_m[k].tolist(), float(walk.heading_offset_rad[at[k]])), np.diag([0.1, 0.1, 0.01])
+        )
         for k in (2, 8)
     ]
     guess_m = np.vstack([places_m, places_m[[2, 8]]]) * (-1.0, 1.0) + (2.0 * beacon_m[0], 0.0)
