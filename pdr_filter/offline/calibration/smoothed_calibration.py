@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from datetime import date
 from typing import Any
 
 import numpy as np
 
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
+from pdr_filter.offline.calibration.fit import assembled
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import (
@@ -25,7 +25,6 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration, of_height, slices_of, typical_step_m
 from pdr_filter.values import Fix, FloatArray, SpeedFix, Step, Table, steps_of, table
 from pdr_filter.values.recording import Recording
-from pdr_filter.version import __version__
 
 
 def calibrate_by_smoothing(
@@ -80,7 +79,21 @@ def calibrate_by_smoothing(
         remarks += [f"{name}: {note}" for note in smoothed.notes if note not in of_sensors]
         wrong = [s for s, is_one in zip(of.segments, is_wrong, strict=True) if is_one]
         remarks += [f"distrusted: {s.name}: {s.distance_m:.2f} m given, which its steps contradict" for s in wrong]
-    return _assembled(walks, found, priors, separate, remarks)
+    heights_m = {w.subject: w.height_m for w in walks}
+    rows = _table(walks, found, priors, separate, tuple(heights_m))
+    return assembled(
+        priors,
+        found,
+        heights_m,
+        rows,
+        remarks,
+        n_recordings=len(walks),
+        counts={"observations": sum(int((w.walk.found.weight > 0).sum()) + len(w.segments) for w in walks)},
+        residual_std_m={name: float(p.step_std_m) for name, p in priors.items()},
+        n_segments={name: float(np.sum(rows.context == name)) for name in priors},
+        mode_contexts=separate,
+        tracks=tuple(s.track for s in found.smoothed),
+    )
 
 
 def calibration_walk(
@@ -143,47 +156,6 @@ def _why_without_scale(of: CalibrationWalk) -> str:
     return (
         f"the walk contradicts {n_rejected} of its {len(is_used)} observations: {cause}; check them, or give "
         "positions, or ranges to more anchors"
-    )
-
-
-def _assembled(
-    walks: Sequence[CalibrationWalk],
-    found: JointEstimate,
-    priors: Mapping[str, StepLengthPrior],
-    separate: Mapping[str, str],
-    notes: Sequence[str],
-) -> Calibration:
-    """Return the `Calibration` of a joint estimate."""
-    models = {name: p.model for name, p in priors.items()}
-    subjects = tuple(dict.fromkeys(w.subject for w in walks))
-    heights = {w.subject: w.height_m for w in walks}
-    rows = _table(walks, found, priors, separate, subjects)
-    n_used = [int((w.walk.found.weight > 0).sum()) + len(w.segments) for w in walks]
-    return Calibration(
-        models=models,
-        theta=found.population,
-        theta_cov=found.population_cov,
-        between_cov=found.between_cov,
-        people=found.people,
-        people_cov=found.people_cov,
-        subject_ids=subjects,
-        heights_m=np.array([np.nan if (h := heights[name]) is None else h for name in subjects]),
-        residual_std_m={name: float(p.step_std_m) for name, p in priors.items()},
-        recording_std=found.recording_std,
-        n_segments={name: float(np.sum(rows.context == name)) for name in models},
-        segments=rows,
-        notes=tuple(notes),
-        card={
-            "date": date.today().isoformat(),
-            "pdr_filter": __version__,
-            "people": len(subjects),
-            "recordings": len(walks),
-            "segments": len(rows),
-            "observations": int(sum(n_used)),
-            "metres": round(float(rows.distance_m.sum()), 1),
-        },
-        mode_contexts=separate,
-        tracks=tuple(s.track for s in found.smoothed),
     )
 
 
