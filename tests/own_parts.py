@@ -77,6 +77,8 @@ class DeviceHeading:
 class HeadingRule:
     """The direction of the last step that differs by more than 10 degrees from the phone; the phone's at first."""
 
+    knows_north = True
+
     def init(self) -> dict[str, float]:
         return {"held": np.nan}
 

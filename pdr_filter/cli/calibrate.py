@@ -29,7 +29,9 @@ from pdr_filter.cli.options import (
 from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
+    from pdr_filter.recipes import Config
     from pdr_filter.values import Table
+    from pdr_filter.values.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -125,11 +127,11 @@ def calibrate(
                 marked = [read_marks(file) for file in paths]
                 recordings = [m.recording(recording) for m, recording in zip(marked, recordings, strict=True)]
                 options["smooth"] = True
-                options["fixes"] = [m.fixes for m in marked]
+                options["fixes"] = [m.arguments(r)["fixes"] for m, r in zip(marked, recordings, strict=True)]
                 options["loop_closures"] = [m.all_closures(r) for m, r in zip(marked, recordings, strict=True)]
             if distance is not None:
                 recordings = [recording.of_distance(distance, steps) for recording in recordings]
-            config = None if how.recipe == "default" else pdr.recipes.for_recording(how.recipe, recordings[0])
+            config = None if how.recipe == "default" else _config_of_all(how.recipe, recordings)
             result = pdr.calibrate(recordings, config=config, **options)
         elif distance is not None or smooth or how.recipe != "default":
             raise ValueError(
@@ -162,6 +164,24 @@ def calibrate(
     for path in written:
         console.stderr().print(f"written: {escape(str(path))}")
     console.say_replaced(before)
+
+
+def _config_of_all(recipe: str, recordings: Sequence[Recording]) -> Config:
+    """Return the configuration of a recipe for all recordings.
+
+    A calibration computes the step lengths of each person with the own height. ValueError if the configurations differ
+    otherwise, because some sensors were worn on the foot.
+    """
+    from pdr_filter.recipes import for_recording
+
+    configs = [for_recording(recipe, recording) for recording in recordings]
+    for config, recording in zip(configs, recordings, strict=True):
+        if config.on_foot != configs[0].on_foot:
+            raise ValueError(
+                f"of {recordings[0].name} and {recording.name}, one has the sensor on the foot, for which recipe "
+                f"{recipe!r} has other steps: calibrate them separately"
+            )
+    return configs[0]
 
 
 def _fitted(rows: Table, contexts: Sequence[str]) -> Table:

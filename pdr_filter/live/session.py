@@ -26,6 +26,7 @@ from pdr_filter.live.settings import Event, FixError, Settings
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.stream_merging import Sensor
+from pdr_filter.tracking.filtering import frame_name
 from pdr_filter.tracking.georeferencing import live_config
 from pdr_filter.tracking.online import OnlineFilter
 from pdr_filter.tracking.warnings import device_notes
@@ -313,7 +314,7 @@ class DeviceSession:
             "force": "" if kind is None else f"{kind.force}, {kind.how}",
             "has_location": kind is not None and kind.has_location,
             "origin": None if origin is None else [origin.latitude_deg, origin.longitude_deg],
-            "frame": "" if self.online is None else self.online.state.tracker.pedestrian.frame.name,
+            "frame": "" if self.online is None else frame_name(self.online.config, self.online.state),
             "waits": waits,
             "refused": self.refused,
             "has_ended": self.has_ended,

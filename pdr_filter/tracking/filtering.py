@@ -28,6 +28,7 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometer import STAIRS_MPS, Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
+from pdr_filter.sensing.heading.heading_stage import knows_north
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
 from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided
 from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing, is_moving
@@ -666,6 +667,12 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         length_fixes=state.length_fixes.plus(fix) if result.accepted else state.length_fixes,
     )
     return state, result
+
+
+def frame_name(config: Config, state: State) -> str:
+    """Return the name of the frame of the track (`Track.frame`) without a floor plan."""
+    name = state.tracker.pedestrian.frame.name
+    return "north" if name == "start" and knows_north(config.sensing.heading) else name
 
 
 def timing_error(fix: Fix, first_s: float, last_s: float) -> str:

@@ -231,6 +231,14 @@ def _fix_notes(state: State) -> Iterator[Note]:
             f"{how_many(n_late, 'fix', 'fixes')} not used, because they arrived after the last sample at {last_s:.1f} "
         )
         yield Note("fixes", words + "s: smooth the recording (pdr_filter.smooth), which uses late fixes")
+    ranges = state.tracker.pedestrian.fixes.ranges
+    if ranges and next(fix for fix in reversed(state.last_fixes) if fix.anchor_m is not None).outcome == "waiting":
+        n_anchors = len({tuple(pair.fix.anchor_m.tolist()) for pair in ranges})
+        words = (
+            f"the last {how_many(len(ranges), 'range')}, to {how_many(n_anchors, 'anchor')}, do not determine one "
+            "position of the track, and were not used: "
+        )
+        yield Note("fixes", words + "give ranges to more anchors, or a position, or smooth the recording")
     if n_ahead := len(state.waiting_fixes) - n_late:
         words = f"fixes from after the last sample were not used: {n_ahead}; check that fixes and "
         yield Note("fixes", words + "samples have one clock (pdr_filter.smooth estimates a shift)")

@@ -30,6 +30,7 @@ from pdr_filter.tracking.filtering import (
     add_terrain_locations,
     climb_at,
     finish,
+    frame_name,
     init,
     parts,
     person_of,
@@ -189,7 +190,8 @@ class Run:
         if given.heading_rad is None:
             return result if place is None else result.placed(place)
         turn_rad = given.heading_rad - first_heading_rad(self.recording, result)
-        return result.turned(turn_rad) if place is None else result.placed(replace(place, turn_rad=turn_rad))
+        result = result.turned(turn_rad, None if place is None else place.turn_std_rad)
+        return result if place is None else result.placed(replace(place, turn_rad=turn_rad))
 
 
 def prepared_run(
@@ -326,7 +328,7 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
         track,
         start_time_s=start_s,
         start_position_m=read_only(start_m),
-        frame="plan" if is_on_plan else frame.name,
+        frame="plan" if is_on_plan else frame_name(config, state),
         origin=origin,
         duration_s=duration_s,
         fixes=(*whole.fixes, *late),

@@ -15,7 +15,7 @@ import pdr_filter as pdr
 from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.io.fix_files import fixes_of_file
 from pdr_filter.maps.marks import read_marks
-from pdr_filter.offline.smoothing.observations import LoopClosure
+from pdr_filter.offline.smoothing.observations import LoopClosure, waypoint_fixes
 from pdr_filter.recipes.step_length_calibration import load_calibration
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Truth
@@ -69,6 +69,9 @@ def test_model_loss_prior_and_person_of_a_calibration_are_options(tmp_path: Path
     assert run("calibrate", *walks, "--out", out, "--recipe", "martinelli2018").exit_code == 0
     expected = pdr.calibrate([pdr.read(w) for w in walks], config=pdr.recipes.martinelli2018())
     np.testing.assert_array_equal(load_calibration(out).theta, expected.theta)
+    worn = write_recording(replace(pdr.read(walks[0]), name="worn", meta={"placement": "foot"}), tmp_path / "worn.zip")
+    refused = run("calibrate", walks[0], worn, "--out", out, "--recipe", "zhou2019")
+    assert refused.exit_code == 2 and "one has the sensor on the foot" in " ".join(refused.stderr.split())
 
 
 def test_a_calibration_without_segments_ends_with_one_line_that_says_so(walk: Path, tmp_path: Path) -> None:
@@ -95,12 +98,14 @@ def test_the_marks_of_a_walk_calibrate_a_person_by_smoothing(tmp_path: Path) -> 
     recording = short_walk()
     at = recording.truth.position
     rows = [",".join(str(float(at[name][i])) for name in ("time_s", "east_m", "north_m")) for i in (300, 700, 1100)]
-    walk = write_recording(replace(recording, truth=Truth()), tmp_path / "walk.zip")
+    walk = write_recording(replace(recording, truth=Truth(waypoints=recording.truth.waypoints)), tmp_path / "walk.zip")
     (tmp_path / "walk.zip.marks").mkdir()
     (tmp_path / "walk.zip.marks" / "fixes.csv").write_text("\n".join(["time_s,east_m,north_m", *rows]))
+    (tmp_path / "walk.zip.marks" / "walk.json").write_text('{"truth_as_fixes": true}')
     result = run("calibrate", walk, "--smooth", "--out", tmp_path / "me.json")
     assert result.exit_code == 0, result.stderr
     fixes = read_marks(walk).fixes
+    fixes = [*fixes, *waypoint_fixes(pdr.read(walk))]
     expected = pdr.calibrate(pdr.read(walk), smooth=True, fixes=[fixes])
     np.testing.assert_array_equal(load_calibration(tmp_path / "me.json").people, expected.people)
 

@@ -59,6 +59,7 @@ def test_steps_lead_along_the_directions_that_a_stage_states(recording: pdr.Reco
     moved = np.abs(np.diff(track.position_m, axis=0) - np.diff(stated_m, axis=0)).max(axis=1)
     assert len(set(held.tolist())) < 0.7 * track.n_steps and np.isfinite(track.position_cov_m2).all()
     assert np.median(moved) < 1e-3 and (track.steps.device_heading_rad != held).any()
+    assert track.frame == "north" and pdr.track(recording, config=own_config()).frame == "start"
     online = pdr.OnlineFilter(replace(config.with_weighting(weighting)))
     updates = [u for u in (*pushed(online, recording), *online.finish()) if u.is_final]
     np.testing.assert_array_equal([u.position_m for u in updates], track.position_m)

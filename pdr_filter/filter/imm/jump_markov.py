@@ -254,10 +254,11 @@ def one_step_back(
     prob, mean, cov = filtered
     mixed_mean, mixed_cov, _ = mix(mean, cov, prob, transition_prob)
     predicted, predicted_cov = predict(mixed_mean, mixed_cov, F, Q)
-    information, vector = _message(later[1], later[2], predicted + shift, predicted_cov)
+    information, vector = _message(later[1] - predicted - shift, later[2], predicted_cov)
     information, vector = information[..., None, :, :, :], vector[..., None, :, :]  # (..., 1, i, n)
     x, P = mean[..., :, None, :], cov[..., :, None, :, :]  # (..., j, 1, n)
-    ahead = np.matmul(F, x[..., None])[..., 0] + shift  # (..., j, i, n)
+    # relative to the prediction, because a singular covariance has no inverse in the directions of a common offset
+    ahead = np.matmul(F, x[..., None])[..., 0] - predicted[..., None, :, :]  # (..., j, i, n)
     ahead_cov = F @ P @ F.swapaxes(-1, -2) + Q
     ratio = np.eye(F.shape[-1]) + information @ ahead_cov
     shrink, residual = np.linalg.inv(ratio), vector - np.matmul(information, ahead[..., None])[..., 0]
@@ -277,48 +278,36 @@ def one_step_back(
     return of_mode[..., 0] / of_mode.sum(axis=(-1, -2))[..., None], smoothed, smoothed_cov
 
 
-# Error of an inverse times its matrix above which the matrix is singular after rounding. It is 1e-6 for a condition
-# number of 1e10. Directions whose share of the variance is smaller than the second number have no noise then.
-_SINGULAR, _MIN_SHARE = 1e-3, 1e-10
+# Share of the variance below which a direction has no noise, and below which later measurements determine a state.
+_MIN_SHARE, _KNOWN_SHARE = 1e-10, 1e-15
 
 
-def _inverse(cov: FloatArray) -> FloatArray:
-    """Return the inverses of covariances (..., n, n), scaled to unit variances because the states differ in unit.
+def _message(moved: FloatArray, smoothed_cov: FloatArray, predicted_cov: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return information matrix (..., n, n) and vector (..., n) of the later measurements, relative to the prediction.
 
-    A mode without noise has a singular covariance, of which the pseudo-inverse uses the part with noise.
+    They are the quotient of the smoothed and the predicted density. `moved` is the smoothed mean minus the predicted
+    one. Directions without noise have no information, and neither have those in which the mixture makes the smoothed
+    covariance the larger one. The directions are those of predicted states with unit variances, because the states
+    differ in unit.
     """
-    std = np.sqrt(np.maximum(np.diagonal(cov, axis1=-2, axis2=-1), 0.0))  # below zero by rounding
+    std = np.sqrt(np.maximum(np.diagonal(predicted_cov, axis1=-2, axis2=-1), 0.0))  # below zero by rounding
     scale = 1.0 / np.where(std > 0, std, 1.0)
-    scale = scale[..., :, None] * scale[..., None, :]
-    scaled = cov * scale
-    try:
-        inverse = np.linalg.inv(scaled)
-    except np.linalg.LinAlgError:
-        inverse = np.zeros_like(scaled)
-    if not np.abs(scaled @ inverse - np.eye(cov.shape[-1])).max() < _SINGULAR:
-        inverse = np.linalg.pinv(scaled, rcond=_MIN_SHARE, hermitian=True)
-    return inverse * scale
+    share, axes = np.linalg.eigh(predicted_cov * scale[..., :, None] * scale[..., None, :])
+    has_noise = share > _MIN_SHARE * share[..., -1:]
+    # rows that make the predicted covariance the identity, and zero rows for directions without noise
+    whiten = axes.swapaxes(-1, -2) * scale[..., None, :]
+    whiten = whiten * np.where(has_noise, 1.0 / np.sqrt(np.where(has_noise, share, 1.0)), 0.0)[..., None]
+    left, turned = np.linalg.eigh(whiten @ smoothed_cov @ whiten.swapaxes(-1, -2) + _diagonal(~has_noise))
+    gained = np.maximum(1.0 / np.maximum(left, _KNOWN_SHARE) - 1.0, 0.0)
+    by_state = turned.swapaxes(-1, -2) @ whiten
+    along = np.where(gained > 0, np.matmul(by_state, moved[..., None])[..., 0] * (gained + 1.0), 0.0)
+    to_state = by_state.swapaxes(-1, -2)
+    return (to_state * gained[..., None, :]) @ by_state, np.matmul(to_state, along[..., None])[..., 0]
 
 
-def _message(
-    smoothed: FloatArray, smoothed_cov: FloatArray, predicted: FloatArray, predicted_cov: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return information matrix (..., n, n) and vector (..., n) of the later measurements.
-
-    They are the quotient of the smoothed and the predicted density. Directions in which the mixture makes the smoothed
-    covariance the larger one have no information. The axes of these directions are those of predicted states with unit
-    variances, because the states differ in unit.
-    """
-    inverse, before = _inverse(smoothed_cov), _inverse(predicted_cov)
-    vector = np.matmul(inverse, smoothed[..., None]) - np.matmul(before, predicted[..., None])
-    std = np.sqrt(np.diagonal(predicted_cov, axis1=-2, axis2=-1))[..., None]
-    std = np.where(std > 0, std, 1.0)
-    value, axes = np.linalg.eigh((inverse - before) * std * std.swapaxes(-1, -2))
-    value = np.where(value > 1e-9 * np.abs(value).max(axis=-1, keepdims=True), value, 0.0)
-    axes = axes / std
-    information = (axes * value[..., None, :]) @ axes.swapaxes(-1, -2)
-    along = np.where(value[..., None] > 0, (axes * std * std).swapaxes(-1, -2) @ vector, 0.0)
-    return information, (axes @ along)[..., 0]
+def _diagonal(values: FloatArray) -> FloatArray:
+    """Return the diagonal matrices (..., n, n) of values (..., n)."""
+    return values[..., None] * np.eye(values.shape[-1])
 
 
 def _estimates(prob: FloatArray, mean: FloatArray, cov: FloatArray, log_likelihood: FloatArray) -> ImmEstimates:

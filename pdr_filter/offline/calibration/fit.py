@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -41,6 +40,9 @@ from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, Fix, FloatArray, Table, check_array, check_number, table
 from pdr_filter.values.recording import Recording
 from pdr_filter.version import __version__
+
+if TYPE_CHECKING:
+    from pdr_filter.offline.calibration.joint_smoothing import JointEstimate
 
 _BIAS_LIMIT_STDS = 3.0  # A mean held-out error above this many standard errors is reported as a bias.
 
@@ -161,21 +163,8 @@ def calibrate(
         raise ValueError(f"got {len(known)} tracks for {len(chosen)} recordings: give one track for each recording")
     check_subject(subject, each_a_person)
     _check_stds(recording_std, anchor_std_m)
-    contexts, walking, separate = CONTEXTS, "walking", dict[str, str]()
-    if config is not None:
-        walking = next((c.name for c in config.model.context_set.contexts if c.is_level_walking), walking)
-        joined = {*(priors or {}), *([] if model is None else [walking])}
-        own, separate = own_priors(config.model, joined), separate_modes(config.model, joined)
-        contexts = (*(c for c in config.contexts if c not in separate.values()), *separate)
-        if prior_std is not None and walking in separate.values():
-            raise ValueError(
-                f"prior_std (--prior) is for one step length, but modes of {walking} have different ones: set "
-                "theta_cov of each StepLengthFit instead"
-            )
-        if model is not None or own.get(walking) is DEFAULT_PRIORS["walking"]:
-            own.pop(walking, None)
-        priors = {**own, **(priors or {})}
-    forms_of(priors, model, prior_std, contexts, walking)  # raises its errors before the slow tracking
+    priors, contexts, walking, separate = _of_configuration(config, priors, model, prior_std)
+    forms = forms_of(priors, model, prior_std, contexts, walking)  # raises its errors before the slow tracking
     if smooth:
         if known != [None] * len(known):
             raise ValueError("smooth computes the tracks itself, got tracks, too: omit them")
@@ -183,7 +172,6 @@ def calibrate(
         # imported late: most calibrations do not smooth
         from pdr_filter.offline.calibration.smoothed_calibration import calibrate_by_smoothing
 
-        full = next(iter(forms_of(priors, model, prior_std, contexts, walking).values()))
         names = distinct_names(r.name for r in chosen)
         people = [
             r.subject.id or (name if each_a_person else subject) or UNNAMED
@@ -193,7 +181,7 @@ def calibrate(
         return calibrate_by_smoothing(
             chosen,
             people,
-            full,
+            next(iter(forms.values())),
             config,
             separate,
             observed,
@@ -233,6 +221,29 @@ def calibrate(
         walking=walking,
         mode_contexts=separate,
     )
+
+
+def _of_configuration(
+    config: Config | None, priors: Mapping[str, StepLengthPrior] | None, model: str | None, prior_std: float | None
+) -> tuple[Mapping[str, StepLengthPrior] | None, tuple[str, ...], str, dict[str, str]]:
+    """Return priors, names of the step lengths, the context of level walking, and contexts of separate modes.
+
+    The priors are those given in addition to the step-length models of the configuration.
+    """
+    if config is None:
+        return priors, CONTEXTS, "walking", {}
+    walking = next((c.name for c in config.model.context_set.contexts if c.is_level_walking), "walking")
+    joined = {*(priors or {}), *([] if model is None else [walking])}
+    own, separate = own_priors(config.model, joined), separate_modes(config.model, joined)
+    contexts = (*(c for c in config.contexts if c not in separate.values()), *separate)
+    if prior_std is not None and walking in separate.values():
+        raise ValueError(
+            f"prior_std (--prior) is for one step length, but modes of {walking} have different ones: set "
+            "theta_cov of each StepLengthFit instead"
+        )
+    if model is not None or own.get(walking) is DEFAULT_PRIORS["walking"]:
+        own.pop(walking, None)
+    return {**own, **(priors or {})}, contexts, walking, separate
 
 
 def _for_each(name: str, given: Iterable[Iterable[Any]] | None, recordings: Sequence[Recording]) -> list[list[Any]]:
@@ -313,8 +324,21 @@ def calibrate_segments(
     held = _held(segments, full)
     sums = integrate(segments, models_of(full), start_of(full))
     found = estimate_segments(segments, sums, full, loss, recording_std)
-    result = _assemble(segments, sums, found, full, recording_std, (*choice, *held), notes)
-    return replace(result, mode_contexts=mode_contexts)
+    rows = _table(segments, sums, found, np.concatenate([prior.mean for prior in full.values()]))
+    noise_factor = dict(zip(segments[0].context_names, found.noise_factor.tolist(), strict=True))
+    heights = {s.subject: s.height_m for s in segments}
+    return assembled(
+        full,
+        found,
+        {name: heights[name] for name in sums.subjects},
+        rows,
+        # warnings about the calibration come before those about single recordings
+        (*bias_warnings(rows, recording_std), *choice, *held, *_notes(rows, found, full), *notes),
+        n_recordings=len(sums.recordings),
+        residual_std_m={name: float(p.step_std_m * np.sqrt(noise_factor[name])) for name, p in full.items()},
+        n_segments=_segments_per_context(segments, full),
+        mode_contexts=mode_contexts,
+    )
 
 
 def _held(segments: Sequence[AnySegment], priors: Mapping[str, StepLengthPrior]) -> list[str]:
@@ -336,44 +360,43 @@ def _held(segments: Sequence[AnySegment], priors: Mapping[str, StepLengthPrior])
     raise ValueError(f"nothing to calibrate: {what}: {remedy}, or name a model of walking (model, --model)")
 
 
-def _assemble(
-    segments: Sequence[AnySegment],
-    sums: SegmentSums,
-    found: ParameterEstimate,
+def assembled(
     priors: Mapping[str, StepLengthPrior],
-    recording_std: float,
-    choice: Sequence[str],
+    found: ParameterEstimate | JointEstimate,
+    heights_m: Mapping[str, float | None],
+    rows: Table,
     notes: Sequence[str],
+    *,
+    n_recordings: int,
+    counts: Mapping[str, int] = MappingProxyType({}),
+    **more: Any,
 ) -> Calibration:
-    """Return the `Calibration` of an estimate: parameters, table of segments, notes, and a card (date and counts)."""
-    models, contexts = models_of(priors), segments[0].context_names
-    rows = _table(segments, sums, found, np.concatenate([priors[name].mean for name in models]))
-    heights = {s.subject: s.height_m for s in segments}
+    """Return the `Calibration` of an estimate of the people with the heights `heights_m`.
+
+    `rows` are its segments, `counts` further counts of its card, and `more` the other attributes.
+    """
     return Calibration(
-        models=models,
+        models=models_of(priors),
         theta=found.population,
         theta_cov=found.population_cov,
         between_cov=found.between_cov,
         people=found.people,
         people_cov=found.people_cov,
-        subject_ids=sums.subjects,
-        heights_m=np.array([np.nan if (h := heights[name]) is None else h for name in sums.subjects]),
-        residual_std_m={
-            name: float(priors[name].step_std_m * np.sqrt(found.noise_factor[contexts.index(name)])) for name in models
-        },
+        subject_ids=tuple(heights_m),
+        heights_m=np.array([np.nan if height_m is None else height_m for height_m in heights_m.values()]),
         recording_std=found.recording_std,
-        n_segments=_segments_per_context(segments, models),
         segments=rows,
-        # warnings about the calibration come before those about single recordings
-        notes=(*bias_warnings(rows, recording_std), *choice, *_notes(rows, found, priors), *notes),
+        notes=tuple(notes),
         card={
             "date": date.today().isoformat(),
             "pdr_filter": __version__,
-            "people": len(sums.subjects),
-            "recordings": len(sums.recordings),
-            "segments": len(segments),
-            "metres": round(float(sums.distance_m.sum()), 1),
+            "people": len(heights_m),
+            "recordings": n_recordings,
+            "segments": len(rows),
+            **counts,
+            "metres": round(float(rows.distance_m.sum()), 1),
         },
+        **more,
     )
 
 

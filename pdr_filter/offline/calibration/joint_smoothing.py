@@ -7,7 +7,7 @@ parameters, also where no segment has a known length.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -227,7 +227,6 @@ def estimate_jointly(
     """
     parameters = _FreeParameters(priors)
     people = list(dict.fromkeys(w.subject for w in walks))
-    n_own, n_free = len(parameters.personal), len(parameters.free)
     keys = {
         name: PersonKeys(gtsam.symbol("k", 0), gtsam.symbol("p", s), parameters.personal)
         for s, name in enumerate(people)
@@ -282,29 +281,20 @@ def estimate_jointly(
             ]
         converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS and outliers == before_outliers
         if not converged:
-            scatter = np.zeros_like(variances.between)
-            for name in people if n_own else []:
-                apart = theta[name][parameters.personal] - population[parameters.personal]
-                D = np.hstack([-np.eye(n_free)[parameters.personal], np.eye(n_own)])
-                scatter += np.outer(apart, apart) + D @ cov_of(tree, keys[name].keys) @ D.T
-            first = [of_one.graph.scale(0) for of_one in linearised]
-            square = sum(float(values.atVector(key)[0] ** 2 + cov_of(tree, [key])[0, 0]) for key in first)
+            scatter = _scatter(values, tree, parameters, keys.values())
+            square = sum(_scale_square(values, tree, of_one.graph) for of_one in linearised)
             variances = _ScaleVariances(
                 (prior.between_dof * start.between + scatter) / (prior.between_dof + len(people)),
                 (prior.recording_dof * start.recording + square) / (prior.recording_dof + len(walks)),
             )
         if progress is not None:
             progress(iteration / _MAX_ITERATIONS)
-    people_cov = np.zeros((len(people), parameters.n, parameters.n))
-    population_cov = cov_of(tree, [gtsam.symbol("k", 0)])
-    for s, name in enumerate(people):
-        # theta = by_keys @ [population, own], with the person's own parameters
-        by_keys = np.zeros((n_free, n_free + n_own))
-        by_keys[:, :n_free] = np.eye(n_free)
-        by_keys[parameters.personal, parameters.personal] = 0.0
-        by_keys[parameters.personal, n_free + np.arange(n_own)] = 1.0
-        by_keys = by_keys if n_own else by_keys[:, :n_free]
-        people_cov[s] = parameters.all_cov(by_keys @ cov_of(tree, keys[name].keys) @ by_keys.T)
+    # theta = by_keys @ [population, own], with the person's own parameters
+    n_free, n_own = len(parameters.free), len(parameters.personal)
+    by_keys = np.eye(n_free, n_free + n_own)
+    by_keys[parameters.personal, parameters.personal] = 0.0
+    by_keys[parameters.personal, n_free + np.arange(n_own)] = 1.0
+    people_cov = [parameters.all_cov(by_keys @ cov_of(tree, keys[name].keys) @ by_keys.T) for name in people]
     between_cov = np.zeros((n_free, n_free))
     between_cov[np.ix_(parameters.personal, parameters.personal)] = variances.between
     smoothed = [
@@ -313,9 +303,9 @@ def estimate_jointly(
     ]
     return JointEstimate(
         population=parameters.all(population),
-        population_cov=parameters.all_cov(population_cov),
+        population_cov=parameters.all_cov(cov_of(tree, [gtsam.symbol("k", 0)])),
         people=np.array([parameters.all(theta[name]) for name in people]),
-        people_cov=people_cov,
+        people_cov=np.array(people_cov),
         smoothed=tuple(smoothed),
         between_cov=parameters.all_cov(between_cov),
         recording_std=variances.recording**0.5,
@@ -323,6 +313,23 @@ def estimate_jointly(
         n_iterations=iteration,
         converged=converged,
     )
+
+
+def _scatter(values: gtsam.Values, tree: Any, parameters: _FreeParameters, people: Iterable[PersonKeys]) -> FloatArray:
+    """Return the expected sum over people of the squared differences (Q, Q) of their parameters from the population."""
+    personal, n_free = parameters.personal, len(parameters.free)
+    scatter = np.zeros((len(personal), len(personal)))
+    by_keys = np.hstack([-np.eye(n_free)[personal], np.eye(len(personal))])
+    for keys in people if len(personal) else ():
+        apart = (keys.theta(values) - values.atVector(keys.population))[personal]
+        scatter += np.outer(apart, apart) + by_keys @ cov_of(tree, keys.keys) @ by_keys.T
+    return scatter
+
+
+def _scale_square(values: gtsam.Values, tree: Any, of: WalkGraph) -> float:
+    """Return the expected square of the log scale of a recording."""
+    key = of.scale(0)
+    return float(values.atVector(key)[0] ** 2 + cov_of(tree, [key])[0, 0])
 
 
 def _linearised(

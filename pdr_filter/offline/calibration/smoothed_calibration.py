@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from datetime import date
 from typing import Any
 
 import numpy as np
 
+from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
+from pdr_filter.offline.calibration.fit import assembled
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import (
@@ -24,7 +25,6 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration, of_height, slices_of, typical_step_m
 from pdr_filter.values import Fix, FloatArray, SpeedFix, Step, Table, steps_of, table
 from pdr_filter.values.recording import Recording
-from pdr_filter.version import __version__
 
 
 def calibrate_by_smoothing(
@@ -60,17 +60,10 @@ def calibrate_by_smoothing(
         remarks += of_walk
         if progress is not None:
             progress(0.5 * i / len(recordings))
-    unscaled = [w.walk.track.name for w in walks if not _determines_lengths(w)]
+    unscaled = [f"{w.walk.track.name}: {why}" for w in walks if (why := _why_without_scale(w))]
     if len(unscaled) == len(walks):
-        raise ValueError(
-            "nothing to calibrate with: no recording has two positions (fixes, locations, waypoints), a range or "
-            "another measurement of the position, or a stretch of known length: give one of them, loop closures alone "
-            "have no scale"
-        )
-    remarks += [
-        f"{name}: no two positions, range or stretch of known length: it hardly calibrates step lengths; give fixes"
-        for name in unscaled
-    ]
+        raise ValueError("nothing to calibrate with: " + "; ".join(unscaled))
+    remarks += unscaled
 
     def of_estimate(share: float) -> None:
         if progress is not None:
@@ -81,10 +74,26 @@ def calibrate_by_smoothing(
         progress(1.0)
     if not found.converged:
         remarks.append(f"the calibration did not converge in {found.n_iterations} iterations: treat it with caution")
-    for of, is_wrong in zip(walks, found.outliers, strict=True):
+    for of, is_wrong, smoothed in zip(walks, found.outliers, found.smoothed, strict=True):
+        name, of_sensors = of.walk.track.name, of.walk.track.notes
+        remarks += [f"{name}: {note}" for note in smoothed.notes if note not in of_sensors]
         wrong = [s for s, is_one in zip(of.segments, is_wrong, strict=True) if is_one]
         remarks += [f"distrusted: {s.name}: {s.distance_m:.2f} m given, which its steps contradict" for s in wrong]
-    return _assembled(walks, found, priors, separate, remarks)
+    heights_m = {w.subject: w.height_m for w in walks}
+    rows = _table(walks, found, priors, separate, tuple(heights_m))
+    return assembled(
+        priors,
+        found,
+        heights_m,
+        rows,
+        remarks,
+        n_recordings=len(walks),
+        counts={"observations": sum(int((w.walk.found.weight > 0).sum()) + len(w.segments) for w in walks)},
+        residual_std_m={name: float(p.step_std_m) for name, p in priors.items()},
+        n_segments={name: float(np.sum(rows.context == name)) for name in priors},
+        mode_contexts=separate,
+        tracks=tuple(s.track for s in found.smoothed),
+    )
 
 
 def calibration_walk(
@@ -128,52 +137,25 @@ def scale_std_of(prior: StepLengthPrior | None, recording_std: float) -> float:
     return float(np.hypot(min(std_m / max(length_m, 1e-3), 1.0), recording_std))
 
 
-def _determines_lengths(of: CalibrationWalk) -> bool:
-    """Return True if the observations of a walk can determine step lengths. Loop closures have no scale."""
-    problem = of.walk.posed.problem
+def _why_without_scale(of: CalibrationWalk) -> str:
+    """Return why the observations of a walk do not determine its step lengths, with a remedy, or an empty string."""
+    problem, is_used = of.walk.posed.problem, of.walk.found.weight > 0
     positions = problem.positions
     n_places = len(np.unique(positions.node[positions.other < 0]))
-    return n_places > 1 or len(problem.measurements) > 0 or len(of.segments) > 0
-
-
-def _assembled(
-    walks: Sequence[CalibrationWalk],
-    found: JointEstimate,
-    priors: Mapping[str, StepLengthPrior],
-    separate: Mapping[str, str],
-    notes: Sequence[str],
-) -> Calibration:
-    """Return the `Calibration` of a joint estimate."""
-    models = {name: p.model for name, p in priors.items()}
-    subjects = tuple(dict.fromkeys(w.subject for w in walks))
-    heights = {w.subject: w.height_m for w in walks}
-    rows = _table(walks, found, priors, separate, subjects)
-    n_used = [int((w.walk.found.weight > 0).sum()) + len(w.segments) for w in walks]
-    return Calibration(
-        models=models,
-        theta=found.population,
-        theta_cov=found.population_cov,
-        between_cov=found.between_cov,
-        people=found.people,
-        people_cov=found.people_cov,
-        subject_ids=subjects,
-        heights_m=np.array([np.nan if (h := heights[name]) is None else h for name in subjects]),
-        residual_std_m={name: float(p.step_std_m) for name, p in priors.items()},
-        recording_std=found.recording_std,
-        n_segments={name: float(np.sum(rows.context == name)) for name in models},
-        segments=rows,
-        notes=tuple(notes),
-        card={
-            "date": date.today().isoformat(),
-            "pdr_filter": __version__,
-            "people": len(subjects),
-            "recordings": len(walks),
-            "segments": len(rows),
-            "observations": int(sum(n_used)),
-            "metres": round(float(rows.distance_m.sum()), 1),
-        },
-        mode_contexts=separate,
-        tracks=tuple(s.track for s in found.smoothed),
+    if not (n_places > 1 or len(problem.measurements) or of.segments):
+        return (
+            "it has no two positions (fixes, locations, waypoints), no range or another measurement of the position, "
+            "and no stretch of known length: give one of them, because loop closures alone have no scale"
+        )
+    n_used, n_rejected = int(is_used.sum()), int((~is_used).sum())
+    if of.segments or not FixConflict(n_used, n_rejected).is_doubtful:
+        return ""
+    cause = "their clock, units or axes are probably wrong"
+    if not n_places:
+        cause = "the smoother has probably found a wrong solution, as with ranges to one anchor"
+    return (
+        f"the walk contradicts {n_rejected} of its {len(is_used)} observations: {cause}; check them, or give "
+        "positions, or ranges to more anchors"
     )
 
 

@@ -169,6 +169,11 @@ class ObservedMeasurements:
     def __len__(self) -> int:
         return len(self.node)
 
+    def at(self, rows: IntArray) -> ObservedMeasurements:
+        """Return the measurements with the given numbers."""
+        columns = (self.node, self.ahead_m, self.extra_var_m2, self.device_rad, self.guess_m)
+        return ObservedMeasurements(tuple(self.fixes[k] for k in rows.tolist()), *(column[rows] for column in columns))
+
 
 NO_MEASUREMENTS = ObservedMeasurements(
     (), np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros(0), np.zeros(0), np.zeros((0, 2))

@@ -406,7 +406,11 @@ class ReckonedWalk(NamedTuple):
     config : Config
         Configuration of the track.
     observed : Observations
-        Observations on the clock of the track.
+        Observations as given.
+    clocks : dict of str to ClockShift
+        Shifts of the clocks of the observations, which `posed` contains.
+    where : LocationState
+        Geographic origin of the locations.
     posed : _Posed
         Problem of the walk alone.
     found : Solution
@@ -418,6 +422,8 @@ class ReckonedWalk(NamedTuple):
     track: Track
     config: Config
     observed: Observations
+    clocks: dict[Source, ClockShift]
+    where: LocationState
     posed: _Posed
     found: Solution
     stood: StandstillSteps
@@ -439,8 +445,11 @@ class ReckonedWalk(NamedTuple):
     def smoothed(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
         """Return the smoothed walk for a solution of `problem`, with step lengths whose parameters are in `found`."""
         known = np.zeros_like(self.posed.parameter_error_m)
-        posed = _Posed(steps, known, self.posed.used, problem)
-        return _smoothed(self.track, posed, found, self.observed, {})[0]
+        posed, on_clock = _Posed(steps, known, self.posed.used, problem), self.observed
+        for source, shift in self.clocks.items():
+            on_clock = on_clock.earlier(source, shift.late_s)
+        result, _ = _smoothed(self.track, posed, found, self.observed, self.clocks)
+        return on_earth(result, self.where, on_clock.locations, on_clock)
 
 
 def reckoned_walk(
@@ -465,15 +474,15 @@ def reckoned_walk(
         raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
     noise = own.model.noise
     own = own.with_model(noise=replace(noise, log_scale_std=max(noise.log_scale_std, log_scale_std)))
-    locations = ()
+    where, locations = LocationState(), ()
     if run.with_location and run.recording.location is not None:
-        _, locations = locations_of(run.recording.location)
+        where, locations = locations_of(run.recording.location)
     given = tuple(fix for fix in run.fixes if not isinstance(fix, Standstill | GridFix))
     observed = Observations(fixes=given, locations=locations, loop_closures=tuple(loop_closures))
     options = None, _CALIBRATION_ANCHOR_S, _online_path(run.recording, own, run.fixes), stood_steps
     alone, _, clocks = _smooth_track(track, own, observed, options)
     track, posed = _posed_as(alone, track, own, observed, clocks, options)
-    return ReckonedWalk(track, own, observed, posed, solve(posed.problem), stood_steps)
+    return ReckonedWalk(track, own, observed, clocks, where, posed, solve(posed.problem), stood_steps)
 
 
 _Options = tuple[float | None, float, WalkedPath | None, StandstillSteps]

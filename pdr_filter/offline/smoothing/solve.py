@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import gtsam
 import numpy as np
@@ -22,7 +23,17 @@ from pdr_filter.offline.smoothing.problem import (
     ObservedStates,
     Problem,
 )
-from pdr_filter.values import BoolArray, FloatArray, IntArray, measured, read_only, wrap_angle
+from pdr_filter.values import (
+    BoolArray,
+    FloatArray,
+    HeadingFix,
+    IntArray,
+    PositionFix,
+    measured,
+    read_only,
+    stated_fixes,
+    wrap_angle,
+)
 
 _POSITION = slice(EAST, EAST + 2)
 _OF_POSITION = np.eye(2, N_STATES)
@@ -80,8 +91,19 @@ def solve(problem: Problem) -> Solution:
     A linear problem without angles gives the initial guess, and graduated non-convexity the initial set of inliers.
     After each Gauss-Newton solution, observations beyond the 99.9 % quantile are rejected, and rejected ones within it
     are used again, until no new set of observations results (docs/methods/smoothing.md).
+
+    Measurements may have several solutions, such as a walk that is mirrored about the anchor of its ranges. Of the
+    solutions from the path of the measurements and from the other observations alone, that with the smaller sum of
+    squares is returned.
     """
-    mean, frame_rad, weight = _initial_guess(problem)
+    guesses = [_initial_guess(problem, with_path=True)]
+    if len(problem.measurements) and len(_with_stated_fixes(problem)[0].positions):
+        guesses.append(_initial_guess(problem, with_path=False))
+    return min((_solved_from(problem, *guess) for guess in guesses), key=partial(sum_of_squares, problem))
+
+
+def _solved_from(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> Solution:
+    """Return the `Solution` of a problem from an initial guess: states, rotation of the frame, and weights."""
     limit, possible, has_frame = problem.limit_nis, problem.possible, len(problem.offsets) > 0
     seen: set[bytes] = set()
     while True:
@@ -97,17 +119,18 @@ def solve(problem: Problem) -> Solution:
         weight = after
 
 
-def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
+def _initial_guess(problem: Problem, *, with_path: bool) -> tuple[FloatArray, float, FloatArray]:
     """Return initial states, the rotation of the frame, and observation weights for the nonlinear smoother.
 
     They solve the relaxed problem, which replaces heading offset and log scale by a plane vector. It is linear, so it
     needs no initial guess. The weights, 0 or 1, come from a graduated non-convexity that removes outliers. Those of
     measurements come from their residuals at the initial states.
     """
+    whole, (problem, of_whole) = problem, _with_stated_fixes(problem)
     n_relaxed = len(problem.positions) + len(problem.directions) + len(problem.states)
-    all_limits, limit, possible = problem.limit_nis, problem.limit_nis[:n_relaxed], problem.possible[:n_relaxed]
+    limit, possible = problem.limit_nis[:n_relaxed], problem.possible[:n_relaxed]
     weight, mu = possible.copy(), None
-    always = graph_of([*_relaxed(problem), *_guess_rows(problem)])
+    always = graph_of([*_relaxed(problem), *(_guess_rows(problem) if with_path else [])])
 
     def solved_with(weight: FloatArray) -> tuple[FloatArray, float]:
         graph = graph_of(_relaxed_observations(problem, weight))
@@ -135,8 +158,45 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
     angle = np.unwrap(np.arctan2(state[:, 3], state[:, 2]))
     nearest = wrap_angle(angle[0] - problem.start_mean[HEADING_OFFSET]) + problem.start_mean[HEADING_OFFSET]
     at_anchors[:, HEADING_OFFSET] = angle + nearest - angle[0]
-    near = _nis_of_measurements(problem, mean) <= _ROUGH_LIMIT * all_limits[n_relaxed:]
-    return mean, turn, np.concatenate([(weight > 0.5).astype(float), near.astype(float)])
+    near = _nis_of_measurements(whole, mean) <= _ROUGH_LIMIT * whole.limit_nis[len(of_whole) :]
+    return mean, turn, np.concatenate([(weight[of_whole] > 0.5).astype(float), near.astype(float)])
+
+
+def _with_stated_fixes(problem: Problem) -> tuple[Problem, IntArray]:
+    """Return the problem with measurements that state a position or a heading (`stated_fixes`) as such observations.
+
+    The path at which they would be linearised first may be wrong, for example mirrored with ranges to one anchor. The
+    second result has the rows in it of the given positions, directions and states.
+    """
+    positions, states, of = problem.positions, problem.states, problem.measurements
+    each = [[(k, fix) for fix in stated_fixes(fix)] for k, fix in enumerate(of.fixes)]
+    places = [(k, fix) for stated in each for k, fix in stated if isinstance(fix, PositionFix)]
+    headings = [(k, fix) for stated in each for k, fix in stated if isinstance(fix, HeadingFix)]
+    n = [len(positions), len(problem.directions), len(states)]
+    rows = np.concatenate([np.arange(n[0]), n[0] + len(places) + np.arange(n[1] + n[2])])
+    at, turned = (np.array([k for k, _ in found], dtype=np.int64) for found in (places, headings))
+    cov_m2 = np.array([fix.cov_m2 + of.extra_var_m2[k] * np.eye(2) for k, fix in places]).reshape(-1, 2, 2)
+    stated_m = np.array([fix.position_m for _, fix in places]).reshape(-1, 2)
+    offset_rad = np.array([fix.walking_heading_rad - of.device_rad[k] for k, fix in headings])
+    std_rad = np.array([fix.std_rad for _, fix in headings])
+    other = np.setdiff1d(np.arange(len(of)), np.union1d(at, turned))
+    return replace(
+        problem,
+        positions=ObservedPositions(
+            node=np.append(positions.node, of.node[at]),
+            other=np.append(positions.other, np.full(len(at), -1)),
+            ahead_m=np.vstack([positions.ahead_m, of.ahead_m[at]]),
+            position_m=np.vstack([positions.position_m, stated_m]),
+            whiten=np.concatenate([positions.whiten, np.linalg.inv(np.linalg.cholesky(cov_m2))]),
+        ),
+        states=ObservedStates(
+            node=np.append(states.node, of.node[turned]),
+            state=np.append(states.state, np.full(len(turned), HEADING_OFFSET)),
+            value=np.append(states.value, offset_rad),
+            std=np.append(states.std, std_rad),
+        ),
+        measurements=of.at(other),
+    ), rows
 
 
 def _guess_rows(problem: Problem) -> list[Rows]:

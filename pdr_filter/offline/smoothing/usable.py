@@ -28,6 +28,7 @@ from pdr_filter.values import (
     IntArray,
     Measurement,
     PositionFix,
+    RangeFix,
     SpeedFix,
     TrackRows,
     has_position,
@@ -182,6 +183,12 @@ def usable(
     if scatter > MOST_SCATTER:
         words = f"the locations scatter about the walk by {scatter:.0f} times their stated accuracy, which the phone "
         notes = (*notes, words + "probably states too small: they are used with their scatter")
+    anchors = {tuple(f.anchor_m.tolist()) if isinstance(f, RangeFix) else () for f in other if has_position(f)}
+    if not n_places and len(anchors) == 1 and () not in anchors:
+        words = (
+            "ranges to one anchor fit the walk in any direction from it, and mirrored, so that the smoothed walk may "
+        )
+        notes = (*notes, words + "be another one: give ranges to a second anchor, a position, or the heading")
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
     columns = ([getattr(part, name) for part in (of_states, north)] for name in ObservedStates.__slots__)
     states = ObservedStates(*map(np.concatenate, columns))

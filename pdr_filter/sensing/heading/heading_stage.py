@@ -25,6 +25,8 @@ class HeadingStage(Protocol):
     - `learns_directions`: True if the stage sets `Step.shown_offset_rad`, which the magnetic north needs. False if
       north must not be used with the stage. Without this attribute, `shown_offset_rad` of a step is its walking heading
       minus its device heading.
+    - `knows_north`: True if the stated directions are clockwise from true or magnetic north, which is then the frame of
+      the track.
     - `drift_in_time(state)`: returns the error of the device heading accumulated over time, in rad, and its variance.
     - `after_first_pass(steps)`: returns the stage for a second pass over a whole recording, given the table of its
       steps.
@@ -36,7 +38,6 @@ class HeadingStage(Protocol):
     >>> from dataclasses import dataclass, replace
     >>> @dataclass(frozen=True)
     ... class DeviceHeading:
-    ...     learns_directions: bool = True
     ...     def init(self):
     ...         return 0
     ...     def after_gap(self, state):
@@ -138,6 +139,11 @@ def drift_of(stage: HeadingStage | None) -> HeadingDrift | None:
 def learns_directions(stage: HeadingStage | None) -> bool:
     """Return True if the steps of a stage tell the walking direction relative to the phone."""
     return stage is not None and bool(getattr(stage, "learns_directions", True))
+
+
+def knows_north(stage: HeadingStage | None) -> bool:
+    """Return True if a stage states directions from north."""
+    return bool(getattr(stage, "knows_north", False))
 
 
 def drift_in_time(stage: HeadingStage | None, state: Any) -> tuple[float, float]:

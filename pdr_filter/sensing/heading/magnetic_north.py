@@ -39,10 +39,12 @@ _TIME, _SQUARES, _READING_COLUMNS = 0, slice(1, 50), 50
 # Time for which readings are buffered, s. Steps become known some seconds after their contact, above all behind a gate.
 _MAX_LATENCY_S = 20.0
 _M, _B, _F = slice(0, 3), slice(3, 6), 6
-# Unit vectors (east, north) of the directions of magnetic north over which the evidence is summed, every three degrees.
+# Angles of the directions of magnetic north over which the evidence is summed, every three degrees.
 # The sum is exact to 1e-4 for a standard deviation of two degrees.
 _ANGLES_RAD = np.arange(120) * (np.pi / 60.0)
-_DIRECTIONS = np.column_stack([np.sin(_ANGLES_RAD), np.cos(_ANGLES_RAD)])
+# With a smaller deviation, which many readings give, the sum is over these angles about the mean of the first one. They
+# reach five such deviations, every sixth of a degree.
+_FINE_BELOW_RAD, _FINE_ANGLES_RAD = np.deg2rad(2.0), np.deg2rad(np.linspace(-10.0, 10.0, 121))
 # Prior of the hard iron: normal densities of equal probability, by their standard deviations in units of `iron_std_ut`.
 # Their mixture is nearly uniform in the logarithm of the hard iron. With 7 uT they span 3.5 uT, of a good calibration,
 # to 112 uT on each axis. Public recordings of raw data have 20 to 300 uT in all.
@@ -278,8 +280,34 @@ class MagneticNorth:
         and then (h, z), for each direction of a grid. Directions and components are weighted by their evidence. The
         result is the mean direction, with the standard deviation sqrt(-2 log R) of the mean length R.
         """
-        c = 1.0 / math.tanh(0.5 / self.correlation_readings)
-        weight = 1.0 / (c * state.variance_ut2)
+        north_rad, var_rad2, residual_ut2 = self._north(state, _ANGLES_RAD)
+        if var_rad2 < _FINE_BELOW_RAD**2:
+            north_rad, var_rad2, residual_ut2 = self._north(state, north_rad + _FINE_ANGLES_RAD)
+        c = self._n_correlated
+        prior_ut2 = self.disturbance_readings * self.disturbance_ut**2
+        # The three components of m use up the degrees of freedom of one independent reading.
+        n_independent = max(state.n / c - 1.0, 0.0)
+        share = max(residual_ut2, 0.0) / (3.0 * c)
+        return replace_unchecked(
+            state,
+            variance_ut2=(prior_ut2 + share) / (self.disturbance_readings + n_independent),
+            n_fresh=0,
+            north_rad=north_rad - self.declination_rad,
+            north_std_rad=math.sqrt(self.declination_std_rad**2 + var_rad2),
+        )
+
+    @property
+    def _n_correlated(self) -> float:
+        """Number of correlated readings that are worth an independent one."""
+        return 1.0 / math.tanh(0.5 / self.correlation_readings)
+
+    def _north(self, state: MagneticNorthState, angles_rad: FloatArray) -> tuple[float, float, float]:
+        """Return magnetic north, its variance, and the expected sum of squared residuals in uT2 (`_solved`).
+
+        The evidence is summed over the directions with the given angles, which have equal distances.
+        """
+        directions = np.column_stack([np.sin(angles_rad), np.cos(angles_rad)])
+        weight = 1.0 / (self._n_correlated * state.variance_ut2)
         XX, Xf, ff = state.squares[:_F, :_F], state.squares[:_F, _F], float(state.squares[_F, _F])
         prior_b = 1.0 / np.square(self.iron_std_ut * _IRON_FACTORS)
         P_b = np.linalg.inv(weight * XX[_B, _B] + prior_b[:, None, None] * np.eye(3))
@@ -289,10 +317,10 @@ class MagneticNorth:
         log_evidence = 0.5 * (log_prior + np.linalg.slogdet(P_b)[1] + weight**2 * (P_b @ Xf[_B] @ Xf[_B]))
         # the information of (h, z) and its product with their mean, for each component and direction
         prior_hz = 1.0 / np.square(self.field_std_ut)
-        uJ = _DIRECTIONS @ J[:, :2]
-        hh, hz, zz = (uJ[..., :2] * _DIRECTIONS).sum(axis=-1) + prior_hz[0], uJ[..., 2], J[:, 2, 2, None] + prior_hz[1]
+        uJ = directions @ J[:, :2]
+        hh, hz, zz = (uJ[..., :2] * directions).sum(axis=-1) + prior_hz[0], uJ[..., 2], J[:, 2, 2, None] + prior_hz[1]
         y_h, y_z = (
-            Jm[:, :2] @ _DIRECTIONS.T + prior_hz[0] * self.field_ut[0],
+            Jm[:, :2] @ directions.T + prior_hz[0] * self.field_ut[0],
             Jm[:, 2, None] + prior_hz[1] * self.field_ut[1],
         )
         determinant = hh * zz - hz**2
@@ -300,22 +328,12 @@ class MagneticNorth:
         log_prob = log_evidence[:, None] + 0.5 * (h * y_h + z * y_z - np.log(determinant))
         prob = np.exp(log_prob - log_prob.max())
         prob /= prob.sum()
-        m = np.concatenate([h[..., None] * _DIRECTIONS, z[..., None]], axis=-1)
+        m = np.concatenate([h[..., None] * directions, z[..., None]], axis=-1)
         x = np.concatenate([m, weight * (Xf[_B] - m @ XX[_M, _B]) @ P_b], axis=-1)
         residual_ut2 = ff - 2.0 * (x @ Xf) + ((x @ XX) * x).sum(axis=-1)
-        prior_ut2 = self.disturbance_readings * self.disturbance_ut**2
-        # The three components of m use up the degrees of freedom of one independent reading.
-        n_independent = max(state.n / c - 1.0, 0.0)
-        share = max(float((prob * residual_ut2).sum()), 0.0) / (3.0 * c)
-        mean_east, mean_north = prob.sum(axis=0) @ _DIRECTIONS
-        squared_length = max(float(mean_east**2 + mean_north**2), _LEAST_SQUARED_LENGTH)
-        return replace_unchecked(
-            state,
-            variance_ut2=(prior_ut2 + share) / (self.disturbance_readings + n_independent),
-            n_fresh=0,
-            north_rad=math.atan2(mean_east, mean_north) - self.declination_rad,
-            north_std_rad=math.sqrt(self.declination_std_rad**2 - math.log(squared_length)),
-        )
+        mean_east, mean_north = prob.sum(axis=0) @ directions
+        squared_length = min(max(float(mean_east**2 + mean_north**2), _LEAST_SQUARED_LENGTH), 1.0)
+        return math.atan2(mean_east, mean_north), -math.log(squared_length), float((prob * residual_ut2).sum())
 
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:

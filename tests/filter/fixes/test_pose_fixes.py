@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
+from pdr_filter.offline.smoothing.observations import Observations
+from pdr_filter.offline.smoothing.problem import Measurements, pose_problem
+from pdr_filter.offline.smoothing.solve import _initial_guess, solve
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, stated_fixes
+from tests.simulated_steps import simulated_walk
 
 ANGLE_RAD, SHIFT_M = 2.0, np.array([100.0, 50.0])
 TIMES_S = (4.0, 14.0, 26.0, 38.0)
@@ -69,6 +73,38 @@ def test_a_fix_of_position_and_heading_places_a_track_as_the_two_fixes_do(walk: 
     if weighting == "imm":
         smoothed, expected = (pdr.smooth(walk, fixes).track for fixes in (doors, two))
         np.testing.assert_allclose(smoothed.position_m, expected.position_m, atol=0.01)
+
+
+def test_doors_decide_on_which_side_of_a_beacon_a_walk_is() -> None:
+    """The first path is mirrored about the beacon, which agrees with all its ranges."""
+    rng = np.random.default_rng(4)
+    walk = simulated_walk(48, rng, any_rotation=True)
+    true_m = walk.position_m + (300.0, 200.0)
+    beacon_m = true_m.mean(axis=0) + (4.0, -3.0)
+    at = np.arange(4, 48, 4)
+    times_s, places_m = walk.steps.time_s[at - 1], true_m[at]
+    ranges = np.hypot(*(places_m - beacon_m).T) + rng.normal(scale=0.3, size=len(at))
+    fixes = [pdr.RangeFix(t, beacon_m, r, 0.3) for t, r in zip(times_s.tolist(), ranges.tolist(), strict=True)]
+    doors = [
+        Door(
+            float(times_s[k]), (*places_m[k].tolist(), float(walk.heading_offset_rad[at[k]])), np.diag([0.1, 0.1, 0.01])
+        )
+        for k in (2, 8)
+    ]
+    guess_m = np.vstack([places_m, places_m[[2, 8]]]) * (-1.0, 1.0) + (2.0 * beacon_m[0], 0.0)
+    start_cov = np.diag([1e6, 1e6, np.pi**2 / 3, 0.06**2])
+    problem = pose_problem(
+        walk.steps,
+        np.zeros(4),
+        start_cov,
+        Observations(()),
+        anchor_interval_s=2.0,
+        measurements=Measurements((*fixes, *doors), np.zeros(48), guess_m),
+    )
+    guess, found = _initial_guess(problem, with_path=False), solve(problem)
+    for mean, weight, largest_m in ((guess[0], guess[2], 3.0), (found.mean, found.weight, 1.0)):
+        error_m = mean[:, :2] - true_m[problem.intervals.nodes]
+        assert weight.all() and np.hypot(*error_m.T).max() < largest_m
 
 
 def test_the_fixes_of_a_linear_measurement_have_its_least_squares_pose() -> None:

@@ -189,3 +189,20 @@ def test_matrices_that_do_not_fit_are_refused(change: dict[str, np.ndarray], mes
 
 def test_the_module_is_found_by_dir() -> None:
     assert "imm" in dir(pdr) and {"JumpMarkovModel", "mix", "predict", "update", "combine"} <= set(pdr.imm.__all__)
+
+
+@pytest.mark.parametrize("along", [(1.0, 2.0), (0.0, 1.0), (0.0, 0.0)])
+def test_without_noise_and_with_a_singular_start_smoothing_is_least_squares_of_the_start(
+    along: tuple[float, float],
+) -> None:
+    """The state is known except for one factor a: x_k = F^k (x_0 + a v). Rounding must not hide that."""
+    model = JumpMarkovModel(F[[1, 1]], np.zeros((2, 2, 2)), H, R, TRANSITIONS)
+    start, v = np.array([300.0, -2.0]), np.array(along)
+    powers = np.stack([np.linalg.matrix_power(F[1], k) for k in range(1, 21)])
+    z = powers @ (start + 0.7 * v) @ H.T + np.random.default_rng(1).normal(scale=0.3, size=(20, 1))
+    smoothed = model.smooth(model.filter(z, start, np.outer(v, v)))
+    by_a, known = (powers @ v) @ H[0], (powers @ start) @ H[0]
+    var = 1.0 / (1.0 + by_a @ by_a / R[0, 0])
+    a = var * by_a @ (z[:, 0] - known) / R[0, 0]
+    np.testing.assert_allclose(smoothed.mean, powers @ (start + a * v), rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(smoothed.cov, var * np.einsum("ka,kb->kab", powers @ v, powers @ v), atol=1e-8)

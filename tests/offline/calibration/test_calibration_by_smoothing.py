@@ -19,6 +19,7 @@ from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording, Truth
 
 TWO_FIXES = [pdr.PositionFix(t, np.array([0.0, t]), np.eye(2)) for t in (15.0, 25.0)]
+CONTRADICTED = [pdr.PositionFix(t, np.array([90.0 * t % 400.0, 70.0 * t % 300.0]), np.eye(2)) for t in range(10, 34, 3)]
 STAND = pdr.simulate.Leg("stationary", duration_s=2.0)
 
 
@@ -91,6 +92,18 @@ def test_loop_closures_and_locations_do_not_replace_known_lengths() -> None:
     located = pdr.calibrate(replace(walk, location=coarse), smooth=True)
     for one in (closed, located):
         assert one.k["walking"][0] == pytest.approx(alone, rel=0.02)
+    (track,) = located.tracks
+    assert track.frame == "fixes" and track.origin is not None and abs(track.origin.latitude_deg - 48.0) < 1e-3
+
+
+def test_the_notes_of_a_calibration_name_rejected_fixes_and_ranges_to_one_anchor() -> None:
+    walk = replace(rectangle(), truth=Truth())
+    wild = pdr.PositionFix(20.0, np.array([500.0, 0.0]), np.eye(2))
+    (note,) = pdr.calibrate(walk, smooth=True, fixes=[[*TWO_FIXES, wild]]).notes
+    assert note == "simulated_walk: fix 2: not used, because the walk contradicts it"
+    steady = [pdr.RangeFix(t, (0.0, 0.0), 5.0, 8.0) for t in (10.0, 20.0)]
+    notes = pdr.calibrate(walk, smooth=True, fixes=[steady]).notes
+    assert any("ranges to one anchor fit the walk in any direction" in note for note in notes)
 
 
 def test_recordings_of_one_name_are_different_people_and_the_progress_reaches_the_estimate() -> None:
@@ -120,6 +133,7 @@ def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
         ({"smooth": True}, "nothing to calibrate with"),
         ({"smooth": True, "fixes": [TWO_FIXES[:1]]}, "nothing to calibrate with"),
         ({"smooth": True, "loop_closures": [[LoopClosure(1.0, 37.0)]]}, "loop closures alone have no scale"),
+        ({"smooth": True, "fixes": [CONTRADICTED]}, "contradicts 7 of its 8 observations: their clock, units or axes"),
         ({"smooth": True, "loss": "l1"}, "loss must be one of"),
         ({"smooth": True, "fixes": [TWO_FIXES], "priors": "inf"}, "finite std"),
     ],

@@ -71,6 +71,15 @@ def test_north_is_where_the_field_points_less_the_declination(north_rad: float) 
     assert there.north_std_rad == pytest.approx(math.hypot(last.north_std_rad, 0.2))
 
 
+def test_a_north_known_to_a_third_of_a_degree_does_not_depend_on_its_direction() -> None:
+    """Between two directions of the grid it is as certain as at one of them."""
+    stage = MagneticNorth(disturbance_ut=0.5)
+    at_three, between = (found(*way(TURNS, math.radians(angle)), stage)[-1] for angle in (3.0, 4.4))
+    assert error_rad(between, math.radians(4.4)) == pytest.approx(0.0, abs=1e-5)
+    assert between.north_std_rad == pytest.approx(at_three.north_std_rad, rel=1e-4)
+    assert math.radians(0.1) < between.north_std_rad < math.radians(0.5)
+
+
 def test_turning_reveals_thirty_microtesla_of_hard_iron_in_the_phone() -> None:
     last = found(*way(TURNS, 0.7, iron_ut=np.array([25.0, -15.0, 8.0])))[-1]
     assert abs(error_rad(last, 0.7)) < math.radians(10.0)
