@@ -74,7 +74,7 @@ class Assessment(NamedTuple):
     is_unlike: bool  # farther from all training windows than most windows of held-out people
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class ContextModel(Shipped):
     """Trained classifier of contexts or carrying modes: features of a window in, calibrated probabilities out.
 
@@ -180,6 +180,10 @@ class ContextModel(Shipped):
         if self.transition_prob is not None:
             object.__setattr__(self, "transition_prob", read_only(self.transition_prob, "transition_prob"))
         _check(self)
+
+    def __repr__(self) -> str:
+        kind, n_features = type(self.machine).__name__, len(self.feature_names)
+        return f"ContextModel({self.name!r}, {kind} of {n_features} features, labels {', '.join(self.labels)})"
 
     @property
     def contexts(self) -> tuple[str, ...]:

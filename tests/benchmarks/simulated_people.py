@@ -25,9 +25,9 @@ import pdr_filter as pdr
 from models.training.context_training import PLANS, labelled_windows
 from models.training.data_sets import label_of, recordings_of
 from models.training.simulated_people import random_person
+from pdr_filter.classifiers.context_model import load_model
 from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.sensing.conditioning import merge_streams
-from pdr_filter.sensing.contexts.learned_contexts import shipped_model
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.simulate import Leg, simulate
@@ -126,7 +126,7 @@ def told_apart(real: LabelledWindows, made: LabelledWindows) -> tuple[float, str
 
 
 def contexts(tables: Tables, arguments: argparse.Namespace) -> None:
-    real, model = real_windows(arguments.data), shipped_model("context")
+    real, model = real_windows(arguments.data), load_model("context")
     said, rows = left_out(real), list[list[object]]()
     for place in PLACES:
         made = simulated_windows(place, arguments.people)

@@ -39,7 +39,7 @@ import pdr_filter as pdr
 from models.training import context_training as contexts
 from models.training.context_training import PLANS, labelled_windows
 from models.training.data_sets import DOUBTFUL, label_of, recordings_of
-from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.imm.tracker import Tracker
@@ -50,7 +50,6 @@ from pdr_filter.offline.training.transition_training import contexts_at
 from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.sensing.contexts.learned_contexts import shipped_model
 from pdr_filter.sensing.features.barometer import ClimbRate
 from pdr_filter.sensing.front_end import Event, Gap
 from pdr_filter.tracking.filtering import finish, init, update
@@ -102,7 +101,7 @@ def windows_of(data: Path) -> LabelledWindows:
 
 def model_without(windows: LabelledWindows, people: tuple[str, ...]) -> ContextModel:
     """The default's model as `train_all` makes it, of all people but these."""
-    return replace(contexts.model_without(shipped_model(PLAN.name), PLAN, windows, people), name="left_out")
+    return replace(contexts.model_without(load_model(PLAN.name), PLAN, windows, people), name="left_out")
 
 
 # --- Mixed walks of real recordings ----------------------------------------------------------------------------------
@@ -407,7 +406,7 @@ SITES: dict[str, int] = {
 
 def without(windows: LabelledWindows, people: list[str], cache: Path | None, name: str) -> ContextModel:
     """The shipped model as it is without some people."""
-    return cached(cache, name, lambda: contexts.model_without(shipped_model("context"), PLAN, windows, people))
+    return cached(cache, name, lambda: contexts.model_without(load_model("context"), PLAN, windows, people))
 
 
 def tracked_with(recording: Recording, model: ContextModel) -> tuple[Config, TrackRows]:
@@ -422,7 +421,7 @@ def sites(tables: Tables, arguments: argparse.Namespace) -> None:
     rows = []
     for site, part in SITES.items():
         known = sorted({p for p in windows.person if p.startswith(f"{site}/")})
-        model = without(windows, known, arguments.cache, f"site_{site}") if known else shipped_model("context")
+        model = without(windows, known, arguments.cache, f"site_{site}") if known else load_model("context")
         of_kind: dict[str, list[FloatArray]] = {}
         for recording in recordings(arguments.data, site):
             kind = kind_of(recording.name, part)

@@ -114,6 +114,19 @@ def test_a_mixture_is_the_mean_of_the_probabilities_and_stays_so_in_files(traine
     np.testing.assert_array_equal(back.predict_proba(X), mixture.predict_proba(X))
 
 
+def test_the_weights_of_the_parts_are_used_and_stay_in_files(trained: Trained) -> None:
+    _, trees, X, _ = trained
+    uniform = SoftmaxRegression(np.zeros((4, 10)), np.zeros(4))
+    mixture, blend = Mixture((uniform, trees), (0.25, 0.75)), Blend((uniform, trees), (0.25, 0.75))
+    p = trees.predict_proba(X)
+    np.testing.assert_allclose(mixture.predict_proba(X), 0.25 * 0.25 + 0.75 * p, rtol=1e-12)
+    np.testing.assert_allclose(blend.predict_proba(X), p**0.75 / (p**0.75).sum(axis=1, keepdims=True), rtol=1e-9)
+    back = Mixture.from_arrays(mixture.to_arrays())
+    np.testing.assert_array_equal(back.predict_proba(X), mixture.predict_proba(X))
+    with pytest.raises(ValueError, match="weights must be one for each of 2 parts and sum to 1"):
+        Mixture((uniform, trees), (0.5, 0.6))
+
+
 def test_parts_with_different_features_cannot_be_blended(trained: Trained) -> None:
     with pytest.raises(ValueError, match="same numbers of features and classes"):
         Blend((SoftmaxRegression(np.zeros((4, 3)), np.zeros(4)), trained[1]))

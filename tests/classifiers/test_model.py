@@ -185,15 +185,15 @@ def test_every_shipped_model_loads_and_predicts() -> None:
         assert model.predict(model.feature_mean).sum() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("suffix", ["", "_accelerometer"])
-def test_the_default_model_is_the_mean_of_relevance_vector_machines_and_a_forest(suffix: str) -> None:
+@pytest.mark.parametrize(("suffix", "share"), [("", 1 / 2), ("_accelerometer", 2 / 3)])
+def test_the_default_model_is_the_mean_of_relevance_vector_machines_and_a_forest(suffix: str, share: float) -> None:
     blend, rvm, forest = (load_model(f"context{part}{suffix}") for part in ("", "_rvm", "_forest"))
-    assert isinstance(rvm.machine, Blend) and isinstance(forest.machine, Forest)
-    assert all(isinstance(part, RelevanceVectors) for part in rvm.machine.parts)
+    parts = rvm.machine.parts if isinstance(rvm.machine, Blend) else (rvm.machine,)
+    assert isinstance(forest.machine, Forest) and all(isinstance(part, RelevanceVectors) for part in parts)
     X = 2.0 * np.random.default_rng(5).normal(size=(50, len(blend.feature_names)))
-    machines = np.exp(np.mean([np.log(part.predict_proba(X)) for part in rvm.machine.parts], axis=0))
+    machines = np.exp(np.mean([np.log(part.predict_proba(X)) for part in parts], axis=0))
     machines /= machines.sum(axis=1, keepdims=True)
-    expected = 0.5 * (machines + forest.machine.predict_proba(X))
+    expected = (1.0 - share) * machines + share * forest.machine.predict_proba(X)
     np.testing.assert_allclose(blend.machine.predict_proba(X), expected, rtol=1e-9)
     for model in (blend, rvm, forest):
         known = model.familiarity

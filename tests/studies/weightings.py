@@ -31,7 +31,7 @@ from models.training import context_training as contexts
 from models.training.context_training import PLANS, ContextPlan, labelled_windows
 from models.training.data_sets import recordings_of
 from pdr_filter.classifiers.blend import Mixture
-from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.evaluate.comparison import second_over_first
 from pdr_filter.evaluate.distance import distance_scores
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
@@ -39,7 +39,7 @@ from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts, shipped_model
+from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, Step
 from pdr_filter.values.recording import Recording
@@ -100,14 +100,14 @@ class Training:
         def without(shipped: str) -> ContextModel:
             plan = PLAN_OF[shipped]
             if not people:
-                return shipped_model(shipped)
-            return contexts.model_without(shipped_model(shipped), plan, self.windows(plan), people)
+                return load_model(shipped)
+            return contexts.model_without(load_model(shipped), plan, self.windows(plan), people)
 
         blend = cached(self.cache, f"blend_{name}", lambda: without("context"))
         found = {"blend": blend}
         assert isinstance(blend.machine, Mixture)
         for part, number in PLAN_OF["context"].parts.items():
-            alone = shipped_model(f"context_{part}")
+            alone = load_model(f"context_{part}")
             machine = blend.machine.parts[number]
             found[part] = replace(blend, machine=machine, temperature=alone.temperature, slip=alone.slip)
         paper = cached(self.cache, f"martinelli_{name}", lambda: without("context_martinelli_rvm"))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import NamedTuple
 
@@ -46,7 +46,7 @@ STANDING_STD_M = 0.02
 _POPULATION_FIT = bounce_fit()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mode:
     """Motion model of the filter for one context: step length, direction and meaning of its steps.
 
@@ -130,6 +130,17 @@ class Mode:
                 check_step_length(f"the typical step length of mode {self.name!r}", length_m)
         may_be_zero = ("heading_std_rad", "heading_drift_rad_per_sqrt_s", "extra_noise_m")
         check_numbers(self, zero=may_be_zero, signed=("heading_offset_rad", "climbs"))
+
+    def __repr__(self) -> str:
+        fit = self.step_length
+        length_m = float(length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)[0])
+        usual = {"context": self.name, "gait": "walking" if self.moves else None}
+        stated = (f for f in fields(self) if f.name not in ("name", "step_length"))
+        unusual = {
+            f.name: getattr(self, f.name) for f in stated if getattr(self, f.name) != usual.get(f.name, f.default)
+        }
+        own = "".join(f", {name}={value!r}" for name, value in unusual.items())
+        return f"Mode({self.name!r}, {type(fit.model).__name__}, {length_m:.2f} m for a typical step{own})"
 
     @property
     def meaning(self) -> Context:

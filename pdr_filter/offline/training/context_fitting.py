@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.classifiers.familiarity import unknown_share
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.offline.training.classifier_choice import machine_fit_of
@@ -41,7 +41,6 @@ from pdr_filter.offline.training.transition_training import (
 )
 from pdr_filter.recipes import default
 from pdr_filter.sensing.conditioning import merge_streams
-from pdr_filter.sensing.contexts.learned_contexts import shipped_model
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.values import (
@@ -170,7 +169,7 @@ def fit_contexts(
     _check_units(windows.label(head), unit, what)
     names = feature_set.names
     if features is None:
-        names = shipped_model(f"{_SHIPPED[head]}{'' if labelled.has_gyroscope else '_accelerometer'}").feature_names
+        names = load_model(f"{_SHIPPED[head]}{'' if labelled.has_gyroscope else '_accelerometer'}").feature_names
     columns = [feature_set.names.index(each) for each in names]
     sequences = None if head != "context" else _step_labels(given, labelled, labels, done)
     once = [c for c in labels if len(np.unique(unit[windows.label(head) == c])) == 1]

@@ -12,10 +12,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.recipes.guo2018.features import WITHOUT_LIGHT_AND_PROXIMITY, PoseWindow, PoseWindows, PoseWindowState
 from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStage, known_context
-from pdr_filter.sensing.contexts.learned_contexts import shipped_model
 from pdr_filter.values import CARRYING_MODES, FloatArray, check_numbers
 
 _CONTEXTS = ("stationary", "walking")
@@ -72,7 +71,7 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
     """
 
     windows: PoseWindows = field(default_factory=PoseWindows)
-    model: ContextModel = field(default_factory=lambda: shipped_model("guo_pose"))
+    model: ContextModel = field(default_factory=lambda: load_model("guo_pose"))
     min_level: float = 0.91
     max_level: float = 1000.0
     min_level_accelerometer: float = 0.27

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pdr_filter.classifiers.context_model import load_model
 from pdr_filter.filter.imm.modes import context_modes
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
@@ -13,7 +14,7 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.martinelli2018.features import TABLE_II
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.contexts.context_stage import ContextModels
-from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts, shipped_model
+from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts
 from pdr_filter.sensing.features.feature_windows import FeatureWindows
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.values.recording import Subject
@@ -59,7 +60,7 @@ def magnitude_contexts() -> LearnedContexts:
     >>> magnitude_contexts().models.with_gyroscope.name
     'context_martinelli_rvm'
     """
-    models = ContextModels(shipped_model("context_martinelli_rvm"), shipped_model("context_martinelli_forest"))
+    models = ContextModels(load_model("context_martinelli_rvm"), load_model("context_martinelli_forest"))
     return LearnedContexts(FeatureWindows(features=TABLE_II), models)
 
 

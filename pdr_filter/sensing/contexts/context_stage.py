@@ -492,8 +492,8 @@ class ContextModels:
     Examples
     --------
     >>> from pdr_filter.sensing.contexts.context_stage import ContextModels
-    >>> from pdr_filter.sensing.contexts.learned_contexts import shipped_model
-    >>> ContextModels(shipped_model("context"), None).init()
+    >>> from pdr_filter.classifiers.context_model import load_model
+    >>> ContextModels(load_model("context"), None).init()
     array([0.2, 0.2, 0.2, 0.2, 0.2])
     """
 

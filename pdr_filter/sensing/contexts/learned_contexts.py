@@ -168,10 +168,10 @@ def attitude_free_contexts(classifier: str = "blend") -> LearnedContexts:
         )
     name = _MODELS[classifier]
     models = ContextModels(
-        shipped_model(name),
-        shipped_model(f"{name}_accelerometer"),
-        shipped_model("carrying"),
-        shipped_model("carrying_accelerometer"),
+        load_model(name),
+        load_model(f"{name}_accelerometer"),
+        load_model("carrying"),
+        load_model("carrying_accelerometer"),
     )
     return LearnedContexts(FeatureWindows(features=ATTITUDE_FREE), models)
 
@@ -238,30 +238,3 @@ def _with_features_of(models: Sequence[ContextModel | None], stage: LearnedConte
         return stage
     joined = JoinedFeatures((ATTITUDE_FREE, *model_features.values()))
     return replace(stage, windows=replace(stage.windows, features=joined))
-
-
-def shipped_model(name: str) -> ContextModel:
-    """Return a context model of the package by its name.
-
-    Parameters
-    ----------
-    name : str
-        Name of the model, such as "context" or "carrying".
-
-    Returns
-    -------
-    ContextModel
-        Trained model.
-
-    Raises
-    ------
-    ValueError
-        If the package has no model with this name.
-
-    Examples
-    --------
-    >>> from pdr_filter.sensing.contexts.learned_contexts import shipped_model
-    >>> shipped_model("context").head
-    'context'
-    """
-    return load_model(name)

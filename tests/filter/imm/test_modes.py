@@ -42,6 +42,15 @@ def walked(tracker: ImmTracker, windows: list[WindowContext]) -> tuple[ImmState,
     return state, updates
 
 
+def test_a_printed_mode_states_its_name_its_typical_step_and_what_differs_from_walking() -> None:
+    walking, up = Mode("walking", step_length=LENGTH), Mode("stairs", "upstairs", known_length(0.29, 0.05), climbs=1)
+    assert repr(walking) == "Mode('walking', FrequencyVarianceStepLength, 0.70 m for a typical step)"
+    assert repr(up) == (
+        "Mode('stairs', FrequencyVarianceStepLength, 0.29 m for a typical step, context='upstairs', climbs=1)"
+    )
+    assert repr(Mode("resting", moves=False)).endswith("0.00 m for a typical step, moves=False)")
+
+
 # --- carrying mode --------------------------------------------------------------------------------------------------
 
 
