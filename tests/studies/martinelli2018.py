@@ -230,7 +230,7 @@ def _put_together(data: Path, person: str) -> Recording | None:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """Epochs of a walk, K of them, between the ends of K + 1 windows."""
+    """Epochs of a walk, K of them, and the contexts of K + 1 windows."""
 
     person: str
     context: IntArray  # (K,) true, at the middle of the epoch
@@ -258,10 +258,11 @@ def walk_of(recording: Recording, config: Config) -> Walk:
     found: Track = track(recording, config.with_weighting("imm"))
     modes: tuple[Mode, ...] = config.model.modes
     distance_m, context_prob = epoch_distances(found, modes)
-    ends_s = found.windows.time_s
-    context = _context_at(recording, 0.5 * (ends_s[1:] + ends_s[:-1]))
+    ends_s = found.windows.time_s[:-1]  # of the epochs; the last window has no epoch of its own
+    starts_s = np.concatenate([[0.0], ends_s])[:-1]
+    context = _context_at(recording, 0.5 * (starts_s + ends_s))
     true_m = distance_m[np.arange(len(context)), context]
-    imm_m = walked_m(found.time_s, found.step_length_m, ends_s[:-1], ends_s[1:])
+    imm_m = walked_m(found.time_s, found.step_length_m, starts_s, ends_s)
     return Walk(str(recording.subject.id), context, true_m, distance_m, context_prob, imm_m)
 
 
