@@ -480,7 +480,7 @@ def _errors(
             }
         )
     about = (
-        f"pyshoe: {len(foot)} trials of {sum(w.true_m for w in foot):.0f} m together, persons not stated; humolire: "
+        f"pyshoe: {len(foot)} walking trials of {sum(w.true_m for w in foot):.0f} m together, persons not stated; humolire: "
         f"{len(humolire)} walks of one person; ms_indoor: {len(mall)} walks of surveyors not stated; simulated: "
         f"{len(people['walking'])} persons who walk and {len(people['running'])} who run"
     )
@@ -524,7 +524,7 @@ def _errors_m(tables: Tables, foot: Sequence[Walk], people: Mapping[str, Sequenc
         for (behaviour, person), (walked_m, errors) in _TABLE_7.items()
     ]
     everyone = [w for walks in people.values() for w in walks]
-    groups = [("walking, one trial running", "foot, pyshoe, other trials", foot, without_the_walk(foot))]
+    groups = [("walking", "foot, pyshoe, other trials", foot, without_the_walk(foot))]
     groups += [("walking", "hand, humolire, own other walks", hand, without_the_walk(hand))]
     groups += [(b, "pocket, simulated, other persons", w, without_the_person(everyone)) for b, w in people.items()]
     for behaviour, where, walks, rest in groups:
@@ -545,7 +545,8 @@ def steps_and_distances(tables: Tables, arguments: argparse.Namespace) -> None:
     foot: list[Walk] = []
     for recording in recordings(arguments.data, "pyshoe"):
         counted.append(counted_on_foot(recording))
-        foot.append(foot_walk(recording))
+        if counted[-1].behaviour == "walking":  # one trial runs, and no other could give its parameters
+            foot.append(foot_walk(recording))
     carried = {"oxford": recordings(arguments.data, "oxford"), "ubicomp13": people_left_out(arguments.data)}
     counted += [followed(r).counted(source, "walking") for source, walks in carried.items() for r in walks]
     people: dict[str, list[Walk]] = {"walking": [], "running": []}
