@@ -480,9 +480,9 @@ def _errors(
             }
         )
     about = (
-        f"pyshoe: {len(foot)} walking trials of {sum(w.true_m for w in foot):.0f} m together, persons not stated; humolire: "
-        f"{len(humolire)} walks of one person; ms_indoor: {len(mall)} walks of surveyors not stated; simulated: "
-        f"{len(people['walking'])} persons who walk and {len(people['running'])} who run"
+        f"pyshoe: {len(foot)} walking trials of {sum(w.true_m for w in foot):.0f} m together, persons not stated; "
+        f"humolire: {len(humolire)} walks of one person; ms_indoor: {len(mall)} walks of surveyors not stated; "
+        f"simulated: {len(people['walking'])} persons who walk and {len(people['running'])} who run"
     )
     title = "Table 8: average relative errors of the distance"
     paper_table(tables, "zhou2019_table_8", title, rows, about, digits=2)

@@ -133,8 +133,10 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
 
     Notes
     -----
-    Statistics of the acceleration that a step reports, for the models M2 to M7, are those of the low-passed signal of
-    its behaviour, as in the paper. The contact is the end of the event. On the foot of a slow walker, it may be in the swing phase, half a stride
+    The statistics of a step, for the models M2 to M7, are those of the low-passed signal of its behaviour, as in the
+    paper.
+
+    The contact is the end of the event. On the foot of a slow walker, it may be in the swing phase, half a stride
     early. The contacts of an event with several steps divide the time since the last event evenly, or the dominant
     period for the first event of a bout.
 
@@ -348,9 +350,9 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
     ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
         """Return the new state, and the steps of all held events, each with the number `known` of the newest sample.
 
-        `a_mps2` is the filtered acceleration from sample `first` on. An event is a detected step, or a stride on a foot. It is held until the behaviour is known. If the person
-        stands (`is_still`), there are no steps. The events stay held, except those held longer than `hold_s`, which are
-        dropped.
+        `a_mps2` is the filtered acceleration from sample `first` on. An event is a detected step, or a stride on a
+        foot. It is held until the behaviour is known. If the person stands (`is_still`), there are no steps. The events
+        stay held, except those held longer than `hold_s`, which are dropped.
         """
         if is_still:
             oldest = known + 1 - self._delay_samples - self.hold_s * self.rate_hz
