@@ -81,7 +81,7 @@ def calibrate(
         Function that is called with the fraction of recordings done, 0 to 1.
     file_format : str, optional
         Format of the files. By default it is detected from their content.
-    model : {"bounce", "eq12", "kim", "tian", "weinberg"}, optional
+    model : str, optional
         Step-length model of walking. By default, the model with the smallest error on held-out segments is selected.
     prior_std : float, optional
         Relative standard deviation of the prior of walking. The default for "bounce" is 0.1.

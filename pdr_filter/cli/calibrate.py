@@ -47,8 +47,8 @@ class Estimation:
     model: Annotated[
         str | None,
         typer.Option(
-            help="Step-length model of walking: bounce, eq12, kim, tian or weinberg. Default: the model with the "
-            "smallest error on held-out walks."
+            help="Step-length model of walking: bounce, eq12, kim, tian, weinberg, chen, frequency, peak, range, "
+            "static or zhou. Default: of the first five, the model with the smallest error on held-out walks."
         ),
     ] = None
     loss: Annotated[str, typer.Option(help="Robust loss against wrong segments: gnc, cauchy, huber or none.")] = "gnc"

@@ -125,7 +125,7 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     model = config.model
     model.check_one_mode_for_each_context()
     weighted = {name: track(recording, config, name, gnss="off") for name in ("hc", "wc", "imm")}
-    weighted["wc, always"] = track(recording, replace(config, tracker=WeightedTracker(model, 0.0)), gnss="off")
+    weighted["wc, always"] = track(recording, _with_threshold(config, 0.0), gnss="off")
     imm = weighted.pop("imm")
     label = np.full(imm.n_steps, -1)
     for row in () if labels is None else labels:
@@ -190,29 +190,33 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
     >>> pdr.evaluate.threshold_sweep(walk, config, [0.0, 1.0]).threshold.tolist()
     [0.0, 1.0]
     """
-    tracks = [
-        track(recording, replace(config, tracker=WeightedTracker(config.model, float(t))), gnss="off")
-        for t in thresholds
-    ]
+    tracks = [track(recording, _with_threshold(config, float(t)), gnss="off") for t in thresholds]
     return table({"threshold": np.asarray(thresholds, float), "distance_m": np.array([t.distance_m for t in tracks])})
 
 
+def _with_threshold(config: Config, threshold: float) -> Config:
+    tracker = config.with_weighting("wc").tracker
+    assert isinstance(tracker, WeightedTracker)
+    return replace(config, tracker=replace(tracker, threshold=threshold))
+
+
 def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray, FloatArray]:
-    """Return the distance between successive windows for each context, and the context probabilities.
+    """Return the distance of each epoch for each context, and the context probabilities of the windows.
 
     Parameters
     ----------
     track : Track
-        Track with K + 1 windows.
+        Track of a recording without gaps, with K + 1 windows.
     modes : sequence of Mode
         Modes of the configuration (`config.model.modes`), exactly one for each context of the track.
 
     Returns
     -------
     distance_m : ndarray of shape (K, C)
-        Distance in m from the end of each window to the end of the next, if all steps had the length of the context.
+        Distance in m of epochs 1 to K, if all steps had the length of the context. Epoch k ends with window k - 1. It
+        begins with the end of window k - 2, and epoch 1 with the track.
     context_prob : ndarray of shape (K + 1, C)
-        Context probabilities of the windows.
+        Context probabilities of windows 0 to K.
 
     Raises
     ------
@@ -222,7 +226,7 @@ def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray
     Notes
     -----
     The results are the arguments of `pdr_filter.filter.imm.weighting.weighted_distances` (Martinelli et al. 2018, eq.
-    17 and 18).
+    17 and 18). Windows overlap by half, so that windows k - 1 and k both contain epoch k.
 
     Examples
     --------
@@ -241,5 +245,6 @@ def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray
     steps = steps_of(track.steps)
     length_m = np.array([[fit[c].predict(s)[0] for c in track.contexts] for s in steps]).reshape(-1, len(fit))
     ends_s = track.windows.time_s
-    each = [walked_m(track.time_s, length_m[:, c], ends_s[:-1], ends_s[1:]) for c in range(len(fit))]
+    starts_s = np.concatenate([[-np.inf], ends_s])[:-2]
+    each = [walked_m(track.time_s, length_m[:, c], starts_s, ends_s[:-1]) for c in range(len(fit))]
     return np.column_stack(each), track.windows.context_prob

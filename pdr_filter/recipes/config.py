@@ -19,7 +19,7 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.tracker import Tracker
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
-from pdr_filter.filter.imm.weighting import HC, WEIGHTINGS, Weighting
+from pdr_filter.filter.imm.weighting import HC, WC, WEIGHTINGS, Weighting
 from pdr_filter.filter.plan_stage import PlanStage
 from pdr_filter.filter.step_length.models import StepLengthFit
 from pdr_filter.filter.step_length.person import Person
@@ -585,17 +585,17 @@ class Config:
         >>> pdr.recipes.default().with_weighting(squared).tracker.weighting
         'squared'
         """
+        weighted = self.tracker if isinstance(self.tracker, WeightedTracker) else WeightedTracker(self.model)
         if not isinstance(weighting, str) and callable(weighting):
-            return replace(self, tracker=WeightedTracker(self.model, function=weighting))
+            return replace(self, tracker=replace(weighted, function=weighting))
         if weighting not in WEIGHTINGS:
             raise ValueError(f"weighting must be one of {WEIGHTINGS} or a function, got {weighting!r}")
         if weighting == self.tracker.weighting and getattr(self.tracker, "function", None) is None:
             return self
         if weighting == "imm":
             return replace(self, tracker=ImmTracker(self.model))
-        return replace(
-            self, tracker=WeightedTracker(self.model, HC) if weighting == "hc" else WeightedTracker(self.model)
-        )
+        threshold = HC if weighting == "hc" else WC
+        return replace(self, tracker=replace(weighted, threshold=threshold, function=None))
 
     @cached_property
     def fix_delay_s(self) -> float:

@@ -1,6 +1,7 @@
 """All recipes with HC, WC and IMM on the same recordings.
 
-usage: python -m tests.benchmarks.recipes [--data ../shared/data] [--recipes default ...] [--every N] [--jobs 2]
+usage: python -m tests.benchmarks.recipes [tables_of_recipes] [decisions] [--data ../shared/data]
+       [--recipes default ...] [--every N] [--jobs 2]
 
 Steps do not depend on the weighting: every recipe senses a recording once, and the weightings share what was sensed.
 Every score is of one recording. A cell has the mean over the recordings, or the root of their mean square (%RMSE), and
@@ -25,7 +26,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -35,7 +36,8 @@ from numpy.typing import NDArray
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.filter.imm.weighting import WEIGHTINGS
+from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker, WeightedTracker
+from pdr_filter.filter.imm.weighting import HC, WEIGHTINGS
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import Step
 from tests.benchmarks.common import Tables, absolute_bias_spread, median_and, paths, run
@@ -48,6 +50,7 @@ FloatArray = NDArray[np.float64]
 Values = dict[str, float]
 RECIPES = ("default", "martinelli2018", "tian2016", "zhou2019", "guo2018", "susi2013")
 OWN = "own"  # the recipe's own weighting
+TWO = "two windows"  # the mean of two windows, as in Martinelli et al., for recipes that decide once about a step
 
 
 # --- Scores of one recording -----------------------------------------------------------------------------------------
@@ -198,11 +201,14 @@ def scored(path: Path, recipes: Sequence[str]) -> list[Scored]:
         values: Values = {}
         if site in OF_STEPS:
             values = OF_STEPS[site](walk, np.array([e.time_s for e in events if isinstance(e, Step)]))
-        for weighting in WEIGHTINGS:
+        ways = {weighting: config for weighting in WEIGHTINGS}
+        if isinstance(config.tracker, DetectedStepTracker):
+            ways[TWO] = replace(config, tracker=WeightedTracker(config.model, HC))
+        for weighting, weighted in ways.items():
             its = dict(values)
             if site in OF_TRACKS or site == TIMED:
                 begin_s = time.process_time()
-                found = found_by(config, weighting, events)
+                found = found_by(weighted, "hc" if weighting == TWO else weighting, events)
                 its |= OF_TRACKS[site](walk, found) if site in OF_TRACKS else {}
             if site == TIMED:
                 its |= {"spent_s": sensed_s + time.process_time() - begin_s, "recorded_s": recording.duration_s}
@@ -335,6 +341,23 @@ def values_of(records: Sequence[Scored], recipe: str, site: str, value: str) -> 
     return np.array([r.values[value] for r in records if (r.recipe, r.weighting, r.site) == (recipe, OWN, site)])
 
 
+def decisions(tables: Tables, arguments: argparse.Namespace) -> None:
+    """The recipes that decide once about a step, beside the mean of two windows."""
+    recipes = [r for r in RECIPES if isinstance(pdr.recipes.RECIPES[r](None).tracker, DetectedStepTracker)]
+    thinned = {"motionsense": 6}
+    files = [p for site in OF_TRACKS for p in paths(arguments.data, site)[:: thinned.get(site, 1)]]
+    records = [r for found in Parallel(arguments.jobs)(delayed(scored)(p, recipes) for p in files) for r in found]
+    rows = [(recipe, weighting) for recipe in recipes for weighting in (TWO, OWN)]
+    of_row = [[r for r in records if (r.recipe, r.weighting) == row] for row in rows]
+    names = [f"`{recipe}`, {'mean of two windows' if w == TWO else 'one decision'}" for recipe, w in rows]
+    columns = [c for c in (*MAIN, *REST) if c.site in OF_TRACKS]
+    found = [[cells(c, of_row[k : k + 2]) for k in range(0, len(rows), 2)] for c in columns]
+    texts = [[cell for pair in of_column for cell in pair] for of_column in found]
+    about = "± standard error; bold: the better of the two, or both if not distinguishable. Motionsense: every 6th."
+    titles = ["recipe", *(c.title if c.site in c.title else f"{c.site} {c.title}" for c in columns)]
+    tables.write("recipes_decisions", titles, list(zip(names, *texts, strict=True)), about)
+
+
 def step_tables(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
     """Counts over all walks, then by the placement of the phone, which the names of the recordings end with."""
     names = [r.name for r in records if (r.recipe, r.weighting, r.site) == (recipes[0], OWN, "ubicomp13")]
@@ -386,4 +409,4 @@ def tables_of_recipes(tables: Tables, arguments: argparse.Namespace) -> None:
 if __name__ == "__main__":
     from tests.benchmarks import recipes as importable  # what other processes run must be found by its name
 
-    run(__doc__, importable.tables_of_recipes, recipes=list(RECIPES), every=1, jobs=2)
+    run(__doc__, importable.tables_of_recipes, importable.decisions, recipes=list(RECIPES), every=1, jobs=2)

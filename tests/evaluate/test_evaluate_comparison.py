@@ -9,9 +9,11 @@ import pytest
 
 import pdr_filter as pdr
 from pdr_filter.evaluate import comparison, runs, tracks
+from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, weighted_distances
-from pdr_filter.values import CONTEXTS
+from pdr_filter.values import steps_of
 from pdr_filter.values.recording import Truth
+from tests.oracles import martinelli2018 as printed_algorithms
 from tests.oracles import track_scores as oracle
 
 
@@ -190,18 +192,26 @@ def test_the_ratio_is_zero_if_one_is_certain_and_one_if_two_are_equal() -> None:
     assert comparison.second_over_first(np.zeros((0, 6))).shape == (0,)
 
 
-def test_epochs_add_up_to_the_steps_between_the_first_and_the_last_window(
-    config: pdr.Config, by_weighting: dict[str, pdr.Track]
+@pytest.mark.parametrize("threshold", [None, 0.8])
+def test_epochs_of_a_track_have_the_distances_of_the_printed_algorithms_and_of_the_tracker(
+    config: pdr.Config, threshold: float | None
 ) -> None:
-    hc = by_weighting["hc"]
-    distance_m, prob = runs.epoch_distances(hc, config.model.modes)
-    assert distance_m.shape == (len(prob) - 1, len(CONTEXTS))
-    ends_s = hc.windows.time_s
-    inside = (hc.time_s > ends_s[0]) & (hc.time_s <= ends_s[-1])
-    static = config.model.modes[CONTEXTS.index("upstairs")].step_length.theta[0]
-    assert distance_m[:, CONTEXTS.index("upstairs")].sum() == pytest.approx(static * inside.sum())
-    totals = weighted_distances(distance_m, prob, HC)
-    assert totals.total_final_m[-1] == pytest.approx(hc.step_length_m[inside].sum(), rel=0.1)
+    legs = [pdr.simulate.Leg("walking", distance_m=8.0), pdr.simulate.Leg("upstairs", distance_m=2.0)]
+    walk = pdr.simulate.simulate(legs)
+    modes = config.model.modes
+    without_evidence = replace(config.model, step_log_odds_stationary=0.0)  # in print a step is no evidence
+    tracker = WeightedTracker(without_evidence, HC if threshold is None else threshold)
+    track = pdr.track(walk, replace(config, tracker=tracker), gnss="off")
+    distance_m, prob = runs.epoch_distances(track, modes)
+    ends_s = track.windows.time_s
+    length_m = np.array([[m.step_length.predict(s)[0] for m in modes] for s in steps_of(track.steps)])
+    expected = printed_algorithms.distances_of_epochs(track.time_s, length_m, ends_s)
+    np.testing.assert_allclose(distance_m, expected, atol=1e-9)
+    totals = weighted_distances(distance_m, prob, HC if threshold is None else threshold)
+    paper = printed_algorithms.algorithms(expected, prob, threshold)
+    np.testing.assert_allclose(totals.total_final_m, paper["total_final_m"], atol=1e-9)
+    walked_m = [track.step_length_m[track.time_s <= end_s].sum() for end_s in ends_s[:-1]]
+    np.testing.assert_allclose(walked_m, paper["total_final_m"], atol=1e-9)
 
 
 def test_modes_that_miss_a_context_are_refused(config: pdr.Config, by_weighting: dict[str, pdr.Track]) -> None:

@@ -1,15 +1,20 @@
-"""Guo et al. 2018: poses by a random forest, steps by pose, walking speed, Tables 3, 5 and 9.
+"""Guo et al. 2018: poses by a random forest, steps, step lengths and walking speed by pose.
+
+usage: python -m tests.studies.guo2018 [poses] [steps] [lengths] [speed]
+
+poses: Table 3. steps: Table 5. lengths: Table 7 and Fig. 10, five step-length models by pose. speed: Tables 8 and 9.
 
 Poses: five public data sets, every person classified by a forest without them, calling of one person, swinging of two.
 Steps: ubicomp13 (persons 7 to 13) and oxford; swinging and calling are simulated. Speed: humolire and tyrex, the height
 of tyrex's person not known. Thresholds were chosen on persons 1 to 6 of ubicomp13, parameters of the default detector
-on all 13.
+on all 13. Each length model has one constant, from walks of other people or, where there is one person, from the
+person's other walks in all poses.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,11 +25,18 @@ from models.training import guo2018_training as train_guo
 from models.training.data_sets import recordings_of
 from pdr_filter.evaluate.classification import accuracy, confusion_matrix, kappa, macro_recall, precision
 from pdr_filter.evaluate.steps import count_error_percent
-from pdr_filter.filter.step_length.models import StepLengthFit
+from pdr_filter.filter.step_length.models import (
+    KimStepLength,
+    StepLengthFit,
+    WeinbergStepLength,
+    one_parameter_fit,
+    static_fit,
+)
 from pdr_filter.offline.training.cross_validation import predict_held_out
 from pdr_filter.recipes import for_recording
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.guo2018.recipe import chen_fit
+from pdr_filter.recipes.tian2016.recipe import tian_fit
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.motion import CARRYING
 from pdr_filter.tracking.whole_recording import track as track_of
@@ -39,6 +51,7 @@ from tests.studies.data import (
     paper_table,
     people_left_out,
     place_of,
+    prefixed,
     recordings,
     with_subject,
 )
@@ -300,6 +313,13 @@ _STEPS: Mapping[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
 _COUNTED_PERCENT = {"texting": 99.78, "swinging": 99.32, "pocket": 99.85, "calling": 99.78}
 # Mean absolute error by Table 9, m/s. Its columns of calling and swinging are exchanged against Table 8.
 _SPEED_MAE_MPS = {"texting": 0.042, "calling": 0.048, "pocket": 0.063, "swinging": 0.094}
+_QUANTILES = ("50 %", "95 %", "largest")
+_SPEED_QUANTILES_MPS = {
+    "texting": (0.031, 0.089, 0.090),
+    "calling": (0.039, 0.068, 0.122),
+    "pocket": (0.046, 0.126, 0.176),
+    "swinging": (0.058, 0.110, 0.507),
+}
 
 
 def poses(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -321,6 +341,13 @@ def poses(tables: Tables, arguments: argparse.Namespace) -> None:
     rows = [{"score": s, "paper": v, "paper from its table": theirs[s], "ours": ours[s]} for s, v in _SCORES.items()]
     title, data = "Table 3, scores: poses of held-out people", f"as Table 3: {int(confusion.sum())} windows"
     paper_table(tables, "guo2018_table_3_scores", title, rows, data, digits=2)
+    matrix: list[Mapping[str, object]] = []
+    for who, c in (("paper", _CONFUSION), ("ours", confusion)):
+        for pose, counts in zip(POSES, c, strict=True):
+            cells = prefixed("found", POSES, (100.0 * counts / counts.sum()).tolist(), " %")
+            matrix.append({"who": who, "true": pose, "windows": int(counts.sum())} | cells)
+    about = f"people held out; {', '.join(found.dataset)}"
+    paper_table(tables, "guo2018_table_3", "Table 3: confusion matrix of the poses", matrix, about)
 
 
 def steps(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -361,19 +388,106 @@ def steps(tables: Tables, arguments: argparse.Namespace) -> None:
     paper_table(tables, "guo2018_table_5", "Table 5: steps by pose", rows, data, digits=2)
 
 
-def speed(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Mean errors of Table 9, of real walks."""
-    real = real_walks(arguments.data)
-    rows: list[Mapping[str, object]] = []
-    for source in ("humolire", "tyrex"):
+# The five models of Table 7. Constants do not matter, because each model is scaled.
+_LENGTHS: Mapping[str, Callable[[float], StepLengthFit]] = {
+    "static": static_fit,
+    "Weinberg": lambda height_m: one_parameter_fit(WeinbergStepLength(), 0.5, 0.1),
+    "Tian": tian_fit,
+    "Kim": lambda height_m: one_parameter_fit(KimStepLength(), 0.5, 0.1),
+    "Chen": chen_fit,
+}
+# Table 7: error in % and standard deviation in m of 80 m, by pose.
+_TABLE_7: Mapping[str, Mapping[str, tuple[float, float]]] = {
+    "static": {
+        "texting": (11.42, 5.11),
+        "calling": (19.26, 7.12),
+        "pocket": (14.54, 11.72),
+        "swinging": (30.82, 16.09),
+    },
+    "Weinberg": {
+        "texting": (11.49, 5.62),
+        "calling": (9.36, 5.34),
+        "pocket": (11.15, 6.74),
+        "swinging": (14.68, 11.87),
+    },
+    "Tian": {"texting": (12.60, 5.57), "calling": (9.89, 5.35), "pocket": (9.89, 7.50), "swinging": (10.24, 8.07)},
+    "Kim": {"texting": (19.26, 7.12), "calling": (11.42, 5.11), "pocket": (10.69, 6.59), "swinging": (17.05, 17.52)},
+    "Chen": {"texting": (3.14, 2.91), "calling": (3.66, 3.40), "pocket": (4.81, 5.07), "swinging": (6.99, 9.18)},
+}
+
+
+def relative_distances(walks: Sequence[PoseWalk], model: str) -> FloatArray:
+    """Estimated over true distance of each walk (N,), the model scaled on walks of others."""
+    # of tyrex the speed is known
+    true_m = np.array([w.true_mps * sum(s.duration_s for s in w.steps) for w in walks])
+    found_m = np.array([w.distance_m(_LENGTHS[model](w.height_m)) for w in walks])
+    person = np.array([w.person for w in walks])
+    several = len(set(person)) > 1
+    ratio: list[float] = []
+    for k in range(len(walks)):
+        others = person != person[k] if several else np.arange(len(walks)) != k
+        ratio.append(float(found_m[k] / true_m[k] * true_m[others].sum() / found_m[others].sum()))
+    return np.array(ratio)
+
+
+def lengths(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Table 7 and Fig. 10."""
+    errors: list[Mapping[str, object]] = []
+    quartiles: list[Mapping[str, object]] = []
+    for model, cells in _TABLE_7.items():
+        row: dict[str, object] = {"where": "paper", "model": model}
         for pose in POSES:
-            own = [w for w in real if (w.source, w.pose) == (source, pose)]
+            row |= {f"{pose} error %": cells[pose][0], f"{pose} std %": cells[pose][1] / 0.8}
+        errors.append(row | {"mean error %": float(np.mean([error for error, _ in cells.values()]))})
+    walks = [*real_walks(arguments.data), *simulated_walks()]
+    for where in ("humolire", "tyrex", "simulated"):
+        of_site = [w for w in walks if w.source == where]
+        for model in _LENGTHS if of_site else ():
+            ratio, row = relative_distances(of_site, model), {"where": where, "model": model}
+            for pose in POSES:
+                own = ratio[[w.pose == pose for w in of_site]]
+                error, std = (100 * np.abs(own - 1).mean(), 100 * own.std()) if len(own) else (NAN, NAN)
+                row |= {f"{pose} error %": float(error), f"{pose} std %": float(std)}
+                if len(own):
+                    five = np.quantile(80 * own, (0, 0.25, 0.5, 0.75, 1)).tolist()
+                    names = ("least", "25 %", "median", "75 %", "largest")
+                    quartiles.append({"where": where, "pose": pose, "model": model} | prefixed("m:", names, five))
+            errors.append(row | {"mean error %": float(100 * np.abs(ratio - 1).mean())})
+    about = (
+        "Chen's model has the person's own three parameters in the paper, here one constant like each other model. "
+        "humolire: straight legs of one person, tyrex: one person in a room of 5 m, simulated: 12 people"
+    )
+    paper_table(tables, "guo2018_table_7", "Table 7: five step-length models by pose", errors, about)
+    about = "a true distance of 80 m; as Table 7"
+    paper_table(tables, "guo2018_fig_10", "Fig. 10: distances by five step-length models", quartiles, about)
+
+
+def speed(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Errors of Table 9: real walks, and simulated ones."""
+    title = "Table 9, real walks: errors of the mean walking speed, m/s"
+    data = "humolire: straight legs between landmarks; tyrex: motion capture in a room of 5 m; one person each"
+    real = real_walks(arguments.data)
+    paper_table(tables, "guo2018_table_9_real_walks", title, _speeds(real, ("humolire", "tyrex")), data, digits=3)
+    title = "Table 9, simulated people: errors of the mean walking speed, m/s"
+    rows = _speeds(simulated_walks(), ("simulated",))
+    paper_table(tables, "guo2018_table_9_simulated", title, rows, "12 simulated people, 80 m each", digits=3)
+
+
+def _speeds(walks: Sequence[PoseWalk], sources: Sequence[str]) -> list[Mapping[str, object]]:
+    """Rows of Table 9 by source and pose."""
+    rows: list[Mapping[str, object]] = []
+    for source in sources:
+        for pose in POSES:
+            own = [w for w in walks if (w.source, w.pose) == (source, pose)]
             if not own:
                 continue
             true = np.array([w.true_mps for w in own])
             general = speeds_mps(own, ()) - true
-            has_length = all(np.isfinite(w.true_m) for w in own) and len(own) > 1
-            personal = np.abs(speeds_mps(own, own) - true).mean() if has_length else NAN
+            # the person's other walks in any pose
+            trained = [w for w in walks if w.source == source and np.isfinite(w.true_m)]
+            has_length = all(np.isfinite(w.true_m) for w in own) and len(trained) > 1
+            personal = np.abs(speeds_mps(own, trained) - true).mean() if has_length else NAN
+            theirs, half = _SPEED_QUANTILES_MPS[pose], np.quantile(np.abs(general), (0.5, 0.95, 1.0)).tolist()
             rows.append(
                 {
                     "where": source,
@@ -381,16 +495,16 @@ def speed(tables: Tables, arguments: argparse.Namespace) -> None:
                     "walks": len(own),
                     "true m/s": float(true.mean()),
                     "paper MAE": _SPEED_MAE_MPS[pose],
+                    **prefixed("paper", _QUANTILES, theirs),
                     "ours MAE, general c": float(np.abs(general).mean()),
+                    **prefixed("ours", _QUANTILES, half),
                     "ours bias, general c": float(general.mean()),
                     "ours MAE, own c": float(personal),
                     "ours default MAE": float(np.abs([w.default_mps for w in own] - true).mean()),
                 }
             )
-    title = "Table 9, real walks: errors of the mean walking speed, m/s"
-    data = "humolire: straight legs between landmarks; tyrex: motion capture in a room of 5 m; one person each"
-    paper_table(tables, "guo2018_table_9_real_walks", title, rows, data, digits=3)
+    return rows
 
 
 if __name__ == "__main__":
-    run(__doc__, poses, steps, speed)
+    run(__doc__, poses, steps, lengths, speed)

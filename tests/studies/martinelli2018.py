@@ -1,6 +1,12 @@
 """Martinelli et al. 2018: contexts by a relevance vector machine, and distances weighted by their probabilities.
 
-Tables III and IV. No public recording has labelled changes of context and a known length, so that recordings of one
+usage: python -m tests.studies.martinelli2018 [contexts_and_distances] [belt] [windows]
+
+contexts_and_distances: Tables III, IV, V by person, and Fig. 14. "10-fold" is the paper's protocol, over windows, so
+that windows of one person are on both sides. belt: walking and running at the belt (SisFall), as in the paper.
+windows: Fig. 12, held-out people by the length of the window. Table VI is made by tests.studies.weightings.
+
+No public recording has labelled changes of context and a known length, so that recordings of one
 person of MotionSense follow each other. A distance is compared with that of the same steps in the true contexts, which
 leaves the share of the error that is the classifier's. People are tested in three subgroups, as in the paper, always by
 machines trained on the other people: five contexts, no magnetometer (23 of the 28 features), trouser pocket.
@@ -31,7 +37,7 @@ from pdr_filter.evaluate.classification import accuracy, confusion_matrix, macro
 from pdr_filter.evaluate.distance import distance_scores, percent_error, walked_m
 from pdr_filter.evaluate.runs import epoch_distances
 from pdr_filter.filter.imm.motion_model import Mode
-from pdr_filter.filter.imm.weighting import HC, weighted_distances
+from pdr_filter.filter.imm.weighting import HC, WC, weighted_distances
 from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.recipes.config import Config
@@ -44,7 +50,7 @@ from pdr_filter.tracking.whole_recording import track
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Samples, table
 from pdr_filter.values.recording import Recording, Truth
 from tests.benchmarks.common import Tables, run
-from tests.studies.data import paper_table, recordings
+from tests.studies.data import NAN, paper_table, prefixed, recordings
 
 TextArray = NDArray[np.str_]
 
@@ -163,11 +169,23 @@ def of_subgroups(examples: Examples, train: Train) -> list[tuple[list[str], Cont
 
 def confusion_of(examples: Examples, models: list[tuple[list[str], ContextModel]]) -> IntArray:
     """Confusion matrix (C, C) over all people, each classified by the model of the others."""
-    label, predicted = [], []
+    label, predicted = list[int](), list[int]()
     for people, model in models:
-        of_part = examples.rows(np.isin(examples.person, people))
-        label += [CONTEXTS.index(c) for c in of_part.context]
-        predicted += [int(model.predict(x).argmax()) for x in of_part.of(model.feature_names)]
+        _classify(examples.rows(np.isin(examples.person, people)), model, label, predicted)
+    return confusion_matrix(np.array(label), np.array(predicted), len(CONTEXTS))
+
+
+def _classify(examples: Examples, model: ContextModel, label: list[int], predicted: list[int]) -> None:
+    label += [CONTEXTS.index(c) for c in examples.context]
+    predicted += [int(model.predict(x).argmax()) for x in examples.of(model.feature_names)]
+
+
+def ten_fold(examples: Examples, train: Train) -> IntArray:
+    """Confusion matrix (C, C) by the protocol of the paper: ten folds of windows, people on both sides."""
+    fold = np.random.default_rng(0).permutation(len(examples.person)) % 10
+    label, predicted = list[int](), list[int]()
+    for k in range(10):
+        _classify(examples.rows(fold == k), train(examples.rows(fold != k)), label, predicted)
     return confusion_matrix(np.array(label), np.array(predicted), len(CONTEXTS))
 
 
@@ -230,7 +248,7 @@ def _put_together(data: Path, person: str) -> Recording | None:
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """Epochs of a walk, K of them, between the ends of K + 1 windows."""
+    """Epochs of a walk, K of them, and the contexts of K + 1 windows."""
 
     person: str
     context: IntArray  # (K,) true, at the middle of the epoch
@@ -246,7 +264,7 @@ class Walk:
 
     def by(self, weighting: str) -> FloatArray:
         """Distance of each epoch with HC, WC or IMM, (K,)."""
-        return self.imm_m if weighting == "imm" else self.weighted_m({"hc": HC, "wc": _THRESHOLD}[weighting])
+        return self.imm_m if weighting == "imm" else self.weighted_m({"hc": HC, "wc": WC}[weighting])
 
     def error_percent(self, found_m: FloatArray) -> float:
         """Of the whole walk."""
@@ -258,10 +276,11 @@ def walk_of(recording: Recording, config: Config) -> Walk:
     found: Track = track(recording, config.with_weighting("imm"))
     modes: tuple[Mode, ...] = config.model.modes
     distance_m, context_prob = epoch_distances(found, modes)
-    ends_s = found.windows.time_s
-    context = _context_at(recording, 0.5 * (ends_s[1:] + ends_s[:-1]))
+    ends_s = found.windows.time_s[:-1]  # of the epochs; the last window has no epoch of its own
+    starts_s = np.concatenate([[0.0], ends_s])[:-1]
+    context = _context_at(recording, 0.5 * (starts_s + ends_s))
     true_m = distance_m[np.arange(len(context)), context]
-    imm_m = walked_m(found.time_s, found.step_length_m, ends_s[:-1], ends_s[1:])
+    imm_m = walked_m(found.time_s, found.step_length_m, starts_s, ends_s)
     return Walk(str(recording.subject.id), context, true_m, distance_m, context_prob, imm_m)
 
 
@@ -287,7 +306,6 @@ def walks_of_people(data: Path, models: list[tuple[list[str], ContextModel]], co
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 _N_WINDOWS = 40  # of each person in each context
-_THRESHOLD = 0.8
 # Diagonal of Table III, per cent, in the order of `CONTEXTS`.
 _RECALL_PERCENT = (93.7, 85.2, 82.5, 95.2, 90.0, 100.0)
 _ACCURACY = 91.1
@@ -342,6 +360,95 @@ def _table_iv(errors: Columns, people: Sequence[str]) -> Rows:
     return tuple(rows)
 
 
+# Table III, %: rows the true context in the order of `CONTEXTS`, columns the found one.
+_TABLE_III = np.array(
+    [
+        [93.7, 0.9, 0.5, 0.0, 4.9, 0.0],
+        [0.0, 85.2, 9.0, 1.0, 4.8, 0.0],
+        [0.0, 9.8, 82.5, 4.3, 3.4, 0.0],
+        [0.0, 1.0, 3.0, 95.2, 0.8, 0.0],
+        [0.0, 6.0, 2.2, 1.8, 90.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 100.0],
+    ]
+)
+
+
+def _matrices(confusions: Mapping[str, IntArray]) -> Rows:
+    """Confusion matrices, the paper's first."""
+    rows: list[Mapping[str, object]] = []
+    for who, matrix in {"paper, 10-fold": _TABLE_III, **confusions}.items():
+        for context, counts in zip(CONTEXTS, np.asarray(matrix, dtype=float), strict=True):
+            if counts.sum():
+                cells = prefixed("found", CONTEXTS, (100.0 * counts / counts.sum()).tolist(), " %")
+                rows.append({"who": who, "true": context} | cells)
+    return tuple(rows)
+
+
+def _people(errors: Columns) -> Rows:
+    """Table V: error of each person; bias and spread, and %RMSE with the mean error of the others subtracted."""
+    n = max(len(_TABLE_V["hc"]), len(errors["ours HC"]))
+    columns = {f"paper {k.upper()}": np.array(v) for k, v in _TABLE_V.items()}
+    columns |= {name: np.array(e) for name, e in errors.items()}
+    rows: list[Mapping[str, object]] = [
+        {"person": str(k + 1)} | {c: float(e[k]) if k < len(e) else NAN for c, e in columns.items()} for k in range(n)
+    ]
+    for name, field in (("bias", "bias_percent"), ("spread", "spread_percent"), ("RMSE", "rmse_percent")):
+        rows.append({"person": name} | {c: getattr(distance_scores(e), field) for c, e in columns.items()})
+    without = {c: e - (e.sum() - e) / (len(e) - 1) for c, e in columns.items()}
+    rows.append({"person": "RMSE with a constant of the others"} | _rmse(without))
+    return tuple(rows)
+
+
+def _rmse(columns: Mapping[str, FloatArray]) -> dict[str, object]:
+    return {c: distance_scores(e).rmse_percent for c, e in columns.items()}
+
+
+def _thresholds(walks: Sequence[Walk]) -> Rows:
+    """Fig. 14: the threshold of Algorithm 2, from always weighted (0) to HC (above 1)."""
+    rows: list[Mapping[str, object]] = []
+    for threshold in (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0):
+        scores = distance_scores([w.error_percent(w.weighted_m(threshold)) for w in walks])
+        names = ("RMSE %", "bias %", "spread %")
+        values = scores.rmse_percent, scores.bias_percent, scores.spread_percent
+        rows.append({"threshold": threshold} | dict(zip(names, values, strict=True)))
+    return tuple(rows)
+
+
+def belt(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Walking and running at the belt."""
+    stages = {"2": FeatureWindows(features=TABLE_II)}
+    train = partial(relevance_machine, names=WITHOUT_MAGNETOMETER)
+    waist = examples_of(recordings(arguments.data, "sisfall"), stages, _N_WINDOWS)["2"]
+    pocket = examples_of(
+        (r for r in recordings(arguments.data, "motionsense") if r.name not in DUPLICATES), stages, _N_WINDOWS
+    )["2"]
+    label, predicted = list[int](), list[int]()
+    _classify(waist, train(pocket), label, predicted)
+    confusions = {
+        "ours, 10-fold": ten_fold(waist, train),
+        "ours, held-out people": confusion_of(waist, of_subgroups(waist, train)),
+        "ours, trained in the pocket": confusion_matrix(np.array(label), np.array(predicted), len(CONTEXTS)),
+    }
+    n = len(np.unique(waist.person))
+    data = f"SisFall, {n} people, sensor on the belt, {len(waist.person)} windows of 2 s of walking and running"
+    title = "Table III at the belt: confusion matrix, %"
+    paper_table(tables, "martinelli2018_table_iii_belt", title, _matrices(confusions), data)
+
+
+def windows(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Fig. 12: recall by the length of the window."""
+    stages = {f"{s:g}": FeatureWindows(features=TABLE_II, window_s=s, hop_s=0.5 * s) for s in (1.0, 2.0, 3.0, 4.0)}
+    recorded = (r for r in recordings(arguments.data, "motionsense") if r.name not in DUPLICATES)
+    rows: list[Mapping[str, object]] = []
+    for length, examples in examples_of(recorded, stages, _N_WINDOWS).items():
+        models = of_subgroups(examples, partial(relevance_machine, names=WITHOUT_MAGNETOMETER))
+        confusion = confusion_of(examples, models)
+        cells = {"windows": len(examples.person), "mean recall %": 100.0 * macro_recall(confusion)}
+        rows.append({"length s": length} | cells)
+    title = "Fig. 12: recall of held-out people by the length of the window"
+    paper_table(tables, "martinelli2018_fig_12", title, rows, "MotionSense, phone in the front trouser pocket")
+
+
 def contexts_and_distances(tables: Tables, arguments: argparse.Namespace) -> None:
     """Tables III and IV, of the same machines."""
     stages = {"2": FeatureWindows(features=TABLE_II), "invariant": FeatureWindows(features=ATTITUDE_FREE)}
@@ -351,22 +458,33 @@ def contexts_and_distances(tables: Tables, arguments: argparse.Namespace) -> Non
     warnings.simplefilter("ignore", ConvergenceWarning)  # it warns of the budget of candidates that is meant here
     models = of_subgroups(two_s, partial(relevance_machine, names=WITHOUT_MAGNETOMETER))
     default_models = of_subgroups(of_default, default_machine)
-    confusions = {"ours": confusion_of(two_s, models), "ours default": confusion_of(of_default, default_models)}
+    confusions = {
+        "ours, 10-fold": ten_fold(two_s, partial(relevance_machine, names=WITHOUT_MAGNETOMETER)),
+        "ours, held-out people": confusion_of(two_s, models),
+        "default, held-out people": confusion_of(of_default, default_models),
+    }
     n = len(np.unique(two_s.person))
     data = f"MotionSense, {n} people, phone in the front trouser pocket, {len(two_s.person)} windows of 2 s"
     title = "Table III, recall: diagonal of the confusion matrix, %"
     paper_table(tables, "martinelli2018_table_iii_recall", title, _recalls(confusions), data)
+    title = "Table III: confusion matrix, %"
+    paper_table(tables, "martinelli2018_table_iii", title, _matrices(confusions), data)
 
     walks = walks_of_people(arguments.data, models, martinelli2018())
     by_default = walks_of_people(arguments.data, default_models, default())
-    rows = _table_iv(_errors(walks, by_default), [w.person for w in walks])
+    errors = _errors(walks, by_default)
+    rows = _table_iv(errors, [w.person for w in walks])
     data = (
         f"recordings of MotionSense put together, {len(walks)} walks of {len(walks)} people, phone in the front "
         "trouser pocket; error against the distance of the same steps in the true contexts"
     )
     title = "Table IV: %RMSE of the distance of each subgroup"
     paper_table(tables, "martinelli2018_table_iv", title, rows, data)
+    title = "Table V: error of the distance of each person, %"
+    paper_table(tables, "martinelli2018_table_v_people", title, _people(errors), data)
+    title = "Fig. 14: errors of the distance by the threshold of WC"
+    paper_table(tables, "martinelli2018_fig_14", title, _thresholds(walks), data)
 
 
 if __name__ == "__main__":
-    run(__doc__, contexts_and_distances)
+    run(__doc__, contexts_and_distances, belt, windows)

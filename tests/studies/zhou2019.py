@@ -1,7 +1,14 @@
-"""Zhou et al. 2019: steps of walkers and runners against Levi and Judd's method, distances with seven length models.
+"""Zhou et al. 2019: behaviours, steps against Levi and Judd's method, and distances with seven length models.
 
-Tables 6 and 8. A foot: the trials of pyshoe, with motion capture. A phone elsewhere: oxford, ubicomp13, humolire and
-ms_indoor. Runners, of whom no public recording has counted steps, are simulated.
+usage: python -m tests.studies.zhou2019 [behaviours] [steps_and_distances]
+
+behaviours: confusion matrix of the four behaviours (the paper has Fig. 5, of one person). Foot: pyshoe, in sample,
+because the thresholds were chosen on these trials; a window is labelled if the speed of the foot in motion capture is
+that of one behaviour in all of it. Phone: people on whom nothing was chosen; motionsense (sitting and standing,
+walking and stairs, jogging) and, as irregular swing, handling of the phone before and after the walks of ubicomp13.
+
+steps_and_distances: Tables 4 to 8. A foot: the trials of pyshoe, with motion capture. A phone elsewhere: oxford,
+ubicomp13, humolire and ms_indoor. Runners, of whom no public recording has counted steps, are simulated.
 
 Levi and Judd's method is what the paper says of it, with the band, spectra and thresholds of the other detector.
 Parameters of the length models are those of other trials of pyshoe (some may be of the same person), of the person's
@@ -11,8 +18,10 @@ own other walks (humolire), of other persons in another building, and of other s
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.signal import find_peaks, firwin
@@ -24,18 +33,34 @@ from pdr_filter.filter.step_length.models import LinearStepLengthModel
 from pdr_filter.offline.calibration.segments import Segment, segments_of, step_contexts
 from pdr_filter.recipes import for_recording
 from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.zhou2019.contexts import BEHAVIOURS, BehaviourStage, BehaviourThresholds
+from pdr_filter.recipes.zhou2019.contexts import CARRIED as CARRIED_BEHAVIOURS
+from pdr_filter.recipes.zhou2019.contexts import FOOT as FOOT_BEHAVIOURS
 from pdr_filter.recipes.zhou2019.step_length import M1, M2, M3, M4, M5, M6, M7
 from pdr_filter.recipes.zhou2019.steps import CARRIED, FOOT, EventSearch, ReferenceLineStepDetector, dominant_period_s
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
+from pdr_filter.sensing.contexts.context_stage import WindowContext
+from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.tracking.track import Track
-from pdr_filter.tracking.whole_recording import detect_steps
+from pdr_filter.tracking.whole_recording import detect_steps, run_sensing
 from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, steps_of
 from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, run
-from tests.studies.data import HEIGHT_M, NAN, by_count, paper_table, people_left_out, recordings, with_subject
+from tests.studies.data import (
+    HEIGHT_M,
+    NAN,
+    by_count,
+    counted_walk,
+    paper_table,
+    people_left_out,
+    prefixed,
+    recordings,
+    together,
+    with_subject,
+)
 
 # --- steps ----------------------------------------------------------------------------------------------------------
 
@@ -345,6 +370,27 @@ _PAPER_ERROR_PERCENT = {  # Table 8, M1 to M7
     "walking": (6.01, 5.08, 3.63, 6.33, 5.07, 6.47, 3.31),
     "running": (12.1, 9.9, 11.1, 8.32, 12.56, 7.83, 6.32),
 }
+# Tables 4 and 5: true steps, and over-counted and missed ones by Levi and Judd's method and by BCTFD.
+_TABLES_4_AND_5 = {
+    ("walking", "PA"): (891, (6, 10), (0, 0)),
+    ("walking", "PB"): (747, (0, 6), (0, 0)),
+    ("walking", "PC"): (877, (10, 6), (1, 0)),
+    ("walking", "PD"): (870, (4, 4), (1, 0)),
+    ("running", "PA"): (384, (0, 4), (0, 0)),
+    ("running", "PB"): (349, (0, 11), (1, 0)),
+    ("running", "PC"): (470, (0, 10), (4, 0)),
+    ("running", "PD"): (401, (0, 8), (3, 0)),
+}
+_TABLE_7 = {  # distance in m, and errors of M1 to M7 in m
+    ("walking", "PA"): (1200, (53.44, 49.78, 22.61, 52.82, 44.41, 38.46, 20.07)),
+    ("walking", "PB"): (1200, (86.17, 53.46, 15.76, 117.6, 64.14, 157.06, 14.06)),
+    ("walking", "PC"): (1200, (44.44, 26.36, 27.29, 19.81, 41.82, 28.39, 30.74)),
+    ("walking", "PD"): (1200, (35.59, 85.46, 31.82, 56.42, 16.35, 62.81, 16.21)),
+    ("running", "PA"): (800, (55.87, 35.54, 34.17, 37.79, 57.56, 31.11, 20.46)),
+    ("running", "PB"): (800, (72.52, 70.14, 70.73, 43.29, 64.83, 49.75, 19.7)),
+    ("running", "PC"): (800, (53.72, 51.15, 51.15, 50.91, 53.22, 50.05, 46.95)),
+    ("running", "PD"): (800, (124.63, 128.34, 80.53, 65.86, 122.89, 55.73, 50.44)),
+}
 _SITES = ("humolire", "ms_indoor")
 _PLACES = {
     "pyshoe": "foot, pyshoe (motion capture)",
@@ -434,21 +480,73 @@ def _errors(
             }
         )
     about = (
-        f"pyshoe: {len(foot)} trials of {sum(w.true_m for w in foot):.0f} m together, persons not stated; humolire: "
-        f"{len(humolire)} walks of one person; ms_indoor: {len(mall)} walks of surveyors not stated; simulated: "
-        f"{len(people['walking'])} persons who walk and {len(people['running'])} who run"
+        f"pyshoe: {len(foot)} walking trials of {sum(w.true_m for w in foot):.0f} m together, persons not stated; "
+        f"humolire: {len(humolire)} walks of one person; ms_indoor: {len(mall)} walks of surveyors not stated; "
+        f"simulated: {len(people['walking'])} persons who walk and {len(people['running'])} who run"
     )
     title = "Table 8: average relative errors of the distance"
     paper_table(tables, "zhou2019_table_8", title, rows, about, digits=2)
 
 
+def _by_person(tables: Tables, counted: Sequence[Counted]) -> None:
+    """Tables 4 and 5: the paper's four persons, and ours."""
+    rows: list[Mapping[str, object]] = []
+    for (behaviour, person), (n_true, theirs, ours) in _TABLES_4_AND_5.items():
+        row: dict[str, object] = {"behaviour": behaviour, "where": "paper, foot", "person": person, "true": n_true}
+        for who, (over, missed) in (("Levi and Judd", theirs), ("BCTFD", ours)):
+            success = 100.0 * (1.0 - (over + missed) / n_true)
+            row |= prefixed(who, ("over-counted", "missed", "success %"), (over, missed, success))
+        rows.append(row)
+    for behaviour, _, own in _groups(counted):
+        for person in sorted({_of_person(c) for c in own}):
+            of_person = [c for c in own if _of_person(c) == person]
+            first = of_person[0]
+            row = {"behaviour": behaviour, "where": _PLACES[first.source], "person": person}
+            for who, name in (("Levi and Judd", "levi_judd"), ("BCTFD", "ours")):
+                sums = together([getattr(c, name) for c in of_person])
+                row |= {"true": sums.n_true} if "true" not in row else {}
+                cells = sums.n_found - sums.n_matched, sums.n_true - sums.n_matched, success_percent(sums)
+                row |= prefixed(who, ("over-counted", "missed", "success %"), cells)
+            rows.append(row)
+    title = "Tables 4 and 5: step detection of each person"
+    paper_table(tables, "zhou2019_table_4_5", title, rows, f"counts; {_amount(counted)}")
+
+
+def _of_person(counted: Counted) -> str:
+    return "not stated" if counted.source == "pyshoe" else counted.person
+
+
+def _errors_m(tables: Tables, foot: Sequence[Walk], people: Mapping[str, Sequence[Walk]], hand: Sequence[Walk]) -> None:
+    """Table 7: error of the distance of each person, m."""
+    rows: list[Mapping[str, object]] = [
+        {"behaviour": behaviour, "where": "paper, foot", "person": person, "walked m": walked_m}
+        | dict(zip(MODELS, errors, strict=True))
+        for (behaviour, person), (walked_m, errors) in _TABLE_7.items()
+    ]
+    everyone = [w for walks in people.values() for w in walks]
+    groups = [("walking", "foot, pyshoe, other trials", foot, without_the_walk(foot))]
+    groups += [("walking", "hand, humolire, own other walks", hand, without_the_walk(hand))]
+    groups += [(b, "pocket, simulated, other persons", w, without_the_person(everyone)) for b, w in people.items()]
+    for behaviour, where, walks, rest in groups:
+        persons = ["not stated"] if walks is foot else sorted({w.person for w in walks})
+        error_m = {model: np.abs(_signed_m(walks, model, rest)) for model in MODELS} if walks else {}
+        for person in persons if walks else ():
+            use = np.array([walks is foot or w.person == person for w in walks])
+            row = {"behaviour": behaviour, "where": where, "person": person}
+            row |= {"walked m": sum(w.true_m for w, u in zip(walks, use, strict=True) if u)}
+            rows.append(row | {model: float(e[use].sum()) for model, e in error_m.items()})
+    title = "Table 7: absolute errors of the distance of each person, m, summed over recordings"
+    paper_table(tables, "zhou2019_table_7", title, rows, "parameters as in Table 8")
+
+
 def steps_and_distances(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Tables 6 and 8 of the paper, of the same walks."""
+    """Tables 4 to 8 of the paper, of the same walks."""
     counted: list[Counted] = []
     foot: list[Walk] = []
     for recording in recordings(arguments.data, "pyshoe"):
         counted.append(counted_on_foot(recording))
-        foot.append(foot_walk(recording))
+        if counted[-1].behaviour == "walking":  # one trial runs, and no other could give its parameters
+            foot.append(foot_walk(recording))
     carried = {"oxford": recordings(arguments.data, "oxford"), "ubicomp13": people_left_out(arguments.data)}
     counted += [followed(r).counted(source, "walking") for source, walks in carried.items() for r in walks]
     people: dict[str, list[Walk]] = {"walking": [], "running": []}
@@ -461,8 +559,88 @@ def steps_and_distances(tables: Tables, arguments: argparse.Namespace) -> None:
         site: [w for r in recordings(arguments.data, site) for w in _present(walk_of(followed(r)))] for site in _SITES
     }
     _success(tables, counted)
+    _by_person(tables, counted)
     _errors(tables, foot, people, hand)
+    _errors_m(tables, foot, people, hand["humolire"])
+
+
+# --- behaviours -----------------------------------------------------------------------------------------------------
+
+_STANDS_MPS, _WALKS_MPS = 0.05, 0.5  # speed of the foot: highest of a standing window, lowest mean of a moving one
+_HANDLED_S = 2.0  # distance of handling from the walk
+
+
+def _windows(recording: Recording, thresholds: BehaviourThresholds) -> list[tuple[float, float, str]]:
+    """Start, end and behaviour of each window of the state machine."""
+    stage = BehaviourStage(thresholds=thresholds)
+    found = run_sensing(Sensing(contexts=stage, steps=FOOT if thresholds is FOOT_BEHAVIOURS else CARRIED), recording)[1]
+    length_s = stage.windows.window_s
+    return [(w.time_s - length_s, w.time_s, _behaviour(w)) for w in found if isinstance(w, WindowContext)]
+
+
+def _behaviour(window: WindowContext) -> str:
+    """Behaviour of a window: irregular swing is reported as standing with an irregular probability of one."""
+    name = CONTEXTS[int(window.prob.argmax())]
+    return name if name != "stationary" else ("irregular" if window.irregular_prob > 0.5 else "standing")
+
+
+def _foot_label(recording: Recording) -> Callable[[float, float], str | None]:
+    """Behaviour of the foot from motion capture; None between behaviours."""
+    position = recording.truth.position
+    assert position is not None
+    place = np.column_stack([position.east_m, position.north_m, position.up_m])
+    speed = np.linalg.norm(np.gradient(place, np.asarray(position.time_s), axis=0), axis=1)
+    moving = "running" if foot_truth(recording).speed_mps > _RUN_MPS else "walking"
+
+    def label(start_s: float, end_s: float) -> str | None:
+        inside = speed[(position.time_s >= start_s) & (position.time_s <= end_s)]
+        if len(inside) and np.quantile(inside, 0.95) < _STANDS_MPS:
+            return "standing"
+        return moving if len(inside) and inside.mean() > _WALKS_MPS else None
+
+    return label
+
+
+def _labelled(data: Path) -> Iterator[tuple[str, str, str]]:
+    """Place of the sensor, true and found behaviour of each labelled window."""
+    for recording in recordings(data, "pyshoe"):
+        label = _foot_label(recording)
+        for start_s, end_s, found in _windows(recording, FOOT_BEHAVIOURS):
+            if (true := label(start_s, end_s)) is not None:
+                yield "foot, in sample", true, found
+    of_context = {"stationary": "standing", "running": "running"}  # stairs are walking
+    for recording in recordings(data, "motionsense"):
+        if int(str(recording.subject.id).strip("s")) > _N_CHOSEN and recording.truth.labels is not None:
+            true = of_context.get(str(recording.truth.labels["context"][0]), "walking")
+            for *_, found in _windows(recording, CARRIED_BEHAVIOURS):
+                yield "phone, people held out", true, found
+    for recording in people_left_out(data):
+        first_s, last_s, _ = counted_walk(recording)
+        for start_s, end_s, found in _windows(recording, CARRIED_BEHAVIOURS):
+            if end_s < first_s - _HANDLED_S or start_s > last_s + _HANDLED_S:
+                yield "phone, people held out", "irregular", found
+
+
+_N_CHOSEN = 6  # people of motionsense on whom the thresholds were chosen
+
+
+def behaviours(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Confusion matrix of the behaviours."""
+    counts = Counter(_labelled(arguments.data))
+    rows: list[Mapping[str, object]] = []
+    for place in dict.fromkeys(place for place, *_ in counts):
+        for true in BEHAVIOURS:
+            of_row = [counts[place, true, found] for found in BEHAVIOURS]
+            if sum(of_row):
+                cells = prefixed("found", BEHAVIOURS, (100.0 * n / sum(of_row) for n in of_row), " %")
+                rows.append({"sensor": place, "true": true, "windows": sum(of_row)} | cells)
+    title = "Behaviours: confusion matrix of windows of 2 s"
+    about = (
+        "pyshoe (foot), motionsense and ubicomp13 (phone). Irregular is the time before and after the walks of "
+        "ubicomp13, in which the phone is handled and at times at rest"
+    )
+    paper_table(tables, "zhou2019_behaviours", title, rows, about)
 
 
 if __name__ == "__main__":
-    run(__doc__, steps_and_distances)
+    run(__doc__, behaviours, steps_and_distances)

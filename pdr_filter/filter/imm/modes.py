@@ -7,8 +7,7 @@ import numpy as np
 from pdr_filter.filter.imm.motion_model import STANDING_STD_M, Mode
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
-from pdr_filter.filter.imm.weighting import HC
+from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker
 from pdr_filter.filter.step_length.models import (
     USUAL_HEIGHT_M,
     FrequencyVarianceStepLength,
@@ -92,10 +91,10 @@ def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> 
     )
 
 
-def one_hot_tracker(modes: tuple[Mode, ...]) -> WeightedTracker:
-    """Return a tracker with the weighting "hc", as in published systems that decide for one context.
+def one_hot_tracker(modes: tuple[Mode, ...]) -> DetectedStepTracker:
+    """Return a tracker with the weighting "hc", for published systems whose step detectors use the context.
 
-    A step has the length of the most probable context.
+    A step has the length of the most probable context with steps, in the first window that contains it.
 
     Parameters
     ----------
@@ -104,7 +103,7 @@ def one_hot_tracker(modes: tuple[Mode, ...]) -> WeightedTracker:
 
     Returns
     -------
-    WeightedTracker
+    DetectedStepTracker
         Tracker with the default transition probabilities between contexts.
 
     Examples
@@ -114,7 +113,7 @@ def one_hot_tracker(modes: tuple[Mode, ...]) -> WeightedTracker:
     >>> one_hot_tracker(context_modes(bounce_fit())).weighting
     'hc'
     """
-    return WeightedTracker(PedestrianModel(modes, context_transitions()), HC)
+    return DetectedStepTracker(PedestrianModel(modes, context_transitions()))
 
 
 def height_of(subject: Subject | None) -> float:

@@ -39,7 +39,7 @@ from pdr_filter.filter.imm.recent_windows import (
     with_window,
 )
 from pdr_filter.filter.imm.step_history import Walked
-from pdr_filter.filter.imm.weighting import HC, Weighting, context_weights
+from pdr_filter.filter.imm.weighting import HC, WC, Weighting, context_weights
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace_unchecked
 from pdr_filter.values.mixtures import posterior_prob
@@ -104,11 +104,12 @@ class WeightedTracker:
     """
 
     model: PedestrianModel
-    threshold: float = 0.8
+    threshold: float = WC
     function: Weighting | None = None
 
     # A step is final when the window after the first one that contains it is known.
     waits_for_windows = 2
+    _last_window = staticmethod(window_after)
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("threshold",), infinite=("threshold",))
@@ -256,7 +257,7 @@ class WeightedTracker:
         return self._settle(state, force=True)
 
     def _settle(self, state: WeightedState, force: bool) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """Return the state and the updates after all pending steps have become final whose second window is known.
+        """Return the state and the updates after all pending steps have become final whose last window is known.
 
         If `force` is True, all pending steps become final. So do steps that have waited for more than
         `WINDOW_MEMORY_S`. The order of the steps is kept.
@@ -266,7 +267,7 @@ class WeightedTracker:
             step = state.pending[0]
             # without windows, steps wait at most as long as windows are stored
             waits = state.pending[-1].time_s - step.time_s <= WINDOW_MEMORY_S
-            if window_after(state.windows, step.time_s) is None and waits and not force:
+            if self._last_window(state.windows, step.time_s) is None and waits and not force:
                 break
             state, update = self._weighted_step(state, is_final=True)
             final.append(update)
@@ -312,7 +313,7 @@ class WeightedTracker:
         leave the track at its start.
         """
         provisional = self._prob_of(state, window_around(state.windows, step.time_s))
-        final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional
+        final = self._prob_of(state, self._last_window(state.windows, step.time_s)) if is_final else provisional
         of_step = posterior_prob(np.stack([provisional, final]), self._step_evidence)
         weights = 0.5 * (self._weights_of(of_step[0]) + self._weights_of(of_step[1]))
         return 0.5 * (provisional + final), weights[self.model.context_index]
@@ -368,3 +369,42 @@ class WeightedTracker:
         if window is None and not state.windows:
             return self.model.context_prob(state.mode_prob)
         return (window or state.windows[-1]).prob
+
+
+@dataclass(frozen=True, eq=False)
+class DetectedStepTracker(WeightedTracker):
+    """Tracker that decides once about a step, for published systems whose step detectors use the context.
+
+    A step has the length of its most probable context with steps, in the first window that contains it. The detector of
+    such a system has rejected the steps of a person who stands. If that window has only contexts without steps, the
+    context is the most frequent one with steps.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker
+    >>> isinstance(pdr.recipes.zhou2019().tracker, DetectedStepTracker)
+    True
+    """
+
+    threshold: float = HC
+
+    waits_for_windows = 1
+    _last_window = staticmethod(window_around)
+
+    def _weights(self, state: WeightedState, step: Step, is_final: bool) -> tuple[FloatArray, FloatArray]:
+        """Return the context probabilities (C,) and the mode weights (M,) of a step, from one window."""
+        prob = self._prob_of(state, window_around(state.windows, step.time_s))
+        with_steps = prob * self._has_steps
+        if not with_steps.any():
+            usual = self.model.context_prob(self.model.long_run_mode_prob) * self._has_steps
+            with_steps = np.eye(len(usual))[usual.argmax()]
+        weights = self._weights_of(with_steps / with_steps.sum())
+        return prob, weights[self.model.context_index]
+
+    @cached_property
+    def _has_steps(self) -> FloatArray:
+        """Array (C,) with 0 for contexts without steps, else 1."""
+        has_steps = np.ones(len(self.model.contexts))
+        has_steps[self.model.context_index] -= self.model.stands
+        return has_steps

@@ -40,14 +40,15 @@ def context_weights(context_prob: FloatArray, threshold: float) -> FloatArray:
 
 
 HC = np.inf  # threshold with which the highest context is always used
+WC = 0.8  # threshold of Algorithm 2
 
 
 @dataclass(frozen=True, eq=False)
 class WeightedDistances:
-    """Distances in m of Algorithms 1 and 2 of Martinelli et al. (2018) for the epochs 1 to K between context windows.
+    """Distances in m of Algorithms 1 and 2 of Martinelli et al. (2018) for the epochs 1 to K.
 
-    A context window ends with each epoch. The provisional distance of an epoch uses the context weights of the window
-    before the epoch. The final distance uses those of the window that ends with the epoch.
+    Two context windows contain an epoch, because windows overlap by half. The provisional distance uses the context
+    weights of the window that ends with the epoch. The final distance uses those of the next window.
 
     Attributes
     ----------
@@ -78,8 +79,7 @@ def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, thresho
     distance_m : (K, C) array
         Distance of each epoch for each context (eq. 17 and 18 of Martinelli et al. 2018).
     context_prob : (K + 1, C) array
-        Context probabilities of the windows 0 to K. Window k - 1 is at the beginning of epoch k, and window k at its
-        end.
+        Context probabilities of the windows 0 to K. Epoch k ends with window k - 1, and is the first half of window k.
     threshold : float
         Ratio of the second-highest to the highest probability from which the contexts are weighted by their
         probabilities (WC). Otherwise the highest context is used. `HC` (infinity) always uses the highest context.

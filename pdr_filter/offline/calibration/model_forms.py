@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 from pdr_filter.filter.step_length.models import RECORDING_STD, StepLengthModel
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.hierarchy import SingularError
-from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, candidates, with_relative_std
+from pdr_filter.offline.calibration.priors import (
+    DEFAULT_PRIORS,
+    StepLengthPrior,
+    candidates,
+    named_priors,
+    with_relative_std,
+)
 from pdr_filter.offline.calibration.segments import AnySegment, SegmentSums, integrate
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.recipes.step_length_calibration import slices_of
@@ -42,7 +48,7 @@ def forms_of(
     named, otherwise all of `candidates`. The contexts are in the order of `contexts`. Raises ValueError for unknown or
     contradicting arguments.
     """
-    given, known = dict(priors or {}), {name: {walking: of["walking"]} for name, of in candidates().items()}
+    given, known = dict(priors or {}), {name: {walking: p} for name, p in named_priors().items()}
     if unknown := set(given) - set(contexts):
         raise ValueError(
             f"priors are of no context {', '.join(sorted(unknown))}; there are {', '.join(contexts)}: contexts of "
@@ -57,7 +63,8 @@ def forms_of(
             f"prior_std (--prior) must be a fraction of a step, above 0 and up to 1, got {prior_std}; 0.1 is usual"
         )
     is_given = walking in given or walking not in contexts
-    chosen = {model: known[model]} if model is not None else {"given": given} if is_given else known
+    compared = {name: known[name] for name in candidates()}
+    chosen = {model: known[model]} if model is not None else {"given": given} if is_given else compared
     forms: dict[str, dict[str, StepLengthPrior]] = {}
     for name, own in chosen.items():
         full = {**DEFAULT_PRIORS, **given, **own}

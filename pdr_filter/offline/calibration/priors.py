@@ -15,11 +15,17 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import (
     USUAL_HEIGHT_M,
     BounceStepLength,
+    ChenStepLength,
+    FrequencyStepLength,
     FrequencyVarianceStepLength,
     KimStepLength,
+    MagnitudeRangeStepLength,
+    PeriodPeakStepLength,
+    StaticStepLength,
     StepLengthModel,
     TianStepLength,
     WeinbergStepLength,
+    ZhouWalkingStepLength,
     bounce_fit,
     equal_fits,
     length_and_jacobian,
@@ -352,6 +358,38 @@ def candidates() -> dict[str, dict[str, StepLengthPrior]]:
         "kim": {"walking": weak_prior(KimStepLength())},
         "tian": {"walking": weak_prior(TianStepLength(USUAL_HEIGHT_M))},
         "weinberg": {"walking": weak_prior(WeinbergStepLength())},
+    }
+
+
+def named_priors() -> dict[str, StepLengthPrior]:
+    """Return the prior of walking for each step-length model that a calibration takes by name.
+
+    Returns
+    -------
+    dict of str to StepLengthPrior
+        The models of `candidates`, and further models of the five published systems, with their numbers in
+        docs/methods/step_length.md.
+
+    Notes
+    -----
+    The parameter a of Chen's model is held, because for one person it has the effect of c. Its b is as weakly known as
+    k1 of `eq12_priors`.
+
+    Examples
+    --------
+    >>> from pdr_filter.offline.calibration.priors import named_priors
+    >>> list(named_priors())
+    ['bounce', 'eq12', 'kim', 'tian', 'weinberg', 'chen', 'frequency', 'peak', 'range', 'static', 'zhou']
+    """
+    a, b, c = 0.371, 0.227, 1.0  # as in the recipe of Guo et al. 2018
+    return {
+        **{name: of["walking"] for name, of in candidates().items()},
+        "chen": prior(ChenStepLength(USUAL_HEIGHT_M), [a, b, c], [0.0, 0.2, 0.5], [0.0, 0.0, PEOPLE_RELATIVE_STD]),
+        "frequency": weak_prior(FrequencyStepLength()),
+        "peak": weak_prior(PeriodPeakStepLength()),
+        "range": weak_prior(MagnitudeRangeStepLength()),
+        "static": weak_prior(StaticStepLength(USUAL_HEIGHT_M)),
+        "zhou": weak_prior(ZhouWalkingStepLength()),
     }
 
 

@@ -13,7 +13,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pdr_filter.classifiers.context_model import ContextModel, load_model
-from pdr_filter.recipes.guo2018.features import WITHOUT_LIGHT_AND_PROXIMITY, PoseWindow, PoseWindows, PoseWindowState
+from pdr_filter.recipes.guo2018.features import (
+    NAMES,
+    WITHOUT_LIGHT_AND_PROXIMITY,
+    PoseWindow,
+    PoseWindows,
+    PoseWindowState,
+)
 from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStage, known_context
 from pdr_filter.values import CARRYING_MODES, FloatArray, check_numbers
 
@@ -32,7 +38,8 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
     windows : PoseWindows
         Windows and their features.
     model : ContextModel
-        Classifier of the carrying mode on the 12 features `WITHOUT_LIGHT_AND_PROXIMITY`.
+        Classifier of the carrying mode on the 12 features `WITHOUT_LIGHT_AND_PROXIMITY`, or on all 18 `NAMES`. The
+        latter needs windows with light and proximity: `PoseWindows(ambient=AmbientSamples.of(recording))`.
     min_level, max_level : float
         Range of the level of motion of a walking window, delta_min and delta_max of eq. 1, in m2/s4.
     min_level_accelerometer : float
@@ -41,13 +48,13 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
     Raises
     ------
     ValueError
-        If a threshold is negative, or if the model does not classify carrying modes from the 12 features.
+        If a threshold is negative, or if the model does not classify carrying modes from the features of the windows.
 
     Notes
     -----
     Deviations from the paper:
 
-    - The features of light and proximity, six of 18, are omitted, because the training recordings lack them. The
+    - The shipped model omits light and proximity, six of 18 features, because the training recordings lack them. The
       windows report the model as `guo_pose_without_light_and_proximity`.
     - Roll is about another axis (`pdr_filter.recipes.guo2018.features`).
     - Left and right are not distinguished, because no licensed recording labels the side. The paper also has seven
@@ -78,7 +85,12 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("min_level", "min_level_accelerometer"), infinite=("max_level",))
-        if self.model.head != "carrying_mode" or self.model.feature_names != WITHOUT_LIGHT_AND_PROXIMITY:
+        if self.model.feature_names == NAMES and self.windows.ambient is None:
+            raise ValueError(
+                f"model {self.model.name!r} needs light and proximity: pass "
+                "windows=PoseWindows(ambient=AmbientSamples.of(recording))"
+            )
+        if self.model.head != "carrying_mode" or self.model.feature_names not in (NAMES, WITHOUT_LIGHT_AND_PROXIMITY):
             raise ValueError(
                 f"model {self.model.name!r} does not classify carrying modes from the 12 features of pitch and roll: "
                 'pass ContextModel.load("guo_pose"), or train one in a clone with '
@@ -88,7 +100,8 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
     @property
     def name(self) -> str:
         """Name of the classifier in the reports of windows."""
-        return f"{self.model.name}_without_light_and_proximity"
+        has_all = self.model.feature_names == NAMES
+        return self.model.name if has_all else f"{self.model.name}_without_light_and_proximity"
 
     def first_memory(self) -> FloatArray | None:
         """Return None, because the pose is unknown before the first walking window.
@@ -120,7 +133,7 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
         min_level = self.min_level if window.has_gyroscope else self.min_level_accelerometer
         is_walking = min_level < window.level < self.max_level  # eq. 1
         if is_walking:
-            memory = self.model.predict(window.features)
+            memory = self.model.predict(window.features[: len(self.model.feature_names)])
         pose = {} if memory is None else dict(zip(CARRYING_MODES, memory.tolist(), strict=True))
         context = {_CONTEXTS[is_walking]: 1.0}
         return memory, known_context(window.time_s, context, pose, _CONTEXTS, self.name)

@@ -17,7 +17,8 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features.sliding_windows import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
-from pdr_filter.values import BoolArray, FloatArray, check_numbers
+from pdr_filter.values import BoolArray, FloatArray, Samples, check_numbers
+from pdr_filter.values.recording import Recording
 
 _ANGLE_STATISTICS = ("mean", "median", "max", "min", "rms", "range")
 _AMBIENT_STATISTICS = ("mean", "median", "rms")
@@ -139,31 +140,86 @@ class MotionLevel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class AmbientSamples:
+    """Light and proximity of a recording, which the features of the pose use.
+
+    Phones report both only when they change. A value holds until the next one, and the first one also before.
+
+    Attributes
+    ----------
+    light, proximity : Samples
+        Illuminance in lux and distance in cm, values of shape (N, 1).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.recipes.guo2018.features import AmbientSamples
+    >>> from pdr_filter.values import Samples
+    >>> light, near = (Samples(np.array([1.0, 2.0]), np.array([[v], [0.0]])) for v in (300.0, 5.0))
+    >>> AmbientSamples(light, near).at(np.array([0.0, 1.9, 2.0]))
+    array([[300., 300.,   0.],
+           [  5.,   5.,   0.]])
+    """
+
+    light: Samples
+    proximity: Samples
+
+    @classmethod
+    def of(cls, recording: Recording) -> AmbientSamples:
+        """Return the samples of a recording. ValueError if light or proximity is missing or has no finite value."""
+        streams = []
+        for name in ("light", "proximity"):
+            samples = getattr(recording, name)
+            known = np.zeros(0, bool) if samples is None else np.isfinite(samples.values[:, 0])
+            if not known.any():
+                raise ValueError(
+                    f"{recording.name or 'the recording'} has no {name}, which 6 of the 18 features of the pose need: "
+                    "use a model of the 12 features of pitch and roll"
+                )
+            order = np.argsort(samples.time_s[known], kind="stable")
+            streams.append(Samples(samples.time_s[known][order], samples.values[known][order]))
+        return cls(*streams)
+
+    def at(self, time_s: FloatArray) -> FloatArray:
+        """Return light and proximity at some times, (2, N)."""
+        rows = []
+        for samples in (self.light, self.proximity):
+            last = np.searchsorted(samples.time_s, time_s, side="right") - 1
+            rows.append(samples.values[np.maximum(last, 0), 0])
+        return np.stack(rows)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PoseWindow(DescribedWindow):
-    """Features of pitch and roll of one window, and the level of motion at its end in m2/s4.
+    """Features of one window, and the level of motion at its end in m2/s4.
 
     `has_gyroscope` is True if the level includes the angular rate.
     """
 
-    features: FloatArray  # (12,)
+    features: FloatArray  # (18,), or (12,) without light and proximity
     level: float  # level of motion in this window
     has_gyroscope: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseWindowState:
-    """State of the level of motion, and samples of pitch, roll and level that later windows need."""
+    """State of the level of motion, and samples of the signals that later windows need."""
 
     level: MotionLevelState
-    buffer: WindowBuffer  # rows: pitch, roll, level of motion, 1 if its window has an angular rate
+    # rows: pitch, roll, light and proximity if known, level of motion, 1 if its window has an angular rate
+    buffer: WindowBuffer
 
 
 @dataclass(frozen=True)
 class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
-    """Causal windows of pitch and roll, with their features and the level of motion."""
+    """Causal windows of pitch and roll, with their features and the level of motion.
+
+    With `ambient`, the light and proximity of the recording, windows have all 18 features.
+    """
 
     window_s: float = 0.6
     hop_s: float = 0.6
+    ambient: AmbientSamples | None = None
 
     @cached_property
     def _level(self) -> MotionLevel:
@@ -171,14 +227,15 @@ class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
 
     def init(self) -> PoseWindowState:
         """Return the state at the start of a segment, that is, of samples without a gap."""
-        return PoseWindowState(self._level.init(), no_samples(4))
+        return PoseWindowState(self._level.init(), no_samples(4 if self.ambient is None else 6))
 
     def update(
         self, state: PoseWindowState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[PoseWindowState, list[tuple[int, PoseWindow]]]:
         """Return the new state and the completed windows, each with the index of its last sample in the segment."""
         level_state, level, has_rate = self._level.update(state.level, block)
-        signals = np.vstack([*pitch_and_roll(attitude.up_sensor), level, has_rate.astype(float)])
+        ambient = () if self.ambient is None else self.ambient.at(block.time_s)
+        signals = np.vstack([*pitch_and_roll(attitude.up_sensor), *ambient, level, has_rate.astype(float)])
         buffer, windows = self.cut(state.buffer, block.time_s, signals)
         found = [
             (
@@ -186,9 +243,9 @@ class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
                 PoseWindow(
                     start_s=w.start_s,
                     time_s=w.end_s,
-                    features=pose_features(w.samples[:2]),
-                    level=float(w.samples[2, -1]),
-                    has_gyroscope=bool(w.samples[3, -1]),
+                    features=pose_features(w.samples[:-2]),
+                    level=float(w.samples[-2, -1]),
+                    has_gyroscope=bool(w.samples[-1, -1]),
                 ),
             )
             for w in windows

@@ -102,7 +102,5 @@ def martinelli2018(subject: Subject | None = None) -> Config:
     return Config(
         name="martinelli2018",
         sensing=Sensing(steps=WaveletStepDetector(), contexts=magnitude_contexts()),
-        tracker=WeightedTracker(
-            PedestrianModel(context_modes(_FREQUENCY_VARIANCE_WALKING), context_transitions()), threshold=0.8
-        ),
+        tracker=WeightedTracker(PedestrianModel(context_modes(_FREQUENCY_VARIANCE_WALKING), context_transitions())),
     )

@@ -133,6 +133,9 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
 
     Notes
     -----
+    The statistics of a step, for the models M2 to M7, are those of the low-passed signal of its behaviour, as in the
+    paper.
+
     The contact is the end of the event. On the foot of a slow walker, it may be in the swing phase, half a stride
     early. The contacts of an event with several steps divide the time since the last event evenly, or the dominant
     period for the first event of a bout.
@@ -257,7 +260,9 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
         while state.window_start + _window_samples(state.period_s, self.rate_hz) <= n_samples:
             state, found = self._window(state, n_samples - state.buffer.shape[1])
             steps += found
-        n_kept = n_samples - state.window_start + self._spectrum_samples
+        held_s = self.hold_s + self.steps_per_event * self.max_interval_s  # the oldest step that may be released
+        n_past = max(self._spectrum_samples, round(held_s * self.rate_hz))
+        n_kept = n_samples - state.window_start + n_past
         return replace_unchecked(state, buffer=state.buffer[:, -n_kept:]), steps
 
     def _window(self, state: ReferenceLineState, first: int) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
@@ -276,8 +281,9 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
         events = np.array([[e - self._delay_samples, state.period_s] for e in ends]).reshape(-1, 2)
         state = replace_unchecked(state, lines=lines, waiting=np.concatenate([state.waiting, events]))
         context = round(state.buffer[2, end - 1])
-        state, steps = self._release(state, context == _STATIONARY, window_end - 1)
         is_running = context == _RUNNING
+        a = state.buffer[int(is_running), self._delay_samples :]  # from sample `first` on, without the delay
+        state, steps = self._release(state, context == _STATIONARY, window_end - 1, a, first)
         before = np.ascontiguousarray(state.buffer[int(is_running), max(end - self._spectrum_samples, 0) : end])
         period_s = dominant_period_s(before, self.running if is_running else self.walking, self.rate_hz)
         return (
@@ -340,13 +346,13 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
         return ReferenceLines(large, small, start, last_end), ends
 
     def _release(
-        self, state: ReferenceLineState, is_still: bool, known: int
+        self, state: ReferenceLineState, is_still: bool, known: int, a_mps2: FloatArray, first: int
     ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
         """Return the new state, and the steps of all held events, each with the number `known` of the newest sample.
 
-        An event is a detected step, or a stride on a foot. It is held until the behaviour is known. If the person
-        stands (`is_still`), there are no steps. The events stay held, except those held longer than `hold_s`, which are
-        dropped.
+        `a_mps2` is the filtered acceleration from sample `first` on. An event is a detected step, or a stride on a
+        foot. It is held until the behaviour is known. If the person stands (`is_still`), there are no steps. The events
+        stay held, except those held longer than `hold_s`, which are dropped.
         """
         if is_still:
             oldest = known + 1 - self._delay_samples - self.hold_s * self.rate_hz
@@ -357,17 +363,30 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
             if interval > self._bout_samples:
                 interval = period_s * self.rate_hz
             for k in reversed(range(self.steps_per_event)):
-                state, step = self._contact(state, event - k * interval / self.steps_per_event, known)
+                contact = event - k * interval / self.steps_per_event
+                state, step = self._contact(state, contact, known, a_mps2, first)
                 steps += [] if step is None else [(known, step)]
             state = replace_unchecked(state, last_event=event)
         return replace_unchecked(state, waiting=np.empty((0, 2))), steps
 
-    def _contact(self, state: ReferenceLineState, sample: float, known: int) -> tuple[ReferenceLineState, Step | None]:
+    def _contact(
+        self, state: ReferenceLineState, sample: float, known: int, a_mps2: FloatArray, first: int
+    ) -> tuple[ReferenceLineState, Step | None]:
         """Return the new state, and the step that ends at a contact, or None if its samples are not available."""
         contact = int(np.floor(sample))
         if not self._log.can_end(state.log, contact):
             return state, None
-        log, step = self._log.add(state.log, contact, known, sample - contact)
+        log, span = self._log.end_step(state.log, contact, known, sample - contact)
+        log, (step,) = self._log.describe(log, [span])
+        start, end = (column + self._log.first_sample(log) - first for column in span.columns)
+        a = a_mps2[max(start, 0) : end]
+        step = replace_unchecked(
+            step,
+            variance=float(a.var()),
+            magnitude_max_mps2=float(a.max()) + STANDARD_GRAVITY_MPS2,
+            magnitude_min_mps2=float(a.min()) + STANDARD_GRAVITY_MPS2,
+            mean_abs_mps2=float(np.abs(a).mean()),
+        )
         return replace_unchecked(state, log=log), step
 
 

@@ -29,7 +29,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     present_position,
     with_reopened_rotation,
 )
-from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
+from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker, WeightedState, WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
 from pdr_filter.sensing.contexts.context_stage import WindowContext
@@ -174,6 +174,21 @@ def test_the_provisional_position_at_the_end_of_an_epoch_is_its_total_provisiona
         last_of_epoch = int(np.flatnonzero(epochs == k)[-1])
         north_m = provisional[last_of_epoch].position_m[1]
         assert north_m == pytest.approx(expected.total_provisional_m[k - 1], abs=1e-12)
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc"])
+def test_a_published_detector_decides_once_about_a_step_and_only_for_contexts_with_steps(weighting: str) -> None:
+    step = a_step(1.5)
+    lengths = {c: mode_of_each_context()[c].step_length.predict(step)[0] for c in (WALKING, RUNNING)}
+    decided = replace(recipes.zhou2019(), tracker=DetectedStepTracker(model())).with_weighting(weighting).tracker
+    for around, following, expected in (
+        (RUNNING, WALKING, RUNNING),
+        (RUNNING, STATIONARY, RUNNING),
+        (STATIONARY, RUNNING, WALKING),
+    ):
+        windows = [WindowContext(t, sure(c, 1.0), EVEN_PRIOR) for t, c in ((2.0, around), (3.0, following))]
+        _, updates = run(decided, in_order([step], windows))
+        assert [u.step_length_m for u in final(updates)] == pytest.approx([lengths[expected]], abs=1e-12)
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc"])

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pdr_filter.filter.imm.weighting import HC, context_log_evidence, context_weights, weighted_distances
+from tests.oracles.martinelli2018 import algorithms
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -16,41 +17,12 @@ def random_walk(seed: int, n_epochs: int = 30, concentration: float = 0.3) -> tu
     return rng.uniform(0, 2, (n_epochs, 6)), rng.dirichlet(np.full(6, concentration), n_epochs + 1)
 
 
-def literal_algorithms(d: np.ndarray, context: np.ndarray, threshold: float | None) -> dict[str, list[float]]:
-    """Algorithms 1 (threshold None) and 2 of Martinelli et al. 2018, line by line; d[k] is epoch k + 1."""
-    n_epochs = len(d)
-    pd, final = {0: 0.0}, {0: 0.0}
-    total_final, total_provisional = {0: 0.0, -1: 0.0}, {0: 0.0}
-    for k in range(1, n_epochs + 2):  # epoch k uses window k - 1
-        probabilities = context[k - 1]
-        ordered = sorted(probabilities, reverse=True)
-        if threshold is None or ordered[1] / ordered[0] < threshold:
-            j = list(probabilities).index(ordered[0])  # eq. 19
-            weights = [1.0 if i == j else 0.0 for i in range(6)]  # eq. 20
-        else:
-            weights = list(probabilities)
-        if k <= n_epochs:
-            pd[k] = sum(d[k - 1][i] * weights[i] for i in range(6))
-        if k >= 2:
-            final[k - 1] = sum(d[k - 2][i] * weights[i] for i in range(6))
-            total_final[k - 1] = total_final[k - 2] + (final[k - 1] + pd[k - 1]) / 2
-        if k <= n_epochs:
-            total_provisional[k] = total_provisional[k - 1] + (final[k - 1] - pd[k - 1]) / 2 + pd[k]
-    columns = {
-        "provisional_m": pd,
-        "final_m": final,
-        "total_final_m": total_final,
-        "total_provisional_m": total_provisional,
-    }
-    return {name: [column[k] for k in range(1, n_epochs + 1)] for name, column in columns.items()}
-
-
 @settings(max_examples=60, deadline=None)
 @given(seed=SEEDS, threshold=st.sampled_from([None, 0.0, 0.3, 0.8, 1.0]), concentration=st.sampled_from([0.1, 1.0, 20]))
 def test_distances_equal_the_printed_algorithms(seed: int, threshold: float | None, concentration: float) -> None:
     distance_m, context_prob = random_walk(seed, concentration=concentration)
     ours = weighted_distances(distance_m, context_prob, HC if threshold is None else threshold)
-    for name, expected in literal_algorithms(distance_m, context_prob, threshold).items():
+    for name, expected in algorithms(distance_m, context_prob, threshold).items():
         np.testing.assert_allclose(getattr(ours, name), expected, atol=1e-12, err_msg=name)
 
 

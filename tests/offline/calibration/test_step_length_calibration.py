@@ -22,7 +22,15 @@ from pdr_filter.offline.calibration import estimation
 from pdr_filter.offline.calibration import model_forms as forms
 from pdr_filter.offline.calibration.estimation import Hierarchy, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate, calibrate_segments
-from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, prior, weak_prior
+from pdr_filter.offline.calibration.priors import (
+    DEFAULT_PRIORS,
+    StepLengthPrior,
+    candidates,
+    eq12_priors,
+    named_priors,
+    prior,
+    weak_prior,
+)
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate
 from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
 from pdr_filter.values import CONTEXTS
@@ -466,10 +474,23 @@ def test_enough_segments_choose_their_true_model_and_few_keep_the_default(
         assert type(kept.models["walking"]) is BounceStepLength
         assert not any("forms" in note for note in kept.notes)
     assert type(calibrate_segments(segments[:5], model=name).models["walking"]) is type(model)
-    with pytest.raises(ValueError, match=r"model must be one of bounce, eq12, kim, tian, weinberg, got 'guess'"):
+    with pytest.raises(
+        ValueError, match=r"model must be one of bounce, eq12, kim, tian, weinberg, chen, .* got 'guess'"
+    ):
         calibrate_segments(segments, model="guess")
     with pytest.raises(ValueError, match="give only one of the two"):
         calibrate_segments(segments, {"walking": DEFAULT_PRIORS["walking"]}, model="kim")
+
+
+@pytest.mark.parametrize("name", [n for n in named_priors() if n not in candidates()])
+def test_every_model_of_the_five_papers_is_calibrated_by_its_name(name: str) -> None:
+    prior, rng = named_priors()[name], np.random.default_rng(3)
+    theta = prior.mean * 1.08  # a person with longer steps, where the model has one parameter of the person
+    segments = [segment(rng, prior.model, theta, recording=f"r{i % 4}") for i in range(12)]
+    found = calibrate_segments(segments, model=name)
+    assert type(found.models["walking"]) is type(prior.model)
+    length, true = (length_and_jacobian(prior.model, TYPICAL_STEP, k)[0] for k in (found.k["walking"], theta))
+    assert float(length) == pytest.approx(float(true), rel=0.02)
 
 
 def test_a_part_of_a_large_cohort_chooses_the_model(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,16 @@ from scipy.spatial.transform import Rotation
 from models.training.data_sets import recordings_of
 from models.training.guo2018_training import DATASETS, kappa, train_guo, walk_threshold
 from models.training.simulated_people import MODES, simulated_person
-from pdr_filter.classifiers.context_model import load_model
+from pdr_filter.classifiers.base_classifier import Machine
+from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.io.files.own_format import write_recording
 from pdr_filter.io.formats import read
 from pdr_filter.recipes.guo2018.contexts import PoseContext
-from pdr_filter.recipes.guo2018.features import MotionLevel
+from pdr_filter.recipes.guo2018.features import NAMES, AmbientSamples, MotionLevel, PoseWindows
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Recording
 
@@ -159,6 +160,52 @@ def test_the_windows_do_not_depend_on_how_the_samples_arrive_nor_on_a_pause_in_a
     for (_, one), (_, other) in zip(found, whole, strict=True):
         np.testing.assert_array_equal(one.prob, other.prob)
         np.testing.assert_array_equal(one.carrying_prob, other.carrying_prob)
+
+
+@dataclass(frozen=True)
+class NearTheEar(Machine):
+    """Calling where the mean proximity of the window is zero, else texting."""
+
+    n_features = len(NAMES)
+    n_classes = 2
+
+    def _predict(self, rows: np.ndarray) -> np.ndarray:
+        near = rows[:, NAMES.index("mean_proximity")] == 0.0
+        return np.column_stack([near, ~near]).astype(float)
+
+
+def test_a_model_of_all_18_features_sees_the_light_and_proximity_of_a_recording() -> None:
+    walk = simulated_person("texting", 7)
+    time_s = walk.accelerometer.time_s
+    change_s = float(time_s[-1]) / 2
+    near = Samples(np.array([time_s[0], change_s]), np.array([[5.0], [0.0]]))
+    light = Samples(np.array([time_s[0] + 1.0]), np.array([[120.0]]))  # holds before, too
+    ambient = AmbientSamples.of(replace(walk, light=light, proximity=near))
+    prior = np.array([0.5 * (mode in ("calling", "texting")) for mode in CARRYING_MODES])
+    model = ContextModel(
+        "own", NAMES, ("calling", "texting"), prior, np.zeros(18), np.ones(18),
+        NearTheEar(), {}, head="carrying_mode",
+    )  # fmt: skip
+    stage = PoseContext(windows=PoseWindows(ambient=ambient), model=model)
+    parts = sensed(walk)
+    state, rows = stage.windows.init(), []
+    for block, attitude in parts:
+        state, found = stage.windows.update(state, block, attitude)
+        rows += [w.features for _, w in found]
+    np.testing.assert_allclose(np.array(rows)[:, NAMES.index("mean_light")], 120.0)
+    twelve = PoseContext(windows=PoseWindows(ambient=ambient))
+    for own, plain in zip(windows_of(parts, twelve), windows_of(parts), strict=True):
+        np.testing.assert_array_equal(own.carrying_prob, plain.carrying_prob)
+    walking = [w for w in windows_of(parts, stage) if w.prob[WALKING] == 1.0]
+    for window in walking:
+        if not change_s <= window.time_s <= change_s + 0.6:
+            mode = CARRYING_MODES[int(window.carrying_prob.argmax())]
+            assert mode == ("calling" if window.time_s > change_s else "texting")
+    assert {w.model for w in walking} == {"own"}
+    with pytest.raises(ValueError, match="needs light and proximity"):
+        PoseContext(model=model)
+    with pytest.raises(ValueError, match="has no light"):
+        AmbientSamples.of(walk)
 
 
 def test_only_a_model_of_pitch_and_roll_is_taken() -> None:

@@ -9,6 +9,7 @@ import pytest
 from helpers import cut_uniform, flat_attitude, uniform_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.signal import firwin
 
 from pdr_filter.io.formats import read
 from pdr_filter.recipes.zhou2019 import contexts as behaviour
@@ -245,6 +246,24 @@ def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], detector: R
     whole = detect(detector, [block], CONTEXT_OF_WALK)[1]
     assert rows(detect(detector, cut_uniform(block, edges), CONTEXT_OF_WALK)[1]) == rows(whole)
     assert len(whole) > 5
+
+
+@pytest.mark.parametrize(("context", "frequency_hz", "cutoff_hz"), [(WALKING, 1.8, 4.25), (RUNNING, 2.8, 10.25)])
+def test_the_statistics_of_a_step_are_those_of_the_filtered_acceleration(
+    context: int, frequency_hz: float, cutoff_hz: float
+) -> None:
+    magnitude = sway(8.0, frequency_hz, 4.0) + np.random.default_rng(1).normal(0.0, 1.0, 1400)
+    taps = firwin(51, cutoff_hz, window="hamming", fs=100.0)  # the reference, over the whole signal and without delay
+    filtered = np.convolve(np.pad(magnitude - G, 25, mode="edge"), taps, mode="valid")
+    steps = [step for _, step in detect(CARRIED, magnitude, context)[1]]
+    steps = [s for s in steps if 3.5 < s.time_s < 10.5]  # of one bout
+    assert len(steps) > 8
+    for before, step in pairwise(steps):
+        start, end = (int(np.floor(100 * s.time_s - 0.5)) for s in (before, step))
+        a = filtered[start:end]
+        expected = a.var(), G + a.max(), G + a.min(), np.abs(a).mean()
+        found = step.variance, step.magnitude_max_mps2, step.magnitude_min_mps2, step.mean_abs_mps2
+        assert found == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_end_gives_the_steps_of_the_window_that_it_cuts_short() -> None:
