@@ -166,7 +166,23 @@ class AmbientSamples:
 
     @classmethod
     def of(cls, recording: Recording) -> AmbientSamples:
-        """Return the samples of a recording. ValueError if light or proximity is missing or has no finite value."""
+        """Return the samples of a recording.
+
+        Parameters
+        ----------
+        recording : Recording
+            Recording with light and proximity.
+
+        Returns
+        -------
+        AmbientSamples
+            Its finite samples, ordered by time.
+
+        Raises
+        ------
+        ValueError
+            If light or proximity is missing or has no finite value.
+        """
         streams = []
         for name in ("light", "proximity"):
             samples = getattr(recording, name)
@@ -181,7 +197,18 @@ class AmbientSamples:
         return cls(*streams)
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Return light and proximity at some times, (2, N)."""
+        """Return light and proximity at some times.
+
+        Parameters
+        ----------
+        time_s : (N,) array
+            Times in s.
+
+        Returns
+        -------
+        (2, N) array
+            Illuminance in lux and distance in cm.
+        """
         rows = []
         for samples in (self.light, self.proximity):
             last = np.searchsorted(samples.time_s, time_s, side="right") - 1
