@@ -183,11 +183,11 @@ class AmbientSamples:
         ValueError
             If light or proximity is missing or has no finite value.
         """
-        streams = []
+        streams: list[Samples] = []
         for name in ("light", "proximity"):
-            samples = getattr(recording, name)
+            samples = recording.streams.get(name)
             known = np.zeros(0, bool) if samples is None else np.isfinite(samples.values[:, 0])
-            if not known.any():
+            if samples is None or not known.any():
                 raise ValueError(
                     f"{recording.name or 'the recording'} has no {name}, which 6 of the 18 features of the pose need: "
                     "use a model of the 12 features of pitch and roll"
@@ -209,7 +209,7 @@ class AmbientSamples:
         (2, N) array
             Illuminance in lux and distance in cm.
         """
-        rows = []
+        rows: list[FloatArray] = []
         for samples in (self.light, self.proximity):
             last = np.searchsorted(samples.time_s, time_s, side="right") - 1
             rows.append(samples.values[np.maximum(last, 0), 0])
