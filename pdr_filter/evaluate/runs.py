@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -195,8 +195,8 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
 
 
 def _with_threshold(config: Config, threshold: float) -> Config:
-    tracker = config.with_weighting("wc").tracker
-    assert isinstance(tracker, WeightedTracker)
+    """Return the configuration with the weighting WC and this threshold."""
+    tracker = cast(WeightedTracker, config.with_weighting("wc").tracker)
     return replace(config, tracker=replace(tracker, threshold=threshold))
 
 

@@ -14,6 +14,18 @@ def test_the_printed_table_v_gives_the_printed_table_iv(weighting: str) -> None:
         assert distance_scores(part).rmse_percent == pytest.approx(rmse, abs=0.11)
 
 
+def test_the_printed_confusion_matrix_has_the_printed_recalls() -> None:
+    np.testing.assert_allclose(study._TABLE_III.sum(axis=1), 100.0, atol=0.11)
+    np.testing.assert_array_equal(np.diag(study._TABLE_III), study._RECALL_PERCENT)
+
+
+def test_a_constant_of_the_others_removes_an_error_that_all_people_share() -> None:
+    columns = {"ours HC": [-7.0, -7.0, -7.0]}
+    rows = {str(row["person"]): row["ours HC"] for row in study._people(columns)}
+    assert (rows["bias"], rows["spread"], rows["RMSE"]) == (-7.0, 0.0, 7.0)
+    assert rows["RMSE with a constant of the others"] == pytest.approx(0.0, abs=1e-12)
+
+
 @pytest.mark.recordings
 def test_real_walks_are_put_together_with_one_gravity_and_a_label_for_each_part(data_dir: Path) -> None:
     walk = study._put_together(data_dir, "s01")

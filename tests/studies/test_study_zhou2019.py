@@ -32,6 +32,15 @@ def test_strides_of_a_foot_are_its_moves_between_stances(n: int, length_m: float
     np.testing.assert_allclose(np.diff(truth.stride_end_s), 1.2, atol=0.03)
 
 
+def test_the_printed_tables_4_and_5_give_their_printed_success_rates() -> None:
+    printed = [(98.2, 100), (99.2, 100), (98.2, 99.8), (99.1, 99.8), (99, 100), (96.8, 99.7), (97.9, 99.1), (98, 99.2)]
+    found = [
+        [100 * (1 - sum(wrong) / n_true) for wrong in (theirs, ours)]
+        for n_true, theirs, ours in measured._TABLES_4_AND_5.values()
+    ]
+    np.testing.assert_allclose(found, printed, atol=0.11)
+
+
 @pytest.mark.parametrize("frequency_hz", [1.5, 2.0, 3.0])
 def test_levi_and_judd_find_a_step_in_every_period_of_walkers_and_runners(frequency_hz: float) -> None:
     time_s = np.arange(0.0, 40.0, 0.01)

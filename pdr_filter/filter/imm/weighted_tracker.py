@@ -379,6 +379,15 @@ class DetectedStepTracker(WeightedTracker):
     such a system has rejected the steps of a person who stands. If that window has only contexts without steps, the
     context is the most frequent one with steps.
 
+    Attributes
+    ----------
+    model : PedestrianModel
+        Modes, transitions and noise, with exactly one mode for each context.
+    threshold : float, default infinity
+        As in `WeightedTracker`, by default the highest context.
+    function : callable, optional
+        As in `WeightedTracker`.
+
     Examples
     --------
     >>> import pdr_filter as pdr

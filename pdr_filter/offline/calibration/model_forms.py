@@ -11,13 +11,7 @@ from numpy.typing import NDArray
 from pdr_filter.filter.step_length.models import RECORDING_STD, StepLengthModel
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.hierarchy import SingularError
-from pdr_filter.offline.calibration.priors import (
-    DEFAULT_PRIORS,
-    StepLengthPrior,
-    candidates,
-    named_priors,
-    with_relative_std,
-)
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, candidates, with_relative_std
 from pdr_filter.offline.calibration.segments import AnySegment, SegmentSums, integrate
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.recipes.step_length_calibration import slices_of
@@ -27,6 +21,7 @@ from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 # worse than the default on the totals of walks held out of the choice, apart from 0.2 points at one of five sites
 # (docs/benchmarks.md).
 MIN_SEGMENTS, MIN_GROUPS = 30, 5
+COMPARED = ("bounce", "eq12", "kim", "tian", "weinberg")
 _MAX_SEGMENTS = 2000  # about this many segments are used for the choice: more only take longer
 _N_FOLDS = 5
 # Share by which the held-out error of a form must be smaller than that of the default.
@@ -45,10 +40,10 @@ def forms_of(
     """Return the priors of all contexts for each candidate model of walking, by name.
 
     There is one candidate if `priors` contains the context of walking, if it is none of `contexts`, or if a `model` is
-    named, otherwise all of `candidates`. The contexts are in the order of `contexts`. Raises ValueError for unknown or
+    named, otherwise all of `COMPARED`. The contexts are in the order of `contexts`. Raises ValueError for unknown or
     contradicting arguments.
     """
-    given, known = dict(priors or {}), {name: {walking: p} for name, p in named_priors().items()}
+    given, known = dict(priors or {}), {name: {walking: of["walking"]} for name, of in candidates().items()}
     if unknown := set(given) - set(contexts):
         raise ValueError(
             f"priors are of no context {', '.join(sorted(unknown))}; there are {', '.join(contexts)}: contexts of "
@@ -63,7 +58,7 @@ def forms_of(
             f"prior_std (--prior) must be a fraction of a step, above 0 and up to 1, got {prior_std}; 0.1 is usual"
         )
     is_given = walking in given or walking not in contexts
-    compared = {name: known[name] for name in candidates()}
+    compared = {name: known[name] for name in COMPARED}
     chosen = {model: known[model]} if model is not None else {"given": given} if is_given else compared
     forms: dict[str, dict[str, StepLengthPrior]] = {}
     for name, own in chosen.items():

@@ -339,51 +339,31 @@ def _main_parameter(std: FloatArray, slope: FloatArray) -> int:
 
 
 def candidates() -> dict[str, dict[str, StepLengthPrior]]:
-    """Return the priors of all step-length models of walking that a calibration compares.
+    """Return the priors of all step-length models of walking that a calibration takes by name.
 
     Returns
     -------
     dict of str to dict of str to StepLengthPrior
-        Priors of walking by the name of the model: "bounce" (the default), "eq12", "kim", "tian" and "weinberg".
+        Priors of walking by the name of the model. The first five are compared if no model is named.
+
+    Notes
+    -----
+    docs/methods/step_length.md has the models. The parameter a of Chen's model is held, because for one person it has
+    the effect of c. Its b is as weakly known as k1 of `eq12_priors`.
 
     Examples
     --------
     >>> from pdr_filter.offline.calibration.priors import candidates
     >>> list(candidates())
-    ['bounce', 'eq12', 'kim', 'tian', 'weinberg']
-    """
-    return {
-        "bounce": {"walking": DEFAULT_PRIORS["walking"]},
-        "eq12": {"walking": eq12_priors()["walking"]},
-        "kim": {"walking": weak_prior(KimStepLength())},
-        "tian": {"walking": weak_prior(TianStepLength(USUAL_HEIGHT_M))},
-        "weinberg": {"walking": weak_prior(WeinbergStepLength())},
-    }
-
-
-def named_priors() -> dict[str, StepLengthPrior]:
-    """Return the prior of walking for each step-length model that a calibration takes by name.
-
-    Returns
-    -------
-    dict of str to StepLengthPrior
-        The models of `candidates`, and further models of the five published systems, with their numbers in
-        docs/methods/step_length.md.
-
-    Notes
-    -----
-    The parameter a of Chen's model is held, because for one person it has the effect of c. Its b is as weakly known as
-    k1 of `eq12_priors`.
-
-    Examples
-    --------
-    >>> from pdr_filter.offline.calibration.priors import named_priors
-    >>> list(named_priors())
     ['bounce', 'eq12', 'kim', 'tian', 'weinberg', 'chen', 'frequency', 'peak', 'range', 'static', 'zhou']
     """
     a, b, c = 0.371, 0.227, 1.0  # as in the recipe of Guo et al. 2018
-    return {
-        **{name: of["walking"] for name, of in candidates().items()},
+    own = {
+        "bounce": DEFAULT_PRIORS["walking"],
+        "eq12": eq12_priors()["walking"],
+        "kim": weak_prior(KimStepLength()),
+        "tian": weak_prior(TianStepLength(USUAL_HEIGHT_M)),
+        "weinberg": weak_prior(WeinbergStepLength()),
         "chen": prior(ChenStepLength(USUAL_HEIGHT_M), [a, b, c], [0.0, 0.2, 0.5], [0.0, 0.0, PEOPLE_RELATIVE_STD]),
         "frequency": weak_prior(FrequencyStepLength()),
         "peak": weak_prior(PeriodPeakStepLength()),
@@ -391,6 +371,7 @@ def named_priors() -> dict[str, StepLengthPrior]:
         "static": weak_prior(StaticStepLength(USUAL_HEIGHT_M)),
         "zhou": weak_prior(ZhouWalkingStepLength()),
     }
+    return {name: {"walking": of_walking} for name, of_walking in own.items()}
 
 
 def with_relative_std(prior: StepLengthPrior, relative_std: float) -> StepLengthPrior:

@@ -166,12 +166,28 @@ class AmbientSamples:
 
     @classmethod
     def of(cls, recording: Recording) -> AmbientSamples:
-        """Return the samples of a recording. ValueError if light or proximity is missing or has no finite value."""
-        streams = []
+        """Return the samples of a recording.
+
+        Parameters
+        ----------
+        recording : Recording
+            Recording with light and proximity.
+
+        Returns
+        -------
+        AmbientSamples
+            Its finite samples, ordered by time.
+
+        Raises
+        ------
+        ValueError
+            If light or proximity is missing or has no finite value.
+        """
+        streams: list[Samples] = []
         for name in ("light", "proximity"):
-            samples = getattr(recording, name)
+            samples = recording.streams.get(name)
             known = np.zeros(0, bool) if samples is None else np.isfinite(samples.values[:, 0])
-            if not known.any():
+            if samples is None or not known.any():
                 raise ValueError(
                     f"{recording.name or 'the recording'} has no {name}, which 6 of the 18 features of the pose need: "
                     "use a model of the 12 features of pitch and roll"
@@ -181,8 +197,19 @@ class AmbientSamples:
         return cls(*streams)
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """Return light and proximity at some times, (2, N)."""
-        rows = []
+        """Return light and proximity at some times.
+
+        Parameters
+        ----------
+        time_s : (N,) array
+            Times in s.
+
+        Returns
+        -------
+        (2, N) array
+            Illuminance in lux and distance in cm.
+        """
+        rows: list[FloatArray] = []
         for samples in (self.light, self.proximity):
             last = np.searchsorted(samples.time_s, time_s, side="right") - 1
             rows.append(samples.values[np.maximum(last, 0), 0])
