@@ -334,8 +334,8 @@ def smoothed_row(site: str, error: dict[str, FloatArray], group: NDArray[np.str_
 def write_smoothed(tables: Tables, rows: list[list[str]]) -> None:
     """Write the table of `smoothed`."""
     about = "Totals of held-out walks: bias, spread, RMS in %, and 95 % interval over walks of the RMS minus that "
-    about += "without calibration. Mean of the others: each walk less the mean error of the other groups. Default form, "
-    about += "every third recording of ms_indoor."
+    about += "without calibration. Mean of the others: each walk less the mean error of the other groups. Default "
+    about += "form, every third recording of ms_indoor."
     columns = ["site", "walks, groups", "no calibration", "segments", "smooth, waypoints", "smooth, every third"]
     tables.write("calibration_smoothed", [*columns, "mean of the others"], rows, about)
 
