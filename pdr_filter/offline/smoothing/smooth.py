@@ -7,7 +7,7 @@ States are estimated at anchors only. The steps between two anchors are summed i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
@@ -357,8 +357,7 @@ def smooth(
         smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, location)
         smoothed = replace(smoothed, notes=(*smoothed.notes, *shift.notes("locations")))
     else:
-        for source, shift in clocks.items():
-            observed = observed.earlier(source, shift.late_s)
+        observed = _on_clock(observed, clocks)
         locations = observed.locations
     return with_given_place(run, on_earth(smoothed, where, locations, observed))
 
@@ -380,6 +379,13 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     inside = nothing.fixes_inside(0.0, 0.0)
     posed = _problem(track, config, nothing, inside, None, anchor_interval_s, None, StandstillSteps(), None)
     return track, posed.used.device_rad, posed.problem
+
+
+def _on_clock(observed: Observations, clocks: Mapping[Source, ClockShift]) -> Observations:
+    """Return the observations on the clock of the track."""
+    for source, shift in clocks.items():
+        observed = observed.earlier(source, shift.late_s)
+    return observed
 
 
 def _ends_s(track: Track) -> tuple[float, float]:
@@ -439,9 +445,7 @@ class ReckonedWalk(NamedTuple):
     def smoothed(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
         """Return the smoothed walk for a solution of `problem`, with step lengths whose parameters are in `found`."""
         known = np.zeros_like(self.posed.parameter_error_m)
-        posed, on_clock = _Posed(steps, known, self.posed.used, problem), self.observed
-        for source, shift in self.clocks.items():
-            on_clock = on_clock.earlier(source, shift.late_s)
+        posed, on_clock = _Posed(steps, known, self.posed.used, problem), _on_clock(self.observed, self.clocks)
         result, _ = _smoothed(self.track, posed, found, self.observed, self.clocks)
         return on_earth(result, self.where, on_clock.locations, on_clock)
 
@@ -496,9 +500,7 @@ def _posed_as(
     `anchors` are further numbers of steps at which a state is estimated. The other arguments are those of
     `_smooth_track`, and the shifts of the clocks are its result.
     """
-    track = replace(track, mode_prob=smoothed.track.mode_prob)
-    for source, shift in clocks.items():
-        observed = observed.earlier(source, shift.late_s)
+    track, observed = replace(track, mode_prob=smoothed.track.mode_prob), _on_clock(observed, clocks)
     shape_m = np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale
     inside = observed.fixes_inside(*_ends_s(track))
     return track, _problem(track, config, observed, inside, *options, shape_m if observed.locations else None, anchors)
