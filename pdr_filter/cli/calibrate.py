@@ -29,7 +29,7 @@ from pdr_filter.cli.options import (
 from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
-    from pdr_filter.recipes import Config
+    from pdr_filter.recipes.config import Config
     from pdr_filter.values import Table
     from pdr_filter.values.recording import Recording
 

@@ -297,17 +297,14 @@ def _message(moved: FloatArray, smoothed_cov: FloatArray, predicted_cov: FloatAr
     # rows that make the predicted covariance the identity, and zero rows for directions without noise
     whiten = axes.swapaxes(-1, -2) * scale[..., None, :]
     whiten = whiten * np.where(has_noise, 1.0 / np.sqrt(np.where(has_noise, share, 1.0)), 0.0)[..., None]
-    left, turned = np.linalg.eigh(whiten @ smoothed_cov @ whiten.swapaxes(-1, -2) + _diagonal(~has_noise))
+    left, turned = np.linalg.eigh(
+        whiten @ smoothed_cov @ whiten.swapaxes(-1, -2) + np.eye(share.shape[-1]) * ~has_noise[..., None]
+    )
     gained = np.maximum(1.0 / np.maximum(left, _KNOWN_SHARE) - 1.0, 0.0)
     by_state = turned.swapaxes(-1, -2) @ whiten
     along = np.where(gained > 0, np.matmul(by_state, moved[..., None])[..., 0] * (gained + 1.0), 0.0)
     to_state = by_state.swapaxes(-1, -2)
     return (to_state * gained[..., None, :]) @ by_state, np.matmul(to_state, along[..., None])[..., 0]
-
-
-def _diagonal(values: FloatArray) -> FloatArray:
-    """Return the diagonal matrices (..., n, n) of values (..., n)."""
-    return values[..., None] * np.eye(values.shape[-1])
 
 
 def _estimates(prob: FloatArray, mean: FloatArray, cov: FloatArray, log_likelihood: FloatArray) -> ImmEstimates:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from datetime import date
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from pdr_filter.offline.calibration.assembly import assembled
 from pdr_filter.offline.calibration.estimation import ParameterEstimate
 from pdr_filter.offline.calibration.model_forms import (
     MIN_GROUPS,
@@ -39,10 +39,6 @@ from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, Fix, FloatArray, Table, check_array, check_number, table
 from pdr_filter.values.recording import Recording
-from pdr_filter.version import __version__
-
-if TYPE_CHECKING:
-    from pdr_filter.offline.calibration.joint_smoothing import JointEstimate
 
 _BIAS_LIMIT_STDS = 3.0  # A mean held-out error above this many standard errors is reported as a bias.
 
@@ -358,46 +354,6 @@ def _held(segments: Sequence[AnySegment], priors: Mapping[str, StepLengthPrior])
     if len(held) < len(walked):
         return [f"{what}: {remedy}"]
     raise ValueError(f"nothing to calibrate: {what}: {remedy}, or name a model of walking (model, --model)")
-
-
-def assembled(
-    priors: Mapping[str, StepLengthPrior],
-    found: ParameterEstimate | JointEstimate,
-    heights_m: Mapping[str, float | None],
-    rows: Table,
-    notes: Sequence[str],
-    *,
-    n_recordings: int,
-    counts: Mapping[str, int] = MappingProxyType({}),
-    **more: Any,
-) -> Calibration:
-    """Return the `Calibration` of an estimate of the people with the heights `heights_m`.
-
-    `rows` are its segments, `counts` further counts of its card, and `more` the other attributes.
-    """
-    return Calibration(
-        models=models_of(priors),
-        theta=found.population,
-        theta_cov=found.population_cov,
-        between_cov=found.between_cov,
-        people=found.people,
-        people_cov=found.people_cov,
-        subject_ids=tuple(heights_m),
-        heights_m=np.array([np.nan if height_m is None else height_m for height_m in heights_m.values()]),
-        recording_std=found.recording_std,
-        segments=rows,
-        notes=tuple(notes),
-        card={
-            "date": date.today().isoformat(),
-            "pdr_filter": __version__,
-            "people": len(heights_m),
-            "recordings": n_recordings,
-            "segments": len(rows),
-            **counts,
-            "metres": round(float(rows.distance_m.sum()), 1),
-        },
-        **more,
-    )
 
 
 def _table(segments: Sequence[AnySegment], sums: SegmentSums, found: ParameterEstimate, start: FloatArray) -> Table:

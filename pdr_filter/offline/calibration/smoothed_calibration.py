@@ -9,7 +9,7 @@ import numpy as np
 
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
-from pdr_filter.offline.calibration.fit import assembled
+from pdr_filter.offline.calibration.assembly import assembled
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import (

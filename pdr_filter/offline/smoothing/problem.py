@@ -171,8 +171,14 @@ class ObservedMeasurements:
 
     def at(self, rows: IntArray) -> ObservedMeasurements:
         """Return the measurements with the given numbers."""
-        columns = (self.node, self.ahead_m, self.extra_var_m2, self.device_rad, self.guess_m)
-        return ObservedMeasurements(tuple(self.fixes[k] for k in rows.tolist()), *(column[rows] for column in columns))
+        return ObservedMeasurements(
+            tuple(self.fixes[k] for k in rows.tolist()),
+            self.node[rows],
+            self.ahead_m[rows],
+            self.extra_var_m2[rows],
+            self.device_rad[rows],
+            self.guess_m[rows],
+        )
 
 
 NO_MEASUREMENTS = ObservedMeasurements(

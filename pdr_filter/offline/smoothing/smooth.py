@@ -7,7 +7,7 @@ States are estimated at anchors only. The steps between two anchors are summed i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import compress
@@ -21,7 +21,6 @@ from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.fixes.fix_history import StandstillSteps
 from pdr_filter.filter.fixes.frame import START_FRAME
 from pdr_filter.filter.fixes.gnss import LocationState, independent, locations_of
-from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.imm.motion_model import (
     HEADING_OFFSET,
     LOG_SCALE,
@@ -33,6 +32,15 @@ from pdr_filter.filter.imm.motion_model import (
 )
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
 from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, ShiftPrior, estimated_shift
+from pdr_filter.offline.smoothing.dead_reckoning import (
+    Reckoned,
+    dead_reckoned,
+    observed_device,
+    online_path,
+    pass_callbacks,
+    with_first_pass,
+    with_smoothed_modes,
+)
 from pdr_filter.offline.smoothing.factor_graph import PoseKeys, UserFactors, WalkGraph, solved_with, user_graph
 from pdr_filter.offline.smoothing.location_errors import turned_to
 from pdr_filter.offline.smoothing.mode_evidence import step_log_evidence, switching_walk
@@ -73,37 +81,28 @@ from pdr_filter.offline.smoothing.smoothed import (
 )
 from pdr_filter.offline.smoothing.smoothed_place import aligned_walk, on_earth, with_given_place
 from pdr_filter.offline.smoothing.solve import Solution, response, solve, sum_of_squares
-from pdr_filter.offline.smoothing.storeys import with_arrivals
 from pdr_filter.offline.smoothing.usable import Used, start_end_closure, usable
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
-from pdr_filter.sensing.front_end import SensingState
-from pdr_filter.sensing.heading.heading_stage import after_first_pass
-from pdr_filter.sensing.heading.walking_heading import WalkingHeadingState
-from pdr_filter.tracking.filtering import Output, State, init
 from pdr_filter.tracking.track import Track
-from pdr_filter.tracking.walked_path import WalkedPath, walked_path
+from pdr_filter.tracking.walked_path import WalkedPath
 from pdr_filter.tracking.warnings import conflict_notes
-from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run, run_sensing
+from pdr_filter.tracking.whole_recording import prepared_run
 from pdr_filter.values import (
     BoolArray,
     Fix,
     FloatArray,
     GridFix,
     IntArray,
-    Measurement,
     Origin,
     Plan,
     PositionFix,
     Samples,
     Standstill,
-    Step,
-    has_position,
     interpolated,
     read_only,
-    step_table,
     wrap_angle,
 )
 from pdr_filter.values.recording import Recording
@@ -116,11 +115,6 @@ _REGION_STD_M = 1000.0
 _KNOWN_STD_RAD = 1e-3
 # Largest time between anchors in a calibration, as in `smooth`.
 _CALIBRATION_ANCHOR_S = 2.0
-
-
-# Configuration, dead-reckoned track, and state at its end. The sensing is None if the axes of a building determine the
-# gyroscope bias.
-_Reckoned = tuple[Config, Track, SensingState | None, StandstillSteps]
 
 
 @dataclass(slots=True, eq=False)
@@ -150,9 +144,9 @@ class SmoothingMemory:
 
     recording: Recording | None = None
     _key: bytes = b""
-    _found: _Reckoned | None = None
+    _found: Reckoned | None = None
 
-    def of(self, recording: Recording, key: bytes, make: Callable[[], _Reckoned]) -> _Reckoned:
+    def of(self, recording: Recording, key: bytes, make: Callable[[], Reckoned]) -> Reckoned:
         """Return the dead-reckoned track from memory, or a new one if anything has changed since the last call.
 
         Parameters
@@ -312,9 +306,9 @@ def smooth(
     given, recording, asked = recording, run.recording, run.config
     if isinstance(loop_closures, str):
         loop_closures = tuple(wifi_loop_closures(recording))
-    first_pass, second_pass = _pass_callbacks(progress)
+    first_pass, second_pass = pass_callbacks(progress)
     if asked.on_plan is not None:
-        config, _ = _with_first_pass(recording, asked, first_pass)
+        config, _ = with_first_pass(recording, asked, first_pass)
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
             config = config.in_world_frame()
         # imported late, because the package for maps depends on this one
@@ -325,9 +319,9 @@ def smooth(
         return with_given_place(run, _on_plan(found, Observations(places)))
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
 
-    def reckoned() -> _Reckoned:
+    def reckoned() -> Reckoned:
         """Return the dead reckoning of the recording, without fixes and locations."""
-        return _dead_reckoned(recording, asked, stood, (first_pass, second_pass), run.with_location)
+        return dead_reckoned(recording, asked, stood, (first_pass, second_pass), run.with_location)
 
     if memory is None:
         config, track, sensing, stood_steps = reckoned()
@@ -346,14 +340,14 @@ def smooth(
         floor_changes=floor_changes,
         is_loop=closed is not None,
     )
-    guess = _online_path(recording, config, run.fixes)
+    guess = online_path(recording, config, run.fixes)
     options = start_heading_std_rad, anchor_interval_s, guess, stood_steps
     smooth_with = partial(_smooth_track, track, config, options=options)
     smoothed, walked_var_m2, clocks = smooth_with(observed)
     if factors is not None and track.n_steps:
         smoothed = _with_factors(smoothed, track, config, observed, clocks, options, factors)
     if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
-        device = _observed_device(smoothed, config, sensing)
+        device = observed_device(smoothed, config, sensing)
         smoothed = replace(smoothed, track=replace(smoothed.track, device=device))
     if gnss == "align" and (location := recording.location) is not None:
         # the filter of locations shows their clock
@@ -363,8 +357,7 @@ def smooth(
         smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, location)
         smoothed = replace(smoothed, notes=(*smoothed.notes, *shift.notes("locations")))
     else:
-        for source, shift in clocks.items():
-            observed = observed.earlier(source, shift.late_s)
+        observed = _on_clock(observed, clocks)
         locations = observed.locations
     return with_given_place(run, on_earth(smoothed, where, locations, observed))
 
@@ -378,14 +371,21 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     """
     north: NorthUse | None = "magnetic" if "magnetometer" in recording.streams else None
     run = prepared_run(recording, None, (), TrackPlacement(gnss="off", north=north))
-    config, track, *_ = _dead_reckoned(run.recording, run.config, (), (None, None), with_hills=False)
+    config, track, *_ = dead_reckoned(run.recording, run.config, (), (None, None), with_hills=False)
     if not track.n_steps:
         raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
-    track = _with_smoothed_modes(track, config)
+    track = with_smoothed_modes(track, config)
     nothing = Observations()
     inside = nothing.fixes_inside(0.0, 0.0)
     posed = _problem(track, config, nothing, inside, None, anchor_interval_s, None, StandstillSteps(), None)
     return track, posed.used.device_rad, posed.problem
+
+
+def _on_clock(observed: Observations, clocks: Mapping[Source, ClockShift]) -> Observations:
+    """Return the observations on the clock of the track."""
+    for source, shift in clocks.items():
+        observed = observed.earlier(source, shift.late_s)
+    return observed
 
 
 def _ends_s(track: Track) -> tuple[float, float]:
@@ -445,9 +445,7 @@ class ReckonedWalk(NamedTuple):
     def smoothed(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
         """Return the smoothed walk for a solution of `problem`, with step lengths whose parameters are in `found`."""
         known = np.zeros_like(self.posed.parameter_error_m)
-        posed, on_clock = _Posed(steps, known, self.posed.used, problem), self.observed
-        for source, shift in self.clocks.items():
-            on_clock = on_clock.earlier(source, shift.late_s)
+        posed, on_clock = _Posed(steps, known, self.posed.used, problem), _on_clock(self.observed, self.clocks)
         result, _ = _smoothed(self.track, posed, found, self.observed, self.clocks)
         return on_earth(result, self.where, on_clock.locations, on_clock)
 
@@ -469,7 +467,7 @@ def reckoned_walk(
     if run.config.on_plan is not None or any(isinstance(fix, GridFix) for fix in run.fixes):
         raise ValueError("smoothing on a floor plan does not estimate step lengths: omit plan and GridFix")
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
-    own, track, _, stood_steps = _dead_reckoned(run.recording, run.config, stood, (None, None), run.with_location)
+    own, track, _, stood_steps = dead_reckoned(run.recording, run.config, stood, (None, None), run.with_location)
     if not track.n_steps:
         raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
     noise = own.model.noise
@@ -479,7 +477,7 @@ def reckoned_walk(
         where, locations = locations_of(run.recording.location)
     given = tuple(fix for fix in run.fixes if not isinstance(fix, Standstill | GridFix))
     observed = Observations(fixes=given, locations=locations, loop_closures=tuple(loop_closures))
-    options = None, _CALIBRATION_ANCHOR_S, _online_path(run.recording, own, run.fixes), stood_steps
+    options = None, _CALIBRATION_ANCHOR_S, online_path(run.recording, own, run.fixes), stood_steps
     alone, _, clocks = _smooth_track(track, own, observed, options)
     track, posed = _posed_as(alone, track, own, observed, clocks, options)
     return ReckonedWalk(track, own, observed, clocks, where, posed, solve(posed.problem), stood_steps)
@@ -502,9 +500,7 @@ def _posed_as(
     `anchors` are further numbers of steps at which a state is estimated. The other arguments are those of
     `_smooth_track`, and the shifts of the clocks are its result.
     """
-    track = replace(track, mode_prob=smoothed.track.mode_prob)
-    for source, shift in clocks.items():
-        observed = observed.earlier(source, shift.late_s)
+    track, observed = replace(track, mode_prob=smoothed.track.mode_prob), _on_clock(observed, clocks)
     shape_m = np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale
     inside = observed.fixes_inside(*_ends_s(track))
     return track, _problem(track, config, observed, inside, *options, shape_m if observed.locations else None, anchors)
@@ -536,132 +532,6 @@ def _with_factors(
     result, _ = _smoothed(track, posed, found, observed, clocks)
     of_walk = replace(result.track, person=smoothed.track.person, device=smoothed.track.device)
     return replace(result, track=of_walk, values=values)
-
-
-def _dead_reckoned(
-    recording: Recording,
-    config: Config,
-    stood: Sequence[Standstill],
-    progress: tuple[Callable[[float], None] | None, Callable[[float], None] | None],
-    with_hills: bool,
-) -> _Reckoned:
-    """Return the configuration after a first pass, the track without fixes and locations, and the state at its end.
-
-    The state consists of that of the sensing and of the steps within standstills. The sensing is None if the first pass
-    determined the gyroscope bias from the axes of a building. `stood` are the given standstills, which are used.
-    `progress` has the callbacks of the first and the second pass. With `with_hills`, locations distinguish hills from
-    storeys.
-    """
-    own, known_device = _with_first_pass(recording, config, progress[0])
-    own = own.in_hindsight().with_model(frame=START_FRAME)
-    end = init(own)
-
-    def results() -> Iterator[tuple[State, Output]]:
-        nonlocal end
-        for state, output in outputs(recording, own, stood, progress[1], with_hills=with_hills):
-            end = state
-            yield state, output
-
-    found = collected(recording, own, results())
-    track = with_arrivals(replace(found, device=known_device or found.device))
-    stood_steps = end.tracker.pedestrian.fixes.standstill_steps
-    return own, track, end.sensing if known_device is None else None, stood_steps
-
-
-def _with_smoothed_modes(track: Track, config: Config) -> Track:
-    """Return the track with mode probabilities smoothed over the whole recording.
-
-    It is unchanged unless the context probabilities are used as interacting multiple model ("imm").
-    """
-    if track.weighting != "imm":
-        return track
-    prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
-    return replace(track, mode_prob=read_only(prob))
-
-
-def _online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> WalkedPath | None:
-    """Return the path of the online filter with fixes, at which measurements are first linearised.
-
-    None if there are no measurements that need it.
-    """
-    if not any(isinstance(fix, Measurement) for fix in fixes):
-        return None
-    if any(has_position(fix) for fix in fixes):
-        config = config.in_world_frame()
-    state = init(config)
-    for new_state, _ in outputs(recording, config, fixes):
-        state = new_state
-    return walked_path(config, state)
-
-
-def _pass_callbacks(
-    progress: Callable[[float], None] | None,
-) -> tuple[Callable[[float], None] | None, Callable[[float], None] | None]:
-    """Return progress callbacks for the first and the second pass, each for half of the progress, or None twice."""
-    if progress is None:
-        return None, None
-
-    def first(done: float) -> None:
-        progress(0.5 * done)
-
-    def second(done: float) -> None:
-        progress(0.5 + 0.5 * done)
-
-    return first, second
-
-
-def _with_first_pass(
-    recording: Recording, config: Config, progress: Callable[[float], None] | None
-) -> tuple[Config, Device | None]:
-    """Return the configuration with the walking directions and the gyroscope bias of a first pass over the recording.
-
-    The second value is the device as estimated in the first pass if the configuration uses its bias, otherwise None.
-    Without a gyroscope or without steps, the configuration is unchanged.
-
-    The caller runs the second pass, which has the final estimates of the first pass from its first step on. The walking
-    direction relative to the phone is best known at the end of the time in one carrying position. The axes of a
-    building determine the gyroscope bias only after some corners. The bias of the first pass is used if building axes
-    contributed to it and the configuration has no bias of its own. In that case the walking directions are estimated
-    again with this bias, because they depend on it for a phone that is turned over. The covariance of the bias is
-    doubled, because the second pass uses the same samples again. Without building axes the bias is not used: straight
-    walking would be counted twice, which makes tracks worse as often as better.
-    """
-    if "gyroscope" not in recording.streams:
-        return config, None
-    state, events = run_sensing(config.sensing, recording, progress)
-    steps = [event for event in events if isinstance(event, Step)]
-    if not steps:
-        return config, None
-    device, known_device = config.sensing.device(state), None
-    if config.sensing.attitude.bias.device is None and steps[-1].on_axes:
-        config, known_device = config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
-        _, events = run_sensing(config.sensing, recording)
-        steps = [event for event in events if isinstance(event, Step)]
-    heading = after_first_pass(config.sensing.heading, step_table(steps))
-    return replace(config, sensing=replace(config.sensing, heading=heading)), known_device
-
-
-def _observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) -> Device:
-    """Return the phone with the gyroscope bias that the observations of a smoothed walk determine.
-
-    During the walk the heading offset changes by minus the heading error of the gyroscope. The change is taken from the
-    first step to the step at which the resulting rate is known best. A phone that is moved adds the variance of an
-    unknown angle. `sensing` is the state at the end of the recording. If its direction of the phone is unknown, or with
-    fewer than two steps, the bias is that of the sensing alone.
-    """
-    bias, heading = config.sensing.attitude.bias, sensing.heading
-    steps, turned_rad = smoothed.track.steps, np.unwrap(smoothed.heading_offset_rad)
-    if not isinstance(heading, WalkingHeadingState) or heading.place is None or len(steps) < 2:
-        return config.sensing.device(sensing)
-    lasted_s = np.asarray(steps.time_s)[1:] - float(steps.time_s[0])
-    var = smoothed.heading_offset_std_rad[1:] ** 2 + smoothed.heading_offset_std_rad[0] ** 2
-    moved_var = np.asarray(steps.offset_change_std_rad) ** 2 + np.asarray(steps.heading_unknown_s)
-    walk_var = config.model.noise.heading_drift.random_walk_rad_per_sqrt_s**2 * lasted_s
-    other_var = np.cumsum(moved_var[1:]) + walk_var
-    k = int(np.argmin((var + other_var) / lasted_s**2))
-    error_rad = float(turned_rad[0] - turned_rad[1 + k])
-    ago_s, up = sensing.processed_s - float(steps.time_s[1 + k]), np.array(heading.place.up)
-    return bias.learnt_from_smoothed(sensing.attitude.bias, error_rad, float(var[k]), float(other_var[k]), ago_s, up)
 
 
 def _on_plan(found: SmoothedOnPlan, observed: Observations) -> Smoothed:
@@ -702,7 +572,7 @@ def _smooth_track(
     """
     start_s, end_s = _ends_s(track)
     observed.check_inside(start_s, end_s)
-    filtered, track = track, _with_smoothed_modes(track, config)
+    filtered, track = track, with_smoothed_modes(track, config)
     if track.n_steps == 0:
         places = compress((*observed.fixes, *observed.locations), observed.fixes_inside(start_s, end_s))
         known = independent([f for f in places if isinstance(f, PositionFix)])

@@ -187,7 +187,7 @@ def _with_stated_fixes(problem: Problem) -> tuple[Problem, IntArray]:
             other=np.append(positions.other, np.full(len(at), -1)),
             ahead_m=np.vstack([positions.ahead_m, of.ahead_m[at]]),
             position_m=np.vstack([positions.position_m, stated_m]),
-            whiten=np.concatenate([positions.whiten, np.linalg.inv(np.linalg.cholesky(cov_m2))]),
+            whiten=np.concatenate([positions.whiten, read_only(np.linalg.inv(np.linalg.cholesky(cov_m2)))]),
         ),
         states=ObservedStates(
             node=np.append(states.node, of.node[turned]),

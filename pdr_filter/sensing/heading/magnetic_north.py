@@ -28,7 +28,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step, replace_unchecked
+from pdr_filter.values import FloatArray, Step, read_only, replace_unchecked
 from pdr_filter.values.quaternions import rotation_matrix
 
 # Duration of a reading, which is a mean over about a step, s.
@@ -41,10 +41,10 @@ _MAX_LATENCY_S = 20.0
 _M, _B, _F = slice(0, 3), slice(3, 6), 6
 # Angles of the directions of magnetic north over which the evidence is summed, every three degrees.
 # The sum is exact to 1e-4 for a standard deviation of two degrees.
-_ANGLES_RAD = np.arange(120) * (np.pi / 60.0)
+_ANGLES_RAD = read_only(np.arange(120) * (np.pi / 60.0))
 # With a smaller deviation, which many readings give, the sum is over these angles about the mean of the first one. They
 # reach five such deviations, every sixth of a degree.
-_FINE_BELOW_RAD, _FINE_ANGLES_RAD = np.deg2rad(2.0), np.deg2rad(np.linspace(-10.0, 10.0, 121))
+_FINE_BELOW_RAD, _FINE_ANGLES_RAD = math.radians(2.0), read_only(np.arange(-60, 61) * (np.pi / 1080.0))
 # Prior of the hard iron: normal densities of equal probability, by their standard deviations in units of `iron_std_ut`.
 # Their mixture is nearly uniform in the logarithm of the hard iron. With 7 uT they span 3.5 uT, of a good calibration,
 # to 112 uT on each axis. Public recordings of raw data have 20 to 300 uT in all.

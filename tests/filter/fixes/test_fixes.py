@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from time import process_time
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squ
 from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.imm.pedestrian_state import present_position
 from pdr_filter.simulate import Leg, simulate
+from pdr_filter.tracking import filtering
 from pdr_filter.tracking.filtering import add_fixes, init
 from pdr_filter.values import Fix, HeadingFix, PositionFix, SpeedFix, Standstill, wrap_angle
 from pdr_filter.values.recording import Recording
@@ -517,14 +517,21 @@ def test_a_fix_within_a_minute_of_the_last_sample_is_accepted(walk: Recording) -
         online.add_fix(PositionFix(80.0, np.zeros(2), np.eye(2)))
 
 
-def test_ten_thousand_waiting_fixes_are_added_within_seconds_and_wait_in_order_of_their_due_time() -> None:
-    """Sorting again for each fix took minutes."""
-    times = np.random.default_rng(0).permutation(10_000) / 100
-    fixes = [PositionFix(float(t), np.zeros(2), np.eye(2), received_time_s=float(t) + 0.5) for t in times]
-    online, begin = pdr.OnlineFilter(), process_time()
+def test_adding_a_fix_takes_few_operations_however_many_wait_and_all_wait_in_order_of_their_due_time(
+    walk: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A search of each fix among 1,000 takes 10 comparisons, and only a few due fixes are processed at once."""
+    compared, processed = list[Fix](), list[Fix]()
+    due_s, use_fix = filtering.due_s, filtering._use_fix
+    monkeypatch.setattr(filtering, "due_s", lambda config, fix: compared.append(fix) or due_s(config, fix))
+    monkeypatch.setattr(filtering, "_use_fix", lambda *given: processed.append(given[2]) or use_fix(*given))
+    online, samples = pdr.OnlineFilter(), pdr.merge_streams(walk)
+    online.push(samples.time_s[:300], samples.specific_force_mps2[:300], samples.angular_rate_radps[:300])
+    times = np.random.default_rng(0).permutation(1_000) / 1_000  # all are due already, in the first three seconds
+    fixes = [HeadingFix(float(t), 0.0, 1.0, received_time_s=float(t) + 0.5) for t in times]
     for fix in fixes:
         online.add_fix(fix)
-    assert process_time() - begin < 5.0
+    assert len(compared) < 25 * len(fixes) and 0 < len(processed) < 30
     waiting = online.state.waiting_fixes
     assert [fix.time_s for fix in waiting] == sorted(times.tolist())
     assert add_fixes(online.config, init(online.config), fixes).waiting_fixes == waiting

@@ -79,8 +79,8 @@ def test_doors_decide_on_which_side_of_a_beacon_a_walk_is() -> None:
     """The first path is mirrored about the beacon, which agrees with all its ranges."""
     rng = np.random.default_rng(4)
     walk = simulated_walk(48, rng, any_rotation=True)
-    true_m = walk.position_m + (300.0, 200.0)
-    beacon_m = true_m.mean(axis=0) + (4.0, -3.0)
+    true_m = walk.position_m + np.array([300.0, 200.0])
+    beacon_m = true_m.mean(axis=0) + np.array([4.0, -3.0])
     at = np.arange(4, 48, 4)
     times_s, places_m = walk.steps.time_s[at - 1], true_m[at]
     ranges = np.hypot(*(places_m - beacon_m).T) + rng.normal(scale=0.3, size=len(at))
