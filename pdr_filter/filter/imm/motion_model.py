@@ -132,15 +132,11 @@ class Mode:
         check_numbers(self, zero=may_be_zero, signed=("heading_offset_rad", "climbs"))
 
     def __repr__(self) -> str:
-        fit = self.step_length
+        fit, gait = self.step_length, "walking" if self.moves else None
         length_m = float(length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)[0])
-        usual = {"context": self.name, "gait": "walking" if self.moves else None}
-        stated = (f for f in fields(self) if f.name not in ("name", "step_length"))
-        unusual = {
-            f.name: getattr(self, f.name) for f in stated if getattr(self, f.name) != usual.get(f.name, f.default)
-        }
-        own = "".join(f", {name}={value!r}" for name, value in unusual.items())
-        return f"Mode({self.name!r}, {type(fit.model).__name__}, {length_m:.2f} m for a typical step{own})"
+        usual = {f.name: f.default for f in fields(self)[1:]} | {"context": self.name, "step_length": fit, "gait": gait}
+        own = [f", {name}={value!r}" for name, value in vars(self).items() if value != usual.get(name, value)]
+        return f"Mode({self.name!r}, {type(fit.model).__name__}, {length_m:.2f} m for a typical step{''.join(own)})"
 
     @property
     def meaning(self) -> Context:
