@@ -709,9 +709,10 @@ def _smooth_track(
     on_clock, found = observed, solved(observed)
     clocks: dict[Source, ClockShift] = {}
     for source in get_args(Source):
-        at_s = np.array([fix.time_s for fix in getattr(observed, source) if isinstance(fix, PositionFix)])
-        if len(at_s) >= _MIN_POSITIONS:
-            clocks[source] = estimated_shift(partial(walk, source=source), ShiftPrior.of(at_s, start_s, end_s))
+        places = [fix for fix in getattr(observed, source) if isinstance(fix, PositionFix)]
+        if len(places) >= _MIN_POSITIONS:
+            prior = ShiftPrior.of(places, start_s, end_s, n_old=int(source == "locations"))
+            clocks[source] = estimated_shift(partial(walk, source=source), prior)
             if late_s := clocks[source].late_s:
                 on_clock = on_clock.earlier(source, late_s)
                 found = solved(on_clock)

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing import smooth as smoothing
@@ -63,10 +64,8 @@ def shift_of(best_s: float, information: float) -> ClockShift:
 @pytest.mark.parametrize(("best_s", "information"), [(18.0, 0.3), (-10.0, 0.5), (5.0, 0.3), (0.5, 2e-4)])
 def test_shift_and_its_error_are_those_of_numerical_integration(best_s: float, information: float) -> None:
     late_s = np.linspace(-100.0, 100.0, 200_001)
-    posterior = np.exp(-0.5 * (information * (late_s - best_s) ** 2 + (late_s / 10.0) ** 2)) / (
-        10.0 * np.sqrt(2 * np.pi)
-    )
-    weight = 0.02 * posterior * (late_s[1] - late_s[0])
+    prior = np.mean([norm.pdf(late_s, scale=std_s) for std_s in (2.5, 5.0, 10.0, 20.0)], axis=0)
+    weight = 0.02 * prior * np.exp(-0.5 * information * (late_s - best_s) ** 2) * (late_s[1] - late_s[0])
     none = 0.98 * np.exp(-0.5 * information * best_s**2)
     mean_s = float(weight @ late_s / weight.sum())
     found = shift_of(best_s, information)
@@ -75,12 +74,13 @@ def test_shift_and_its_error_are_those_of_numerical_integration(best_s: float, i
         assert found.var_s2 == pytest.approx(float(weight @ (late_s - mean_s) ** 2 / weight.sum()), rel=1e-3)
     else:
         assert found.late_s == 0.0
-        assert found.var_s2 == pytest.approx(float(weight @ late_s**2 / (weight.sum() + none)), rel=1e-3)
+        assert found.var_s2 == pytest.approx(float(weight @ late_s**2 / (weight.sum() + none)), rel=0.05)
 
 
 def test_a_walk_that_excludes_a_shift_has_none_and_no_error() -> None:
     assert shift_of(0.7, 0.5) == ClockShift(0.0, 0.0)
-    assert shift_of(0.9, 30.0) == ClockShift(0.0, 0.0)  # below a second
+    below_a_second = shift_of(0.9, 30.0)
+    assert below_a_second.late_s == 0.0 and below_a_second.var_s2 == pytest.approx(0.9**2 + 1.0 / 30.0, rel=0.05)
     assert shift_of(0.0, 0.0).late_s == 0.0
 
 
@@ -90,9 +90,10 @@ def test_a_shift_that_is_more_probable_than_none_and_not_certain_is_named_and_no
 ) -> None:
     found = shift_of(late_s, 0.15)
     assert found.late_s == 0.0 and found.var_s2 > 0.0
-    # its posterior mean: the information against that of the prior of 10 s
-    assert found.probable_s == (pytest.approx(late_s * 0.15 / (0.15 + 0.01)) if is_named else 0.0)
-    words = f"{8.4375:.1f} s {'late' if late_s > 0 else 'early'}"
+    # its posterior mean: the information against that of a prior between 5 and 10 s
+    words = f"{7.9:.1f} s {'late' if late_s > 0 else 'early'}"
+    least, most = (0.15 / (0.15 + 5.0**-2), 0.15 / (0.15 + 10.0**-2)) if is_named else (0.0, 0.0)
+    assert least <= found.probable_s / late_s <= most
     assert [words in note and "were not shifted" in note for note in found.notes("fixes")] == [True] * is_named
 
 
@@ -167,7 +168,7 @@ def test_without_turns_the_deviation_along_the_walk_is_wider(monkeypatch: pytest
 
 
 def test_locations_from_outside_the_samples_show_another_clock_without_turns() -> None:
-    straight = walk(leg_m=70.0)
+    straight = walk()
     right, *others = (pdr.smooth(located(straight, late_s)).track for late_s in (0.0, 18.0, -18.0))
     for other, word in zip(others, (" late ", " early "), strict=True):
         assert [n for n in other.notes if n.startswith("the locations are ") and word in n]
