@@ -35,15 +35,15 @@ _RECEIVER_START_S = 10.0
 # Smallest odds at which a shift is applied, so that one in a hundred is false, and smallest shift in s: that of a phone
 # that rounds times to seconds.
 _ODDS, _MIN_SHIFT_S = 100.0, 1.0
-# Root mean square error of a shift of zero in s, from which on it is part of the covariance (0.4 m of walking), and from
-# which on the possible shift is named.
+# Root mean square error of a shift of zero in s, from which on it is part of the covariance (0.4 m of walking), and
+# from which on the possible shift is named.
 _LEAST_ERROR_S, _NAMED_SHIFT_S = 0.3, 5.0
 # F is computed at other shifts, in s, unless the parabola at zero makes a shift less probable than these odds and has a
 # standard deviation below 2 s. F has other minima and is no parabola far away. The best of them is then improved.
 _POSSIBLE_ODDS, _SURE_INFORMATION, _STARTS_S = 0.01, 0.25, (-20.0, -10.0, 10.0, 20.0)
 # Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number. The
 # parabolas end at the first.
-_MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 10
+_MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 6
 # Shifts in s at which the posterior is computed, up to five standard deviations of the widest prior.
 _GRID_S = np.linspace(-100.0, 100.0, 2001)
 

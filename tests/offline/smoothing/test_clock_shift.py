@@ -99,7 +99,7 @@ def test_a_shift_that_is_more_probable_than_none_and_not_certain_is_named_and_no
 
 def test_the_response_to_moved_fixes_is_the_difference_of_two_solutions(monkeypatch: pytest.MonkeyPatch) -> None:
     problems = []
-    monkeypatch.setattr(smoothing, "solve", lambda problem: problems.append(problem) or solve(problem))
+    monkeypatch.setattr(smoothing, "solve", lambda problem, *_: problems.append(problem) or solve(problem))
     pdr.smooth(located(walk(R, R), 0.0))
     problem, found = problems[0], solve(problems[0])
     moved_m = np.random.default_rng(2).normal(size=problem.positions.position_m.shape)
