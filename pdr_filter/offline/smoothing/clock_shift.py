@@ -25,8 +25,8 @@ from pdr_filter.values import FloatArray, PositionFix
 # Assumed share of sources with another clock, and standard deviations of their shifts in s, which cover 18 s.
 _SHIFTED_PROB, _SHIFT_STDS_S = 0.02, np.array([2.5, 5.0, 10.0, 20.0])
 # Probability of another clock if observations come from outside the samples, by more than a second and less than 30 s.
-# In 20 of 20 recordings of ipin2023 all locations lie within the samples. A receiver that runs longer than the samples
-# and another clock are then assumed to be equally probable.
+# In 20 of 20 recordings of ipin2023 all locations lie within the samples. A receiver that runs longer than the samples,
+# or gives an old location, and another clock are then assumed to be equally probable.
 _SHIFTED_PROB_OUTSIDE, _OUTSIDE_S, _MOST_OUTSIDE_S = 0.5, 1.0, 30.0
 # Walking speed in m/s, with which the position becomes unknown before the first and after the last sample.
 _SPEED_MPS = 1.4
@@ -61,24 +61,26 @@ class ShiftPrior(NamedTuple):
     most_s: float = np.inf
 
     @classmethod
-    def of(cls, fixes: Sequence[PositionFix], start_s: float, end_s: float, n_old: int) -> ShiftPrior:
+    def of(cls, fixes: Sequence[PositionFix], start_s: float, end_s: float) -> ShiftPrior:
         """Return the prior of the shift of position fixes, for samples from `start_s` to `end_s`.
 
-        On the right clock, observations lie within the samples, but for `n_old` older ones. Observations outside the
+        On the right clock, observations lie within the samples, but for much older ones. Observations outside the
         samples probably have another clock. Shifted, they begin or end with the samples, to one interval or to the time
         that a receiver takes to start. Each of them is then explained by the walk to its standard deviation. On the
         right clock it is only within walking distance of its neighbour, so that its density is smaller.
         """
-        fixes = sorted(fixes, key=lambda fix: fix.time_s)[n_old:]
+        fixes = sorted((f for f in fixes if f.time_s > start_s - _MOST_OUTSIDE_S), key=lambda fix: fix.time_s)
+        if len(fixes) < 2:
+            return cls()
         ordered_s = np.array([fix.time_s for fix in fixes])
         half_s = 0.5 * float(np.median(np.diff(ordered_s)))
         least_s = float(ordered_s[-1]) - end_s - _OUTSIDE_S
         most_s = float(ordered_s[0]) - start_s + _OUTSIDE_S
         for outside_s, sign in ((least_s, 1.0), (-most_s, -1.0)):
             if least_s < most_s and 0.0 < outside_s < _MOST_OUTSIDE_S:
-                wider = 1.0 + (_SPEED_MPS * 2.0 * half_s) ** 2 / np.array([fix.var_m2 for fix in fixes])
-                is_outside = (ordered_s < start_s) | (ordered_s > end_s)
-                right = (1.0 / _SHIFTED_PROB_OUTSIDE - 1.0) / float(np.prod(wider[is_outside]))
+                away_s = np.clip(np.maximum(start_s - ordered_s, ordered_s - end_s), 0.0, 2.0 * half_s)
+                wider = 1.0 + (_SPEED_MPS * away_s) ** 2 / np.array([fix.var_m2 for fix in fixes])
+                right = (1.0 / _SHIFTED_PROB_OUTSIDE - 1.0) / float(np.prod(wider))
                 inside_s = np.array([_OUTSIDE_S + half_s, _RECEIVER_START_S])
                 return cls(1.0 / (1.0 + right), sign * (outside_s + inside_s), inside_s, least_s, most_s)
         return cls(least_s=min(least_s, 0.0), most_s=max(most_s, 0.0))

@@ -714,7 +714,7 @@ def _smooth_track(
     for source in get_args(Source):
         places = [fix for fix in getattr(observed, source) if isinstance(fix, PositionFix)]
         if len(places) >= _MIN_POSITIONS:
-            prior = ShiftPrior.of(places, start_s, end_s, n_old=int(source == "locations"))
+            prior = ShiftPrior.of(places, start_s, end_s)
             clocks[source] = estimated_shift(partial(walk, source=source), prior)
             if late_s := clocks[source].late_s:
                 on_clock = on_clock.earlier(source, late_s)

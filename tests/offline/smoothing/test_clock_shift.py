@@ -91,13 +91,15 @@ def test_a_misfit_that_is_lower_far_away_than_its_parabola_at_zero_does_not_excl
     assert level.var_s2 > 0.7 * 0.02 * np.mean(np.square([2.5, 5.0, 10.0, 20.0])) > 10.0 * steep.var_s2
 
 
-def test_observations_outside_the_samples_show_another_clock_but_an_old_location_does_not() -> None:
+def test_observations_outside_the_samples_show_another_clock_but_a_much_older_one_does_not() -> None:
     fixes = [PositionFix(t, (0.0, 0.0), 9.0 * np.eye(2)) for t in np.arange(-6.0, 95.0, 10.0)]
-    first_outside, old = (ShiftPrior.of(fixes, 0.0, 100.0, n_old=n_old) for n_old in (0, 1))
-    assert old.prob == ShiftPrior().prob and old.least_s < 0.0 < old.most_s
-    # on the right clock it is within the 14 m of 10 s of the next one
-    assert first_outside.prob / (1.0 - first_outside.prob) == pytest.approx(1.0 + 14.0**2 / 9.0)
-    assert first_outside.most_s == -5.0 and np.max(first_outside.mean_s) < -5.0
+    found, inside = ShiftPrior.of(fixes, 0.0, 100.0), ShiftPrior.of(fixes[1:], 0.0, 100.0)
+    # on the right clock it is within walking distance of the start
+    assert found.prob / (1.0 - found.prob) == pytest.approx(1.0 + (1.4 * 6.0) ** 2 / 9.0)
+    assert found.most_s == -5.0 and np.max(found.mean_s) < -5.0
+    assert inside.prob == ShiftPrior().prob and inside.least_s < 0.0 < inside.most_s
+    older = PositionFix(-60.0, (0.0, 0.0), np.eye(2))
+    assert ShiftPrior.of([older, *fixes[1:]], 0.0, 100.0).most_s == inside.most_s
 
 
 @pytest.mark.parametrize(("late_s", "is_named"), [(7.0, False), (9.0, True), (-9.0, True)])
