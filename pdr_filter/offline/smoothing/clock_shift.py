@@ -2,11 +2,10 @@
 
 The times of locations often come from another clock than those of the samples: GPS time is 18 s ahead of UTC, and
 watches and tables that are logged separately differ by seconds. All observations of one source are then late or early
-by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_PROB`, normal with one of the standard
-deviations `_SHIFT_STDS_S`, so that its logarithm is nearly uniform. A walk with turns determines the shift to a second
-or two. On a straight walk it looks like another start, and the prior alone makes its positions uncertain by the
-distance walked in the root mean square of the prior, 1.6 s, about 2 m. A rest before or after the walk decreases or
-increases this. Observations from before the first sample or after the last one show another clock on a straight walk,
+by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_PROB`, normal with the standard deviation
+`_SHIFT_STD_S`. A walk with turns determines the shift to a second or two. On a straight walk it looks like another
+start, and the prior alone makes its positions uncertain by the distance walked in sqrt(`_SHIFTED_PROB`) `_SHIFT_STD_S`
+= 1.4 s, about 2 m. A rest before or after the walk decreases or increases this. Observations from before the first sample or after the last one show another clock on a straight walk,
 too (`ShiftPrior.of`).
 
 Let F(d) be the least sum of squares of the walk whose observations are earlier by d. Its posterior is the prior times
@@ -22,8 +21,8 @@ import numpy as np
 
 from pdr_filter.values import FloatArray, PositionFix
 
-# Assumed share of sources with another clock, and standard deviations of their shifts in s, which cover 18 s.
-_SHIFTED_PROB, _SHIFT_STDS_S = 0.02, np.array([2.5, 5.0, 10.0, 20.0])
+# Assumed share of sources with another clock, and standard deviation of their shifts in s, which covers 18 s.
+_SHIFTED_PROB, _SHIFT_STD_S = 0.02, 10.0
 # Probability of another clock if observations come from outside the samples, by more than a second and less than 30 s.
 # In 20 of 20 recordings of ipin2023 all locations lie within the samples. A receiver that runs longer than the samples,
 # or gives an old location, and another clock are then assumed to be equally probable.
@@ -41,22 +40,21 @@ _LEAST_ERROR_S, _NAMED_SHIFT_S = 0.3, 5.0
 # F is computed at other shifts, in s, unless the parabola at zero makes a shift less probable than these odds and has a
 # standard deviation below 2 s. F has other minima and is no parabola far away. The best of them is then improved.
 _POSSIBLE_ODDS, _SURE_INFORMATION, _STARTS_S = 0.01, 0.25, (-20.0, -10.0, 10.0, 20.0)
-# Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number. The
-# parabolas end at the first.
+# Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number.
 _MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 6
-# Shifts in s at which the posterior is computed, up to five standard deviations of the widest prior.
-_GRID_S = np.linspace(-100.0, 100.0, 2001)
+# Shifts in s at which the posterior is computed, up to six standard deviations of the prior.
+_GRID_S = np.linspace(-60.0, 60.0, 1201)
 
 
 class ShiftPrior(NamedTuple):
-    """Prior of a shift in s between two limits: zero, or, with a probability `prob`, one of several normal densities.
+    """Prior of a shift in s between two limits: zero, or, with a probability `prob`, one of some normal densities.
 
     The densities have the means `mean_s` and the standard deviations `std_s`, and equal probabilities.
     """
 
     prob: float = _SHIFTED_PROB
     mean_s: FloatArray | float = 0.0
-    std_s: FloatArray = _SHIFT_STDS_S
+    std_s: FloatArray | float = _SHIFT_STD_S
     least_s: float = -np.inf
     most_s: float = np.inf
 
@@ -87,7 +85,7 @@ class ShiftPrior(NamedTuple):
 
     def density(self, shift_s: FloatArray) -> FloatArray:
         """Return the density (N,) in 1/s of shifts (N,), without the probability of zero."""
-        away = (shift_s[:, None] - self.mean_s) / self.std_s
+        away = np.asarray((shift_s[:, None] - self.mean_s) / self.std_s)
         inside = (shift_s >= self.least_s) & (shift_s <= self.most_s)
         return self.prob * inside * (np.exp(-0.5 * away**2) / (np.sqrt(2.0 * np.pi) * self.std_s)).mean(axis=1)
 
@@ -167,7 +165,9 @@ def estimated_shift(at: Callable[[float], ShiftedWalk], prior: ShiftPrior) -> Cl
     odds, mean_s, var_s2 = _posterior(walks, prior)
     if odds > _ODDS and abs(mean_s) > _MIN_SHIFT_S:
         return ClockShift(mean_s, var_s2)
-    error_s2 = odds / (1.0 + odds) * (mean_s**2 + var_s2)
+    # The other shifts may miss one that the parabola at zero shows. The larger of both errors is used.
+    both = (odds, mean_s, var_s2), _posterior({0.0: zero}, prior)
+    error_s2, mean_s = max((odds / (1.0 + odds) * (mean_s**2 + var_s2), mean_s) for odds, mean_s, var_s2 in both)
     if error_s2 < _LEAST_ERROR_S**2:
         return ClockShift()
     return ClockShift(0.0, error_s2, mean_s if error_s2 > _NAMED_SHIFT_S**2 else 0.0)
@@ -181,7 +181,7 @@ def _posterior(walks: dict[float, ShiftedWalk], prior: ShiftPrior) -> tuple[floa
     at_s = np.array(list(walks))
     nearest = np.abs(_GRID_S[:, None] - at_s).argmin(axis=1)
     squares, slope, information, _ = np.array(list(walks.values())).T[:, nearest]
-    ahead_s = np.clip(_GRID_S - at_s[nearest], -_MAX_CHANGE_S, _MAX_CHANGE_S)
+    ahead_s = _GRID_S - at_s[nearest]
     squares = squares + (2.0 * slope + information * ahead_s) * ahead_s - walks[0.0].squares
     weight = prior.density(_GRID_S) * np.exp(np.minimum(-0.5 * squares, 300.0)) * (_GRID_S[1] - _GRID_S[0])
     total = float(weight.sum())
