@@ -5,8 +5,8 @@ watches and tables that are logged separately differ by seconds. All observation
 by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_PROB`, normal with the standard deviation
 `_SHIFT_STD_S`. A walk with turns determines the shift to a second or two. On a straight walk it looks like another
 start, and the prior alone makes its positions uncertain by the distance walked in sqrt(`_SHIFTED_PROB`) `_SHIFT_STD_S`
-= 1.4 s, about 2 m. A rest before or after the walk decreases or increases this. Observations from before the first sample or after the last one show another clock on a straight walk,
-too (`ShiftPrior.of`).
+= 1.4 s, about 2 m. A rest before or after the walk decreases or increases this. Observations from before the first
+sample or after the last one show another clock on a straight walk, too (`ShiftPrior.of`).
 
 Let F(d) be the least sum of squares of the walk whose observations are earlier by d. Its posterior is the prior times
 exp(-F(d) / 2). F is known with its derivatives at some shifts. Between them, it is the parabola of the nearest one.
