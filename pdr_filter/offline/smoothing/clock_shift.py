@@ -8,64 +8,86 @@ start, and the prior alone makes its positions uncertain by the distance walked 
 = 1.4 s, about 2 m. A rest before or after the walk decreases or increases this. Observations from before the first
 sample or after the last one show another clock on a straight walk, too (`ShiftPrior.of`).
 
-Let F(d) be the least sum of squares of the walk whose observations are earlier by d, F its minimum at D, G = F(0) - F
-and I half of its second derivative there. With the prior mean p of a shift and its prior information q = 1 / s^2, a
-shift has the posterior variance 1 / (I + q), the mean (I D + q p) / (I + q), and the Bayes factor
-sqrt(q / (I + q)) exp((G - (D - p)^2 I q / (I + q)) / 2) against zero (Laplace).
+Let F(d) be the least sum of squares of the walk whose observations are earlier by d. Its posterior is the prior times
+exp(-F(d) / 2). F is known with its derivatives at some shifts. Between them, it is the parabola of the nearest one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, PositionFix
 
 # Assumed share of sources with another clock, and standard deviation of their shifts in s, which covers 18 s.
 _SHIFTED_PROB, _SHIFT_STD_S = 0.02, 10.0
-# Probability of another clock if observations come from outside the samples, by more than a second and less than three
-# standard deviations of a shift. In 20 of 20 recordings of ipin2023 all locations lie within the samples. A receiver
-# that runs longer than the samples and another clock are then assumed to be equally probable.
-_SHIFTED_PROB_OUTSIDE, _OUTSIDE_S, _MOST_OUTSIDE_S = 0.5, 1.0, 3.0 * _SHIFT_STD_S
+# Probability of another clock if observations come from outside the samples, by more than a second and less than 30 s.
+# In 20 of 20 recordings of ipin2023 all locations lie within the samples. A receiver that runs longer than the samples,
+# or gives an old location, and another clock are then assumed to be equally probable.
+_SHIFTED_PROB_OUTSIDE, _OUTSIDE_S, _MOST_OUTSIDE_S = 0.5, 1.0, 30.0
+# Walking speed in m/s, with which the position becomes unknown before the first and after the last sample.
+_SPEED_MPS = 1.4
+# Time in s that receivers may take to their first location, after the first sample.
+_RECEIVER_START_S = 10.0
 # Smallest odds at which a shift is applied, so that one in a hundred is false, and smallest shift in s: that of a phone
 # that rounds times to seconds.
 _ODDS, _MIN_SHIFT_S = 100.0, 1.0
-# Root mean square error of a shift of zero in s, from which on the possible shift is named.
-_NAMED_SHIFT_S = 5.0
-# The shift is searched for above these odds, predicted at zero, and if observations are rejected. The search starts at
-# zero or the best of these shifts, in s, because F has other minima where many observations are rejected.
-_POSSIBLE_ODDS, _STARTS_S = 0.01, (-20.0, -10.0, 10.0, 20.0)
+# Root mean square error of a shift of zero in s, from which on it is part of the covariance (0.4 m of walking), and
+# from which on the possible shift is named.
+_LEAST_ERROR_S, _NAMED_SHIFT_S = 0.3, 5.0
+# F is computed at other shifts, in s, unless the parabola at zero makes a shift less probable than these odds and has a
+# standard deviation below 2 s. F has other minima and is no parabola far away. The best of them is then improved.
+_POSSIBLE_ODDS, _SURE_INFORMATION, _STARTS_S = 0.01, 0.25, (-20.0, -10.0, 10.0, 20.0)
 # Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number.
-_MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 10
+_MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 6
+# Shifts in s at which the posterior is computed, up to six standard deviations of the prior.
+_GRID_S = np.linspace(-60.0, 60.0, 1201)
 
 
 class ShiftPrior(NamedTuple):
-    """Prior of a shift in s: zero, or with a probability `prob` normal with `mean_s` and `std_s` between two limits."""
+    """Prior of a shift in s between two limits: zero, or, with a probability `prob`, one of some normal densities.
+
+    The densities have the means `mean_s` and the standard deviations `std_s`, and equal probabilities.
+    """
 
     prob: float = _SHIFTED_PROB
-    mean_s: float = 0.0
-    std_s: float = _SHIFT_STD_S
+    mean_s: FloatArray | float = 0.0
+    std_s: FloatArray | float = _SHIFT_STD_S
     least_s: float = -np.inf
     most_s: float = np.inf
 
     @classmethod
-    def of(cls, time_s: FloatArray, start_s: float, end_s: float) -> ShiftPrior:
-        """Return the prior of the shift of observations at these times (F,), for samples from `start_s` to `end_s`.
+    def of(cls, fixes: Sequence[PositionFix], start_s: float, end_s: float) -> ShiftPrior:
+        """Return the prior of the shift of position fixes, for samples from `start_s` to `end_s`.
 
-        On the right clock, observations lie within the samples, but for one that may be older. Observations outside the
-        samples probably have another clock. Shifted, they begin or end with the samples, to one interval.
+        On the right clock, observations lie within the samples, but for much older ones. Observations outside the
+        samples probably have another clock. Shifted, they begin or end with the samples, to one interval or to the time
+        that a receiver takes to start. Each of them is then explained by the walk to its standard deviation. On the
+        right clock it is only within walking distance of its neighbour, so that its density is smaller.
         """
-        ordered_s = np.sort(time_s)
+        fixes = sorted((f for f in fixes if f.time_s > start_s - _MOST_OUTSIDE_S), key=lambda fix: fix.time_s)
+        if len(fixes) < 2:
+            return cls()
+        ordered_s = np.array([fix.time_s for fix in fixes])
         half_s = 0.5 * float(np.median(np.diff(ordered_s)))
         least_s = float(ordered_s[-1]) - end_s - _OUTSIDE_S
-        most_s = float(ordered_s[1]) - start_s + _OUTSIDE_S
+        most_s = float(ordered_s[0]) - start_s + _OUTSIDE_S
         for outside_s, sign in ((least_s, 1.0), (-most_s, -1.0)):
             if least_s < most_s and 0.0 < outside_s < _MOST_OUTSIDE_S:
-                mean_s = sign * (outside_s + _OUTSIDE_S + half_s)
-                return cls(_SHIFTED_PROB_OUTSIDE, mean_s, _OUTSIDE_S + half_s, least_s, most_s)
+                away_s = np.clip(np.maximum(start_s - ordered_s, ordered_s - end_s), 0.0, 2.0 * half_s)
+                wider = 1.0 + (_SPEED_MPS * away_s) ** 2 / np.array([fix.var_m2 for fix in fixes])
+                right = (1.0 / _SHIFTED_PROB_OUTSIDE - 1.0) / float(np.prod(wider))
+                inside_s = np.array([_OUTSIDE_S + half_s, _RECEIVER_START_S])
+                return cls(1.0 / (1.0 + right), sign * (outside_s + inside_s), inside_s, least_s, most_s)
         return cls(least_s=min(least_s, 0.0), most_s=max(most_s, 0.0))
+
+    def density(self, shift_s: FloatArray) -> FloatArray:
+        """Return the density (N,) in 1/s of shifts (N,), without the probability of zero."""
+        away = np.asarray((shift_s[:, None] - self.mean_s) / self.std_s)
+        inside = (shift_s >= self.least_s) & (shift_s <= self.most_s)
+        return self.prob * inside * (np.exp(-0.5 * away**2) / (np.sqrt(2.0 * np.pi) * self.std_s)).mean(axis=1)
 
     def limited(self, shift_s: float) -> float:
         """Return the possible shift that is nearest to a shift."""
@@ -88,11 +110,6 @@ class ShiftedWalk(NamedTuple):
     def remaining_s(self) -> float:
         """Further shift in s at the minimum of the parabola with these derivatives."""
         return -self.slope / self.information if self.information > 0 else 0.0
-
-    @property
-    def gain(self) -> float:
-        """Decrease of the sum of squares to the minimum of the parabola."""
-        return -self.slope * self.remaining_s
 
 
 class ClockShift(NamedTuple):
@@ -127,44 +144,48 @@ class ClockShift(NamedTuple):
 
 def estimated_shift(at: Callable[[float], ShiftedWalk], prior: ShiftPrior) -> ClockShift:
     """Return the shift of a source, given a function of the shift in s by which its observations are late."""
-    zero = at(0.0)
-    found = [_posterior(zero.gain, zero.remaining_s, zero.information, prior)]
-    # the parabola at zero says nothing about shifts that are far away, as of observations outside the samples
-    if found[0][0] > _POSSIBLE_ODDS or zero.is_rejecting or prior.limited(0.0) != 0.0:
+    walks = {0.0: at(0.0)}
+    zero = walks[0.0]
+    is_determined = zero.information > _SURE_INFORMATION and _posterior(walks, prior)[0] < _POSSIBLE_ODDS
+    if not is_determined or zero.is_rejecting or prior.limited(0.0) != 0.0:
         possible = {prior.limited(late_s) for late_s in (0.0, *_STARTS_S)}
-        starts = {late_s: at(late_s) if late_s else zero for late_s in possible}
-        late_s, walk = min(starts.items(), key=lambda start: start[1].squares)
-        change_s = walk.remaining_s
+        walks |= {late_s: at(late_s) for late_s in sorted(possible - {0.0})}
+        late_s = min(possible, key=lambda late_s: walks[late_s].squares)
+        change_s = walks[late_s].remaining_s
         for _ in range(_MOST_SOLUTIONS):
             change_s = prior.limited(late_s + float(np.clip(change_s, -_MAX_CHANGE_S, _MAX_CHANGE_S))) - late_s
             if abs(change_s) < _SMALL_CHANGE_S:
                 break
-            new = at(late_s + change_s)
-            if new.squares < walk.squares:
-                late_s, walk, change_s = late_s + change_s, new, new.remaining_s
+            new_s = late_s + change_s
+            walks[new_s] = at(new_s)
+            if walks[new_s].squares < walks[late_s].squares:
+                late_s, change_s = new_s, walks[new_s].remaining_s
             else:
                 change_s *= 0.5
-        found.append(_posterior(zero.squares - walk.squares, late_s, walk.information, prior))
-    odds, mean_s, var_s2 = found[-1]
+    odds, mean_s, var_s2 = _posterior(walks, prior)
     if odds > _ODDS and abs(mean_s) > _MIN_SHIFT_S:
         return ClockShift(mean_s, var_s2)
-    # The search may miss the shift that the parabola shows. The larger of both errors is used.
-    limit_s2 = max(prior.least_s**2, prior.most_s**2)
-    error_s2, mean_s = max((odds / (1.0 + odds) * min(m**2 + v, limit_s2), m) for odds, m, v in found)
-    if error_s2 < _MIN_SHIFT_S**2:
+    # The other shifts may miss one that the parabola at zero shows. The larger of both errors is used.
+    both = (odds, mean_s, var_s2), _posterior({0.0: zero}, prior)
+    error_s2, mean_s = max((odds / (1.0 + odds) * (mean_s**2 + var_s2), mean_s) for odds, mean_s, var_s2 in both)
+    if error_s2 < _LEAST_ERROR_S**2:
         return ClockShift()
     return ClockShift(0.0, error_s2, mean_s if error_s2 > _NAMED_SHIFT_S**2 else 0.0)
 
 
-def _posterior(gain: float, best_s: float, information: float, prior: ShiftPrior) -> tuple[float, float, float]:
+def _posterior(walks: dict[float, ShiftedWalk], prior: ShiftPrior) -> tuple[float, float, float]:
     """Return the posterior odds of a shift against zero, and its mean in s and variance in s^2.
 
-    `gain` is the decrease of the sum of squares from zero to its minimum at `best_s`.
+    `walks` are walks with shifted observations, by their shifts.
     """
-    q = prior.std_s**-2
-    var_s2 = 1.0 / (information + q)
-    mean_s = (information * best_s + q * prior.mean_s) * var_s2
-    contradiction = q * information * var_s2 * (best_s - prior.mean_s) ** 2
-    log_factor = 0.5 * (gain - contradiction + np.log(q * var_s2))
-    odds = prior.prob / (1.0 - prior.prob) * float(np.exp(min(log_factor, 100.0)))
-    return odds, mean_s, var_s2
+    at_s = np.array(list(walks))
+    nearest = np.abs(_GRID_S[:, None] - at_s).argmin(axis=1)
+    squares, slope, information, _ = np.array(list(walks.values())).T[:, nearest]
+    ahead_s = _GRID_S - at_s[nearest]
+    squares = squares + (2.0 * slope + information * ahead_s) * ahead_s - walks[0.0].squares
+    weight = prior.density(_GRID_S) * np.exp(np.minimum(-0.5 * squares, 300.0)) * (_GRID_S[1] - _GRID_S[0])
+    total = float(weight.sum())
+    if total == 0.0:
+        return 0.0, 0.0, 0.0
+    mean_s = float(weight @ _GRID_S) / total
+    return total / max(1.0 - prior.prob, 1e-300), mean_s, float(weight @ (_GRID_S - mean_s) ** 2) / total

@@ -578,19 +578,23 @@ def _smooth_track(
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return without_steps(track, observed, known), np.zeros(0), {}
 
-    def solved(observed: Observations, shape_m: FloatArray | None = None) -> tuple[_Posed, Solution]:
+    def solved(
+        observed: Observations, shape_m: FloatArray | None = None, least_gain: float = -np.inf
+    ) -> tuple[_Posed, Solution]:
         posed = _problem(track, config, observed, observed.fixes_inside(start_s, end_s), *options, shape_m)
-        return posed, solve(posed.problem)
+        return posed, solve(posed.problem, least_gain)
 
     def walk(late_s: float, source: Source) -> ShiftedWalk:
-        return _shifted_walk(*(solved(on_clock.earlier(source, late_s)) if late_s else found), source)
+        shifted = solved(on_clock.earlier(source, late_s), least_gain=_LEAST_GAIN) if late_s else found
+        return _shifted_walk(*shifted, source)
 
     on_clock, found = observed, solved(observed)
     clocks: dict[Source, ClockShift] = {}
     for source in get_args(Source):
-        at_s = np.array([fix.time_s for fix in getattr(observed, source) if isinstance(fix, PositionFix)])
-        if len(at_s) >= _MIN_POSITIONS:
-            clocks[source] = estimated_shift(partial(walk, source=source), ShiftPrior.of(at_s, start_s, end_s))
+        places = [fix for fix in getattr(observed, source) if isinstance(fix, PositionFix)]
+        if len(places) >= _MIN_POSITIONS:
+            prior = ShiftPrior.of(places, start_s, end_s)
+            clocks[source] = estimated_shift(partial(walk, source=source), prior)
             if late_s := clocks[source].late_s:
                 on_clock = on_clock.earlier(source, late_s)
                 found = solved(on_clock)
@@ -653,6 +657,9 @@ def _shifted_walk(posed: _Posed, found: Solution, source: Source) -> ShiftedWalk
     return ShiftedWalk(sum_of_squares(posed.problem, found), slope, information, is_rejecting)
 
 
+# Decrease of the sum of squares by which the solution for a possible shift of a clock is improved. Other shifts reject
+# other positions, each of which changes the sum by about 2.
+_LEAST_GAIN = 0.1
 # Smallest number of positions of a source with a shape that a shift of its clock changes.
 _MIN_POSITIONS = 3
 # The velocity at a fix is the mean of the walk within this time before and after, in s, so that it reaches around the

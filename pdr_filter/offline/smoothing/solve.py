@@ -85,12 +85,13 @@ class Solution:
     states: FloatArray
 
 
-def solve(problem: Problem) -> Solution:
+def solve(problem: Problem, least_gain: float = -np.inf) -> Solution:
     """Return the `Solution` of a problem: the smoothed states at the anchors, without the influence of outliers.
 
     A linear problem without angles gives the initial guess, and graduated non-convexity the initial set of inliers.
     After each Gauss-Newton solution, observations beyond the 99.9 % quantile are rejected, and rejected ones within it
-    are used again, until no new set of observations results (docs/methods/smoothing.md).
+    are used again, until no new set of observations results (docs/methods/smoothing.md). Each Gauss-Newton iteration
+    ends with a step that decreases the sum of squares by less than `least_gain`, or that changes hardly anything.
 
     Measurements may have several solutions, such as a walk that is mirrored about the anchor of its ranges. Of the
     solutions from the path of the measurements and from the other observations alone, that with the smaller sum of
@@ -99,15 +100,17 @@ def solve(problem: Problem) -> Solution:
     guesses = [_initial_guess(problem, with_path=True)]
     if len(problem.measurements) and len(_with_stated_fixes(problem)[0].positions):
         guesses.append(_initial_guess(problem, with_path=False))
-    return min((_solved_from(problem, *guess) for guess in guesses), key=partial(sum_of_squares, problem))
+    return min((_solved_from(problem, *guess, least_gain) for guess in guesses), key=partial(sum_of_squares, problem))
 
 
-def _solved_from(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> Solution:
+def _solved_from(
+    problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray, least_gain: float
+) -> Solution:
     """Return the `Solution` of a problem from an initial guess: states, rotation of the frame, and weights."""
     limit, possible, has_frame = problem.limit_nis, problem.possible, len(problem.offsets) > 0
     seen: set[bytes] = set()
     while True:
-        mean, frame_rad, converged = _gauss_newton(problem, mean, frame_rad, weight)
+        mean, frame_rad, converged = _gauss_newton(problem, mean, frame_rad, weight, least_gain)
         rows = linearised(problem, mean, frame_rad, weight)
         joint_cov, with_error_cov = joint_covariances(rows, problem.n_nodes, problem.errors.node, has_frame)
         nis = _innovations(problem, mean, weight, rows, joint_cov, with_error_cov)
@@ -252,16 +255,15 @@ def _position_anchors(problem: Problem) -> IntArray:
 
 
 def _gauss_newton(
-    problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray
+    problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray, least_gain: float
 ) -> tuple[FloatArray, float, bool]:
     """Return the states (N, 6), the rotation of the frame, and True if the Gauss-Newton iteration converged.
 
     It starts at `mean` and `frame_rad`, has the fixed weights `weight` of the observations, and ends after 60 steps. It
     has converged if the last step changed no state by more than `_CONVERGED`, or hardly changed the sum of squares. A
-    step is limited to the range of the
-    linearisation, and halved while it increases the sum of squares: without a measured heading, a turn of one step and
-    the opposite one of the next step would alternate. The last steps are not halved, because the covariance of an
-    interval turns with its start and changes the sum, too.
+    step is limited to the range of the linearisation, and halved while it increases the sum of squares: without a
+    measured heading, a turn of one step and the opposite one of the next step would alternate. The last steps are not
+    halved, because the covariance of an interval turns with its start and changes the sum, too.
     """
     largest, squares, rows = 0.0, 0.0, linearised(problem, mean, frame_rad, weight)
     for _ in range(60):
@@ -278,7 +280,7 @@ def _gauss_newton(
                 break
             share *= 0.5
         mean, frame_rad = mean + share * change, frame_rad + share * turn
-        if largest < _SMALLEST_CHANGE:
+        if largest < _SMALLEST_CHANGE or squares - _sum_of_squares(rows) < least_gain:
             break
     return mean, frame_rad, largest < _CONVERGED or abs(squares - _sum_of_squares(rows)) < _NO_GAIN
 

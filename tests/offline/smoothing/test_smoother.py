@@ -74,7 +74,7 @@ def test_a_slow_solution_has_converged_if_its_last_step_is_below_a_millimetre(
 
     monkeypatch.setattr(solve_module, "_solved", slow)
     start = np.zeros((problem.n_states, 6))
-    found = solve_module._gauss_newton(problem, start, 0.0, problem.possible)
+    found = solve_module._gauss_newton(problem, start, 0.0, problem.possible, -np.inf)
     assert bool(found[2]) == converged
 
 

@@ -147,7 +147,9 @@ def test_a_step_of_a_coarse_barometer_is_no_climb_at_the_rate_of_stairs(quantum_
     noise_hpa = np.random.default_rng(0).normal(scale=0.005, size=300)
     hpa = np.round((1000.0 + np.where(time_s > 14.95, 0.6 * quantum_hpa, 0.0) + noise_hpa) / quantum_hpa) * quantum_hpa
     climbs = [climb for climb in run(STAGE, time_s, hpa) if climb.time_s > 14.95]  # the first one ends with the step
-    assert all(climb.std_mps < 0.5 * STAIRS_MPS if shows_stairs else climb.std_mps > 2.0 * STAIRS_MPS for climb in climbs)
+    assert all(
+        climb.std_mps < 0.5 * STAIRS_MPS if shows_stairs else climb.std_mps > 2.0 * STAIRS_MPS for climb in climbs
+    )
     assert all(abs(climb.climb_rate_mps) < 4.0 * climb.std_mps for climb in climbs)
 
 
