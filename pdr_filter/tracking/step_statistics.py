@@ -96,7 +96,7 @@ def is_in_standing(context_prob: FloatArray, standing: Sequence[int] | IntArray)
     `context_prob` (..., C) are the context probabilities of the steps, and `standing` the indices of the contexts
     without steps.
     """
-    return np.isin(context_prob.argmax(axis=-1), standing)
+    return (context_prob.argmax(axis=-1)[..., None] == np.asarray(standing)).any(axis=-1)  # np.isin takes 30 us a step
 
 
 def is_without_direction(

@@ -304,7 +304,8 @@ def with_heading(
     since_s = step.duration_s if math.isnan(state.steps.last_s) else step.time_s - state.steps.last_s
     mean, drifted_cov = estimates.mean, predict_heading(estimates.cov, step, since_s, directions, noise)
     var_m2 = float(stepless_var_m2(max(step.stepless_s - state.steps.stepless_s, 0.0)))
-    drifted_cov[:, [EAST, NORTH], [EAST, NORTH]] += var_m2
+    if var_m2:
+        drifted_cov[:, [EAST, NORTH], [EAST, NORTH]] += var_m2
     cov = drifted_cov
     if math.isfinite(step.walking_heading_std_rad) and not step.states_heading:
         if math.isinf(zero.time_s):
