@@ -186,8 +186,8 @@ def of_martinelli(data: Path, walks: Sequence[Recording]) -> Iterator[Row]:
         yield row(item, "share of walking %", other_mean, mean)
         yield row(item, "share of walking, RMS from 100 %", other_spread, spread)
     pockets = [w for w in walks if "trousers" in place_of(w)]
-    lengths = (step_length_m(pockets, config, m) for m in (np.inf, 8.0))
-    yield row("variance of eq. 12 unlimited", "trouser pockets: mean step length m", *lengths)
+    lengths = (100.0 * step_length_m(pockets, config, m) for m in (np.inf, 8.0))
+    yield row("variance of eq. 12 unlimited", "trouser pockets: mean step length cm", *lengths)
     recalls = (recall_of_plain(data, with_bias) for with_bias in (False, True))
     yield row("no bias term in eq. 4", "people left out: mean recall %", *recalls)
 
