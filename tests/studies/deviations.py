@@ -48,14 +48,14 @@ from pdr_filter.recipes.zhou2019 import features as zhou_features
 from pdr_filter.recipes.zhou2019 import steps as reference_lines
 from pdr_filter.recipes.zhou2019.contexts import CARRIED, BehaviourMemory, BehaviourStage, context_of
 from pdr_filter.recipes.zhou2019.features import BehaviourWindow, BehaviourWindows
-from pdr_filter.recipes.zhou2019.steps import ReferenceLineState, ReferenceLineStepDetector
+from pdr_filter.recipes.zhou2019.steps import ReferenceLines, ReferenceLineState, ReferenceLineStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.features.feature_windows import FeatureWindows
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.tracking.whole_recording import run_sensing, track
-from pdr_filter.values import BoolArray, FloatArray, Step, replace_unchecked, steps_of, wrap_angle
+from pdr_filter.values import BoolArray, FloatArray, Samples, Step, replace_unchecked, steps_of, wrap_angle
 from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, run
 from tests.oracles.rvm_reference import train_plain
@@ -339,6 +339,28 @@ def n_outside(walks: Sequence[Recording], **parts: Any) -> int:
     return n
 
 
+@dataclass(frozen=True, kw_only=True)
+class LinesKept(ReferenceLineStepDetector):
+    """The reference lines stay after a pause."""
+
+    def _cross(
+        self, lines: ReferenceLines, window: FloatArray, state: ReferenceLineState
+    ) -> tuple[ReferenceLines, list[float]]:
+        after, ends = super()._cross(lines, window, state)
+        if after.large_mps2 is None:
+            after = replace(after, large_mps2=lines.large_mps2, small_mps2=lines.small_mps2)
+        return after, ends
+
+
+def without_bias(recording: Recording) -> Recording:
+    """The recording without the bias of its first second, if the foot stands then."""
+    force = recording.accelerometer
+    start = force.values[force.time_s < force.time_s[0] + 1.0]
+    if np.linalg.norm(start, axis=1).std() > 0.3:
+        return recording
+    return replace(recording, accelerometer=Samples(force.time_s, force.values - zhou_features.static_bias(start)))
+
+
 def of_detector(detector: ReferenceLineStepDetector, kind: type[ReferenceLineStepDetector]) -> Any:
     """The detector as another class."""
     return kind(**{f.name: getattr(detector, f.name) for f in fields(detector)})
@@ -398,6 +420,11 @@ def of_zhou(data: Path, walks: Sequence[Recording]) -> Iterator[Row]:
         with patch.object(reference_lines, name, formulas[name]):
             yield row(item, _COUNT, error()[0], here)
             yield row(item, strides, strides_percent(trials, foot), success)
+    no_limit = [replace(d, min_line_part=1e-6) for d in (carried, foot)]
+    yield row("R_S without lower limit", _COUNT, error(steps=no_limit[0])[0], here)
+    yield row("R_S without lower limit", strides, strides_percent(trials, no_limit[1]), success)
+    yield row("bias removed for the steps", strides, strides_percent([without_bias(r) for r in trials], foot), success)
+    yield row("lines kept after a pause", _COUNT, error(steps=of_detector(carried, LinesKept))[0], here)
     each = (replace(d, min_period_part=1e-6) for d in (carried, foot))
     yield row("each fall through R_S an event", _COUNT, error(steps=next(each))[0], here)
     yield row("each fall through R_S an event", strides, strides_percent(trials, next(each)), success)
