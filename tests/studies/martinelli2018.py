@@ -207,7 +207,7 @@ _PARTS: tuple[tuple[str, float, float], ...] = (
 )
 
 
-def _put_together(data: Path, person: str) -> Recording | None:
+def put_together(data: Path, person: str) -> Recording | None:
     """Parts of a person's recordings one after the other, turned to one mean gravity; None without any.
 
     Nothing is cross-faded. A part that is missing is left out, a shorter recording gives what it has.
@@ -301,7 +301,7 @@ def walks_of_people(data: Path, models: list[tuple[list[str], ContextModel]], co
     walks: list[Walk] = []
     for people, model in models:
         for person in people:
-            recording = _put_together(data, person)
+            recording = put_together(data, person)
             if recording is not None:
                 walks.append(replace(walk_of(recording, with_context_model(config, model)), person=person))
     return walks

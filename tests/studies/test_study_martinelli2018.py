@@ -28,7 +28,7 @@ def test_a_constant_of_the_others_removes_an_error_that_all_people_share() -> No
 
 @pytest.mark.recordings
 def test_real_walks_are_put_together_with_one_gravity_and_a_label_for_each_part(data_dir: Path) -> None:
-    walk = study._put_together(data_dir, "s01")
+    walk = study.put_together(data_dir, "s01")
     assert walk is not None and walk.truth.labels is not None
     labels = walk.truth.labels
     assert list(labels["context"][:3]) == ["stationary", "walking", "upstairs"]
@@ -37,4 +37,4 @@ def test_real_walks_are_put_together_with_one_gravity_and_a_label_for_each_part(
     mean = [force[(time_s >= a) & (time_s < b)].mean(axis=0) for a, b in zip(labels.start_s, labels.end_s, strict=True)]
     up = np.array([m / np.linalg.norm(m) for m in mean])
     np.testing.assert_allclose(up @ up[0], 1.0, atol=1e-6)
-    assert study._put_together(data_dir, "s99") is None
+    assert study.put_together(data_dir, "s99") is None

@@ -182,9 +182,10 @@ def _events(detector: ReferenceLineStepDetector, config: Config) -> Config:
     return replace(config, sensing=replace(config.sensing, steps=replace(detector, steps_per_event=1)))
 
 
-def counted_on_foot(recording: Recording) -> Counted:
+def counted_on_foot(recording: Recording, detector: ReferenceLineStepDetector = FOOT) -> Counted:
+    """Strides of a trial of pyshoe, by Levi and Judd's method and by a detector."""
     truth = foot_truth(recording)
-    config = _events(FOOT, for_recording("zhou2019", recording))
+    config = _events(detector, for_recording("zhou2019", recording))
     behaviour = "running" if truth.speed_mps > _RUN_MPS else "walking"
     ours = np.asarray(detect_steps(recording, config).time_s, dtype=float)
     theirs = levi_judd_times_s(recording, LEVI_JUDD_FOOT)
@@ -575,10 +576,10 @@ def _windows(recording: Recording, thresholds: BehaviourThresholds) -> list[tupl
     stage = BehaviourStage(thresholds=thresholds)
     found = run_sensing(Sensing(contexts=stage, steps=FOOT if thresholds is FOOT_BEHAVIOURS else CARRIED), recording)[1]
     length_s = stage.windows.window_s
-    return [(w.time_s - length_s, w.time_s, _behaviour(w)) for w in found if isinstance(w, WindowContext)]
+    return [(w.time_s - length_s, w.time_s, behaviour_of(w)) for w in found if isinstance(w, WindowContext)]
 
 
-def _behaviour(window: WindowContext) -> str:
+def behaviour_of(window: WindowContext) -> str:
     """Behaviour of a window: irregular swing is reported as standing with an irregular probability of one."""
     name = CONTEXTS[int(window.prob.argmax())]
     return name if name != "stationary" else ("irregular" if window.irregular_prob > 0.5 else "standing")
