@@ -521,7 +521,13 @@ def effects(tables: Tables, arguments: argparse.Namespace) -> None:
     recipes = (of_martinelli, of_tian, of_zhou, of_guo, of_susi)
     rows = [row for of_recipe in recipes for row in of_recipe(arguments.data, walks)]
     title = "Effects of deviations from the papers"
-    paper_table(tables, "deviations", title, rows, f"ubicomp13, persons 7 to 13, {len(walks)} walks, if not named")
+    paper_table(
+        tables,
+        "deviations",
+        title,
+        rows,
+        f"ubicomp13, persons 7 to 13, {len(walks)} walks, unless the measure names others",
+    )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
 """Martinelli et al. 2018: contexts by a relevance vector machine, and distances weighted by their probabilities.
 
-usage: python -m tests.studies.martinelli2018 [contexts_and_distances] [belt] [windows]
+usage: python -m tests.studies.martinelli2018 [contexts_and_distances] [belt] [windows] [features]
 
 contexts_and_distances: Tables III, IV, V by person, and Fig. 14. "10-fold" is the paper's protocol, over windows, so
 that windows of one person are on both sides. belt: walking and running at the belt (SisFall), as in the paper.
-windows: Fig. 12, held-out people by the length of the window. Table VI is made by tests.studies.weightings.
+windows: Fig. 12, held-out people by the length of the window. features: Fig. 10, sequential floating selection. Table
+VI is made by tests.studies.weightings.
 
 No public recording has labelled changes of context and a known length, so that recordings of one
 person of MotionSense follow each other. A distance is compared with that of the same steps in the true contexts, which
@@ -41,7 +42,7 @@ from pdr_filter.filter.imm.weighting import HC, WC, weighted_distances
 from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.martinelli2018.features import TABLE_II, WITHOUT_MAGNETOMETER
+from pdr_filter.recipes.martinelli2018.features import NAMES, TABLE_II, WITHOUT_MAGNETOMETER
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
@@ -461,6 +462,60 @@ def windows(tables: Tables, arguments: argparse.Namespace) -> None:
     paper_table(tables, "martinelli2018_fig_12", title, rows, "MotionSense, phone in the front trouser pocket")
 
 
+def recall_with(examples: Examples, names: Sequence[str]) -> float:
+    """Mean recall in % of held-out people by small machines with some of the features."""
+    x, classes = examples.of(names), np.unique(examples.context)
+    found = np.empty(len(x), dtype=int)
+    for people in subgroups(examples.person):
+        test = np.isin(examples.person, people)
+        # distances grow with the root of the number of features; 3 is the width of all 23
+        width = 3.0 * float(np.sqrt(len(names) / len(WITHOUT_MAGNETOMETER)))
+        machine = RelevanceVectorClassifier(kernel_width=width, max_samples=60, max_basis=50, max_iter=20)
+        fitted = make_pipeline(StandardScaler(), machine).fit(x[~test], examples.context[~test])
+        found[test] = np.searchsorted(classes, fitted.predict(x[test]))
+    return 100.0 * macro_recall(confusion_matrix(np.searchsorted(classes, examples.context), found, len(classes)))
+
+
+def floating_search(names: Sequence[str], score: Callable[[Sequence[str]], float]) -> list[tuple[float, list[str]]]:
+    """Best score found and its features, by their number from 1 on: sequential forward floating selection.
+
+    Each round adds the best feature, and then drops features as long as the smaller set is better than any before.
+    """
+    best: dict[int, tuple[float, list[str]]] = {}
+    chosen = list[str]()
+    while len(chosen) < len(names):
+        grown = max(((score([*chosen, n]), [*chosen, n]) for n in names if n not in chosen), key=lambda found: found[0])
+        chosen = grown[1]
+        best[len(chosen)] = max(best.get(len(chosen), grown), grown, key=lambda found: found[0])
+        while len(chosen) > 2:
+            smaller = ([n for n in chosen if n != dropped] for dropped in chosen)
+            shrunk = max(((score(rest), rest) for rest in smaller), key=lambda found: found[0])
+            if shrunk[0] <= best[len(chosen) - 1][0]:
+                break
+            chosen = shrunk[1]
+            best[len(chosen)] = shrunk
+    return [best[k] for k in sorted(best)]
+
+
+def features(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Fig. 10: recall by the number of features that a floating search chose."""
+    warnings.simplefilter("ignore", ConvergenceWarning)
+    stages = {"2": FeatureWindows(features=TABLE_II)}
+    pocket = (r for r in recordings(arguments.data, "motionsense") if r.name not in DUPLICATES)
+    sets = {"pocket": (pocket, 8), "belt": (recordings(arguments.data, "sisfall"), 12)}
+    rows: list[dict[str, object]] = [{"features": k + 1} for k in range(len(WITHOUT_MAGNETOMETER))]
+    for name, (walks, n_windows) in sets.items():
+        examples = examples_of(walks, stages, n_windows)["2"]
+        for row, (percent, chosen) in zip(
+            rows, floating_search(WITHOUT_MAGNETOMETER, partial(recall_with, examples)), strict=True
+        ):
+            numbers = sorted(NAMES.index(n) + 1 for n in chosen)
+            row |= {f"{name}: mean recall %": percent, f"{name}: features chosen": " ".join(f"F{k}" for k in numbers)}
+    title = "Fig. 10: recall of held-out people by the number of features, of a floating search by this recall"
+    about = "pocket: MotionSense, five contexts, 480 windows; belt: SisFall, walking and running, 480 windows"
+    paper_table(tables, "martinelli2018_fig_10", title, rows, about)
+
+
 def contexts_and_distances(tables: Tables, arguments: argparse.Namespace) -> None:
     """Tables III and IV, of the same machines."""
     stages = {"2": FeatureWindows(features=TABLE_II), "invariant": FeatureWindows(features=ATTITUDE_FREE)}
@@ -506,4 +561,4 @@ def contexts_and_distances(tables: Tables, arguments: argparse.Namespace) -> Non
 
 
 if __name__ == "__main__":
-    run(__doc__, contexts_and_distances, belt, windows)
+    run(__doc__, contexts_and_distances, belt, windows, features)

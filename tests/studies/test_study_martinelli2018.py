@@ -38,3 +38,16 @@ def test_real_walks_are_put_together_with_one_gravity_and_a_label_for_each_part(
     up = np.array([m / np.linalg.norm(m) for m in mean])
     np.testing.assert_allclose(up @ up[0], 1.0, atol=1e-6)
     assert study.put_together(data_dir, "s99") is None
+
+
+def test_a_floating_search_drops_a_feature_that_two_others_replace() -> None:
+    # "a" is the best alone, "b" and "c" together need no "a"
+    value = {
+        frozenset("a"): 3.0,
+        frozenset("ab"): 4.0,
+        frozenset("ac"): 3.5,
+        frozenset("abc"): 5.0,
+        frozenset("bc"): 6.0,
+    }
+    found = study.floating_search("abc", lambda names: value.get(frozenset(names), 0.0))
+    assert [(score, set(names)) for score, names in found] == [(3.0, {"a"}), (6.0, {"b", "c"}), (5.0, {"a", "b", "c"})]
