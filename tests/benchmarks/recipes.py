@@ -342,7 +342,7 @@ def values_of(records: Sequence[Scored], recipe: str, site: str, value: str) -> 
 
 
 def decisions(tables: Tables, arguments: argparse.Namespace) -> None:
-    """The recipes that decide once about a step, beside the mean of two windows."""
+    """Compare one decision for each step with the mean of two windows, in the recipes that decide once."""
     recipes = [r for r in RECIPES if isinstance(pdr.recipes.RECIPES[r](None).tracker, DetectedStepTracker)]
     thinned = {"motionsense": 6}
     files = [p for site in OF_TRACKS for p in paths(arguments.data, site)[:: thinned.get(site, 1)]]

@@ -405,7 +405,7 @@ SITES: dict[str, int] = {
 
 
 def without(windows: LabelledWindows, people: list[str], cache: Path | None, name: str) -> ContextModel:
-    """The shipped model as it is without some people."""
+    """Return the shipped context model, trained without some people."""
     return cached(cache, name, lambda: contexts.model_without(load_model("context"), PLAN, windows, people))
 
 

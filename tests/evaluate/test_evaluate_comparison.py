@@ -199,7 +199,7 @@ def test_epochs_of_a_track_have_the_distances_of_the_printed_algorithms_and_of_t
     legs = [pdr.simulate.Leg("walking", distance_m=8.0), pdr.simulate.Leg("upstairs", distance_m=2.0)]
     walk = pdr.simulate.simulate(legs)
     modes = config.model.modes
-    without_evidence = replace(config.model, step_log_odds_stationary=0.0)  # in print a step is no evidence
+    without_evidence = replace(config.model, step_log_odds_stationary=0.0)  # the paper has no step evidence
     tracker = WeightedTracker(without_evidence, HC if threshold is None else threshold)
     track = pdr.track(walk, replace(config, tracker=tracker), gnss="off")
     distance_m, prob = runs.epoch_distances(track, modes)

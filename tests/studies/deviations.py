@@ -1,4 +1,4 @@
-"""Effects of deviations from the papers: the recipe as it is, beside the formula as printed.
+"""Effects of deviations from the papers: results of the recipe and of the printed formula.
 
 usage: python -m tests.studies.deviations
 

@@ -417,8 +417,8 @@ _TABLE_7: Mapping[str, Mapping[str, tuple[float, float]]] = {
 
 
 def relative_distances(walks: Sequence[PoseWalk], model: str) -> FloatArray:
-    """Estimated over true distance of each walk (N,), the model scaled on walks of others."""
-    # of tyrex the speed is known
+    """Return estimated over true distance (N,) of walks, with the model scaled on walks of other people."""
+    # tyrex has a known speed instead of a known distance
     true_m = np.array([w.true_mps * sum(s.duration_s for s in w.steps) for w in walks])
     found_m = np.array([w.distance_m(_LENGTHS[model](w.height_m)) for w in walks])
     person = np.array([w.person for w in walks])

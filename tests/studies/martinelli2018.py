@@ -277,7 +277,7 @@ def walk_of(recording: Recording, config: Config) -> Walk:
     found: Track = track(recording, config.with_weighting("imm"))
     modes: tuple[Mode, ...] = config.model.modes
     distance_m, context_prob = epoch_distances(found, modes)
-    ends_s = found.windows.time_s[:-1]  # of the epochs; the last window has no epoch of its own
+    ends_s = found.windows.time_s[:-1]  # ends of the epochs; the last window ends no epoch
     starts_s = np.concatenate([[0.0], ends_s])[:-1]
     context, is_labelled = _context_at(recording, 0.5 * (starts_s + ends_s))
     distance_m = distance_m * is_labelled[:, None]  # unlabelled epochs count nothing

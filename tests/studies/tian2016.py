@@ -80,7 +80,7 @@ class Carried:
 
 @dataclass(frozen=True, eq=False)
 class Counted:
-    """Of one recording and one recipe: the mode most often said in the walk, its steps, and transitions."""
+    """Most frequent mode, steps and transitions of one recipe in one recording."""
 
     true: str
     most: str

@@ -211,7 +211,7 @@ def test_the_declination_is_that_of_the_date_of_the_recording(walk: Recording) -
 def test_an_unknown_place_makes_the_declination_an_uncertainty(walk: Recording) -> None:
     nowhere, here = pdr.track(walk, north="magnetic"), pdr.track(located(walk), north="magnetic")
     var = nowhere.steps.north_std_rad[20] ** 2 - here.steps.north_std_rad[20] ** 2
-    # the strength of the field at a known place shows that there is no iron
+    # at a known place, the strength of the field excludes iron, which narrows north further
     assert var > 0.2**2 - math.radians(1.0) ** 2
 
 

@@ -85,10 +85,11 @@ def calibrate(
         Configuration that detects steps, headings and contexts. The default is the default recipe. The step-length
         models of its modes are fitted, and their parameters and covariances are the priors. Modes of one context with
         different step lengths are fitted separately, under their own names.
-    model : {"bounce", "eq12", "kim", "tian", "weinberg"}, optional
-        Step-length model of walking. By default it is that of `config`. If that is the default one, the model is
-        chosen: "bounce", unless there are enough segments and another model has a clearly smaller held-out error. A
-        note states the choice.
+    model : str, optional
+        Step-length model of walking: "bounce", "eq12", "kim", "tian", "weinberg", "chen", "frequency", "peak",
+        "range", "static" or "zhou". By default it is that of `config`. If that is the default one, the model is
+        chosen: "bounce", unless there are enough segments and another of the first five has a clearly smaller
+        held-out error. A note states the choice.
     prior_std : float, optional
         Relative standard deviation of the population's step length of walking, about the default one. The default is
         0.1 for "bounce".

@@ -19,7 +19,7 @@ from pdr_filter.values.recording import Subject
 # spread of 9 % over the trials held out.
 # k0 has the spread of people, so that a calibration can fit it.
 _PEOPLE_STD = scale_std(None)
-_M7_COV = np.diag([0.75 * _PEOPLE_STD, 0.0, 0.0, 0.0]) ** 2  # of a step of 0.75 m
+_M7_COV = np.diag([0.75 * _PEOPLE_STD, 0.0, 0.0, 0.0]) ** 2  # k0 acts on a step of about 0.75 m
 _CARRIED_LENGTHS = (
     StepLengthFit(M7(), np.array([-2.933, -7.076, 10.258, -0.0076]), _M7_COV, 0.10),
     StepLengthFit(M6(), np.array([0.5414]), np.array([[0.5414 * _PEOPLE_STD]]) ** 2, 0.10),

@@ -256,7 +256,7 @@ def test_the_statistics_of_a_step_are_those_of_the_filtered_acceleration(
     taps = firwin(51, cutoff_hz, window="hamming", fs=100.0)  # the reference, over the whole signal and without delay
     filtered = np.convolve(np.pad(magnitude - G, 25, mode="edge"), taps, mode="valid")
     steps = [step for _, step in detect(CARRIED, magnitude, context)[1]]
-    steps = [s for s in steps if 3.5 < s.time_s < 10.5]  # of one bout
+    steps = [s for s in steps if 3.5 < s.time_s < 10.5]  # one bout
     assert len(steps) > 8
     for before, step in pairwise(steps):
         start, end = (int(np.floor(100 * s.time_s - 0.5)) for s in (before, step))
