@@ -189,6 +189,9 @@ def test_a_published_detector_decides_once_about_a_step_and_only_for_contexts_wi
         windows = [WindowContext(t, sure(c, 1.0), EVEN_PRIOR) for t, c in ((2.0, around), (3.0, following))]
         _, updates = run(decided, in_order([step], windows))
         assert [u.step_length_m for u in final(updates)] == pytest.approx([lengths[expected]], abs=1e-12)
+        # the step is final as soon as the window around it is known
+        state, _ = updates_of(decided.on_step(decided.init(), step))
+        assert len(final(updates_of(decided.on_window(state, windows[0]))[1])) == 1
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc"])
