@@ -161,7 +161,7 @@ def north_note(std_rad: float) -> str:
     if std_rad <= MAX_NORTH_STD_RAD:
         return f"north comes from the magnetic field ({figure}): give position fixes or heading_rad for a better north"
     return (
-        f"{NORTH_UNKNOWN} ({figure}), as with iron in the phone or a magnetometer without calibration: walk with "
+        f"{NORTH_UNKNOWN} ({figure}), probably because of iron in the phone or a missing calibration: walk with "
         "turns, or give position fixes or heading_rad"
     )
 
@@ -235,7 +235,7 @@ def _fix_notes(state: State) -> Iterator[Note]:
     if ranges and next(fix for fix in reversed(state.last_fixes) if fix.anchor_m is not None).outcome == "waiting":
         n_anchors = len({tuple(pair.fix.anchor_m.tolist()) for pair in ranges})
         words = (
-            f"the last {how_many(len(ranges), 'range')}, to {how_many(n_anchors, 'anchor')}, do not determine one "
+            f"the last {how_many(len(ranges), 'range')}, to {how_many(n_anchors, 'anchor')}, fit more than one "
             "position of the track, and were not used: "
         )
         yield Note("fixes", words + "give ranges to more anchors, or a position, or smooth the recording")

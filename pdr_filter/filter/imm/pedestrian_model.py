@@ -100,10 +100,10 @@ class PedestrianModel:
     Notes
     -----
     Evidence exponent: consecutive windows overlap by half, so that each second of data would count once with 0.5. The
-    exponent of the smoother is the largest that does not increase the log loss of people who were held out. With 0.5,
-    0.6 and 0.7 it is 0.087, 0.082 and 0.080 on joined walks of MotionSense, and 0.0163, 0.0163 and 0.0169 on difronzo.
-    The online filter knows no later windows and therefore detects every change late. Uncertain probabilities cost it
-    more than overconfident ones, so that its exponent is 1 (docs/benchmarks/contexts.md has figures for both).
+    exponent of the smoother is the largest of three that does not increase the log loss on held-out people. With 0.5,
+    0.6 and 0.7 the log loss is 0.087, 0.082 and 0.080 on joined walks of MotionSense, and 0.0163, 0.0163 and 0.0169 on
+    difronzo. The online filter knows no later windows and therefore detects every change late. Uncertain probabilities
+    cost it more than overconfident ones, so that its exponent is 1 (docs/benchmarks/contexts.md has figures for both).
 
     Prior exponent: with exponent 1, level walking of unknown people is classified as stairs. With exponent 0 their
     stairs are classified as walking. The default was chosen by the error of the distance on joined walks of

@@ -93,9 +93,9 @@ def solve(problem: Problem, least_gain: float = -np.inf) -> Solution:
     are used again, until no new set of observations results (docs/methods/smoothing.md). Each Gauss-Newton iteration
     ends with a step that decreases the sum of squares by less than `least_gain`, or that changes hardly anything.
 
-    Measurements may have several solutions, such as a walk that is mirrored about the anchor of its ranges. Of the
-    solutions from the path of the measurements and from the other observations alone, that with the smaller sum of
-    squares is returned.
+    Measurements may have several solutions, such as a walk that is mirrored about the anchor of its ranges. The problem
+    is therefore solved from two initial guesses, one with the measurements and one without. The solution with the
+    smaller sum of squares is returned.
     """
     guesses = [_initial_guess(problem, with_path=True)]
     if len(problem.measurements) and len(_with_stated_fixes(problem)[0].positions):

@@ -188,7 +188,7 @@ def usable(
         words = (
             "ranges to one anchor fit the walk in any direction from it, and mirrored, so that the smoothed walk may "
         )
-        notes = (*notes, words + "be another one: give ranges to a second anchor, a position, or the heading")
+        notes = (*notes, words + "be wrong: give ranges to a second anchor, a position, or the heading")
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
     columns = ([getattr(part, name) for part in (of_states, north)] for name in ObservedStates.__slots__)
     states = ObservedStates(*map(np.concatenate, columns))

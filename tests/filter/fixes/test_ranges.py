@@ -391,7 +391,7 @@ def test_places_are_searched_twice_a_second_at_most_however_often_ranges_come(mo
     ]
     track = pdr.track(recording, config=pdr.recipes.default().in_world_frame(), fixes=fixes)
     assert {fix.outcome for fix in track.fixes} == {"waiting"}
-    assert any("ranges, to 2 anchors, do not determine one position" in note for note in track.notes)
+    assert any("ranges, to 2 anchors, fit more than one position" in note for note in track.notes)
     assert 5 <= len(counted) <= 2 * 9  # and those of one moment are all tried
 
 
