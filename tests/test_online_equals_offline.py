@@ -19,7 +19,6 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.tracking import filtering
 from pdr_filter.tracking.filtering import MAX_CLIMBS
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import ImuBlock, PositionFix, Samples, step_table, wrap_angle
@@ -125,23 +124,6 @@ def test_every_division_into_blocks_reports_the_same_provisional_steps(short_wal
     provisional = [[u for u in updates if not u.is_final] for updates in (several, single)]
     assert_same_updates(provisional[0], provisional[1])
     assert len(provisional[0]) > 20
-
-
-def test_a_filter_is_the_same_after_each_short_block_and_returns_steps_at_most_one_block_late(
-    short_walk: Recording,
-) -> None:
-    online, at_once = online_filter("imm"), online_filter("imm")
-    state, returned, known = at_once.state, list[pdr.StepUpdate](), list[pdr.StepUpdate]()
-    for i, block in enumerate(cut(pdr.merge_streams(short_walk), list(range(0, 9999, 10)))):
-        returned += push(online, block)
-        assert_same_updates(returned[: len(known)], known)
-        state, output = filtering.update(at_once.config, state, block, provisional=True)
-        known += output.updates
-        if i % 11 == 0:  # in between, windows wait for the next block
-            assert to_bytes(online.state) == to_bytes(state)
-    assert len(known) > 20
-    at_once.state = state
-    assert_same_updates([*returned, *online.finish()], [*known, *at_once.finish()])
 
 
 def test_a_whole_recording_computes_no_provisional_steps(
@@ -346,7 +328,6 @@ def test_a_fresh_filter_can_be_saved(short_walk: Recording) -> None:
 
 @pytest.mark.parametrize("blob", [b"", b"something else", pytest.param(None, id="another value")])
 def test_what_is_no_filter_is_refused(blob: bytes | None) -> None:
-    from pdr_filter.values.serialisation import to_bytes
 
     with pytest.raises(ValueError, match="filter"):
         pdr.OnlineFilter.load(to_bytes({"config": 1}) if blob is None else blob)

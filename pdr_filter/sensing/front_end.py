@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, AttitudeState
+from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
-from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, WindowStage, with_cadence
+from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, with_cadence
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.heading_stage import HeadingStage, drift_in_time, with_shown_offsets
@@ -81,29 +81,6 @@ class SensingState:
     context: int
     carrying_mode: int
     processed_s: float
-
-
-# New state of the context stage, and the windows with the number of the last sample of each.
-_Classified = tuple[Any, list[tuple[int, WindowContext]]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HeldSample:
-    """Uniform sample that completes a window, taken in by `Sensing.update_early` and not processed yet.
-
-    Attributes
-    ----------
-    sample : UniformBlock
-        The sample, a block of length one.
-    attitude : AttitudeBlock
-        Its attitude.
-    described : object
-        Result of `WindowStage.describe`, or None if the window has not been described.
-    """
-
-    sample: UniformBlock
-    attitude: AttitudeBlock
-    described: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,79 +227,6 @@ class Sensing:
         conditioner, uniform = self.conditioner.update(state.conditioner, block)
         return self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
 
-    def update_early(
-        self, state: SensingState, block: ImuBlock
-    ) -> tuple[SensingState, list[tuple[float, Event]], HeldSample | None]:
-        """Return the results of `update` without the sample that completes a window, and this sample for `update_held`.
-
-        A window costs more than all other work of its hop. A caller that processes the held sample later shortens the
-        longest call. Only single hops are divided, because the events of a longer block would come too late.
-
-        Parameters
-        ----------
-        state : SensingState
-            State after the previous block.
-        block : ImuBlock
-            Raw samples of any number.
-
-        Returns
-        -------
-        state : SensingState
-            New state.
-        events : list of (float, Event)
-            Events as in `update`.
-        held : HeldSample or None
-            Last uniform sample if it completes a window. Pass it to `update_held` before any other update.
-        """
-        conditioner, uniform = self.conditioner.update(state.conditioner, block)
-        state = replace_unchecked(state, conditioner=conditioner)
-        if len(uniform) != 1 or not self._completes_window(state, uniform[0]):
-            return *self._process_blocks(state, uniform), None
-        state, attitude = self._with_attitude(state, uniform[0])
-        first, last = (_rows(uniform[0], part) for part in (_BUT_LAST, _LAST))
-        of_first, of_last = (_rows(attitude, part) for part in (_BUT_LAST, _LAST))
-        state, events = self._detect(state, first, of_first, self._classify(state, first, of_first))
-        # A step costs as much as the description of a window, so that a call does one of them.
-        halves = self._window_stage
-        described = None if events or halves is None else halves.describe(state.contexts, last, of_last)
-        return state, events, HeldSample(last, of_last, described)
-
-    def update_held(self, state: SensingState, held: HeldSample) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the new state and the events of the sample that `update_early` has held.
-
-        Parameters
-        ----------
-        state : SensingState
-            State of `update_early`.
-        held : HeldSample
-            The sample.
-
-        Returns
-        -------
-        state : SensingState
-            New state, equal to that of `update`.
-        events : list of (float, Event)
-            Remaining events of `update`.
-        """
-        if held.described is None or self._window_stage is None:
-            classified = self._classify(state, held.sample, held.attitude)
-        else:
-            classified = self._window_stage.classify_described(state.contexts, held.described)
-        return self._detect(state, held.sample, held.attitude, classified)
-
-    @property
-    def _window_stage(self) -> WindowStage[Any, Any, Any] | None:
-        """Context stage whose `update` has two halves, or None for other stages."""
-        stage: Any = self.contexts
-        has_halves = isinstance(stage, WindowStage) and type(stage).update is WindowStage.update
-        return stage if has_halves else None
-
-    def _completes_window(self, state: SensingState, part: UniformBlock) -> bool:
-        """Return True if a block is one hop without a gap whose last sample completes a window."""
-        n, window_hop = len(part.time_s), round(self.window_hop_s * self.conditioner.rate_hz)
-        is_hop = 1 < n <= self.conditioner.hop_samples and part.gap_before_s == 0
-        return is_hop and window_hop > 0 and (state.n_samples + n) % window_hop == 0
-
     def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the remaining events when the recording has ended.
 
@@ -397,24 +301,11 @@ class Sensing:
 
         Events are steps and classified windows, each with the time at which it became known.
         """
-        state, attitude = self._with_attitude(state, part)
-        return self._detect(state, part, attitude, self._classify(state, part, attitude))
-
-    def _with_attitude(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, AttitudeBlock]:
-        """Return the state with the attitude stage advanced by one uniform block, and the attitudes of the block."""
         attitude_state, attitude = self.attitude.update(state.attitude, part)
-        return replace_unchecked(state, attitude=attitude_state), attitude
-
-    def _classify(self, state: SensingState, part: UniformBlock, attitude: AttitudeBlock) -> _Classified:
-        """Return the new state of the context stage and the windows that one uniform block completes."""
-        return self.contexts.update(state.contexts, part, attitude) if self.contexts else (None, [])
-
-    def _detect(
-        self, state: SensingState, part: UniformBlock, attitude: AttitudeBlock, classified: _Classified
-    ) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the new state and the events of one uniform block with known attitudes and windows."""
         n_before, n = state.n_samples, len(part.time_s)
-        context_state, windows = classified
+        context_state, windows = None, list[tuple[int, WindowContext]]()
+        if self.contexts:
+            context_state, windows = self.contexts.update(state.contexts, part, attitude)
         context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
@@ -436,7 +327,7 @@ class Sensing:
         )
         state = SensingState(
             conditioner=state.conditioner,
-            attitude=state.attitude,
+            attitude=attitude_state,
             contexts=context_state,
             steps=step_state,
             heading=heading_state,
@@ -533,17 +424,6 @@ def _with_cadences(
 def _is_recent(cadence: tuple[tuple[float, float], ...], time_s: float) -> bool:
     """Return True if there are enough steps for a step frequency at a time, and the first of them is recent."""
     return len(cadence) == _CADENCE_STEPS and time_s - cadence[0][0] < _CADENCE_S
-
-
-_BUT_LAST, _LAST = slice(None, -1), slice(-1, None)
-_B = TypeVar("_B", UniformBlock, AttitudeBlock)
-
-
-def _rows(block: _B, part: slice) -> _B:
-    """Return a block with a part of the samples. The block must follow the one before it without a gap."""
-    values = (getattr(block, name) for name in block.__dataclass_fields__)
-    rows: list[Any] = [value[part] if isinstance(value, np.ndarray) else value for value in values]
-    return type(block)(*rows)
 
 
 def _likely(prob: FloatArray) -> int:

@@ -27,7 +27,7 @@ from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometer import STAIRS_MPS, Climb, ClimbState
-from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
+from pdr_filter.sensing.front_end import Event, Gap, SensingState
 from pdr_filter.sensing.heading.heading_stage import knows_north
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
 from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided
@@ -204,27 +204,6 @@ def update(config: Config, state: State, block: ImuBlock, provisional: bool = Fa
         state, output = _process(config, replace_unchecked(state, sensing=sensing), events, provisional)
         whole.extend(output)
     return state, whole
-
-
-def update_early(
-    config: Config, state: State, block: ImuBlock, provisional: bool = False
-) -> tuple[State, Output, HeldSample | None]:
-    """Return the results of `update` without the sample that completes a window, and this sample for `update_held`.
-
-    The held sample is None if the block is longer than a hop or completes no window. ValueError after `finish`.
-    """
-    if len(block.time_s) > config.sensing.conditioner.hop_samples:
-        return *update(config, state, block, provisional), None
-    if state.finished:
-        raise ValueError("the filter is finished: start a new one for further samples")
-    sensing, events, held = config.sensing.update_early(state.sensing, block)
-    return *_process(config, replace_unchecked(state, sensing=sensing), events, provisional), held
-
-
-def update_held(config: Config, state: State, held: HeldSample, provisional: bool = False) -> tuple[State, Output]:
-    """Return the new state and the output after the sample that `update_early` has held."""
-    sensing, events = config.sensing.update_held(state.sensing, held)
-    return _process(config, replace_unchecked(state, sensing=sensing), events, provisional)
 
 
 def update_streams(

@@ -368,51 +368,7 @@ class WindowStage(ABC, Generic[W, X, M]):
         windows : list of (int, WindowContext)
             Classified windows, each with the number of its last sample.
         """
-        return self.classify_described(state, self.describe(state, block, attitude))
-
-    def describe(
-        self, state: WindowStageState[W, M], block: UniformBlock, attitude: AttitudeBlock
-    ) -> tuple[W, list[tuple[int, X]]]:
-        """Return the descriptions of the windows that a block completes, the first half of `update`.
-
-        Parameters
-        ----------
-        state : WindowStageState
-            State after the previous block.
-        block : UniformBlock
-            Uniform samples that follow, N samples.
-        attitude : AttitudeBlock
-            Attitude at these samples.
-
-        Returns
-        -------
-        windows : W
-            New state of the sliding windows.
-        described : list of (int, X)
-            Descriptions of the windows, each with the number of its last sample.
-        """
-        return self.windows.update(state.windows, block, attitude)
-
-    def classify_described(
-        self, state: WindowStageState[W, M], described: tuple[W, list[tuple[int, X]]]
-    ) -> tuple[WindowStageState[W, M], list[tuple[int, WindowContext]]]:
-        """Return the results of `update` for the result of `describe`, the second half of `update`.
-
-        Parameters
-        ----------
-        state : WindowStageState
-            State after the previous block.
-        described : tuple
-            Result of `describe`.
-
-        Returns
-        -------
-        state : WindowStageState
-            New state.
-        windows : list of (int, WindowContext)
-            Classified windows, each with the number of its last sample.
-        """
-        windows, found = described
+        windows, found = self.windows.update(state.windows, block, attitude)
         if not found:
             return WindowStageState(windows, state.memory), []
         memory, contexts = self.assess_all(state.memory, [window for _, window in found])
