@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pdr_filter.filter.chain.handler import states_of
 from pdr_filter.filter.imm import pedestrian_state as pedestrian
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.step_length.person import Person
@@ -28,6 +29,7 @@ from pdr_filter.tracking.filtering import (
     init,
     outcome_now,
     person_of,
+    place_on_plan,
     present_position,
     timing_error,
     update,
@@ -508,8 +510,7 @@ class OnlineFilter:
         """Position estimate of the particle filter on the floor plan, or None without a plan or before its start."""
         if self.config.on_plan is None:
             return None
-        reckoned = pedestrian.present_position(self.state.tracker.pedestrian)
-        return self.config.on_plan.place(self.state.particles, reckoned)
+        return place_on_plan(self.config, self.state, pedestrian.present_position(self.state.pedestrian))
 
     @property
     def height_m(self) -> float:
@@ -534,7 +535,7 @@ class OnlineFilter:
         """
         if self.config.on_plan is not None:
             return None if self.on_plan is None else self.config.on_plan.plan.origin
-        frame, place = self.state.tracker.pedestrian.frame, self.state.locations.origin
+        frame, place = self.state.pedestrian.frame, self.state.locations.origin
         if place is None or not frame.is_known:
             return None
         return self.state.height.start_altitude.of(frame.origin(place))
@@ -639,9 +640,11 @@ def _check_state(config: Config, state: State, first: State) -> None:
     """Raise ValueError if a loaded state does not fit the configuration, whose initial state is `first`."""
     try:
         saved, expected = (
-            f"{type(s.tracker).__name__} with {len(s.tracker.pedestrian.estimates.prob)} modes" for s in (state, first)
+            f"{', '.join(type(part).__name__ for part in states_of(s.chain))} with {len(s.pedestrian.estimates.prob)} "
+            "modes"
+            for s in (state, first)
         )
-        if type(state.tracker) is not type(first.tracker) or saved != expected:
+        if saved != expected:
             raise ValueError(f"it has {saved} instead of {expected}")
     except Exception as error:  # a forged state can have any parts
         raise ValueError(

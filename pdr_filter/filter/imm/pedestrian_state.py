@@ -202,7 +202,7 @@ class PedestrianState:
 
     estimates: Estimates
     frame: Frame
-    heading_zero: HeadingZero = HeadingZero()
+    heading_zero: HeadingZero = field(default_factory=HeadingZero)
     steps: StepHistory = field(default_factory=StepHistory)
     fixes: FixHistory = field(default_factory=FixHistory)
     changes: tuple[Callable[[PastPath], PastPath], ...] = ()

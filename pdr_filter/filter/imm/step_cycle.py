@@ -1,8 +1,8 @@
 """One step in each of F filters: drift of the heading, its measurement, and displacement.
 
 This is the mode-matched filtering of the IMM cycle, between interaction (`imm.mix`) and the update of the mode
-probabilities (`imm.update_mode_prob`). `ImmTracker` has one filter for each mode, `WeightedTracker` a single one for the
-weighted step. The state of a filter is (east in m, north in m, heading offset in rad, log step scale).
+probabilities (`imm.update_mode_prob`). `ImmTracker` has one filter for each mode, `WeightedTracker` a single one for
+the weighted step. The state of a filter is (east in m, north in m, heading offset in rad, log step scale).
 """
 
 from __future__ import annotations
@@ -97,8 +97,8 @@ def step_cycle(
        of the heading offset instead.
     3. Each filter moves by its own length and direction, P = F P F' + Q (`advance`).
 
-    `since` are the time since the previous step in s, and the variance in m2 of the motion without steps in it. `lengths`
-    are the length of the step in m and its variance in m2 in each filter, (F,) each.
+    `since` are the time since the previous step in s, and the variance in m2 of the motion without steps in it.
+    `lengths` are the length of the step in m and its variance in m2 in each filter, (F,) each.
     """
     elapsed_s, unstepped_var_m2 = since
     mean, drifted_cov = before.mean, predict_heading(before.cov, step, elapsed_s, directions, noise)

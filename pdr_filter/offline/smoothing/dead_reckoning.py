@@ -44,7 +44,7 @@ def dead_reckoned(
     storeys.
     """
     own, known_device = with_first_pass(recording, config, progress[0])
-    own = own.in_hindsight().with_model(frame=START_FRAME)
+    own = replace(own.in_hindsight().with_model(frame=START_FRAME), keeps_path=False)
     end = init(own)
 
     def results() -> Iterator[tuple[State, Output]]:
@@ -55,7 +55,7 @@ def dead_reckoned(
 
     found = collected(recording, own, results())
     track = with_arrivals(replace(found, device=known_device or found.device))
-    stood_steps = end.tracker.pedestrian.fixes.standstill_steps
+    stood_steps = end.pedestrian.fixes.standstill_steps
     return own, track, end.sensing if known_device is None else None, stood_steps
 
 
