@@ -467,12 +467,12 @@ def _with_statistics(state: State, **changes: Any) -> State:
 def _after(config: Config, state: State, event: ChainEvent, known_s: float, output: Output) -> State:
     """Return the state after an event of the chain, whose rows and floor passages are appended to the output."""
     chain, results = config.chain.on(state.chain, event, known_s)
-    walked, n_before = state.statistics.walked, len(output.updates)
+    walked, n_before, standing = state.statistics.walked, len(output.updates), config.model.context_set.standing
     for result in results:
         if isinstance(result, StepUpdate):
             output.updates.append(result)
             if result.is_final:
-                walked = walked.plus_context(is_in_standing(result.context_prob, config.model.context_set.standing))
+                walked = walked.plus_context(bool(is_in_standing(result.context_prob, standing)))
         elif isinstance(result, FloorPassage):
             output.floor_passages.append(result)
     state = replace_unchecked(state, chain=chain)

@@ -24,7 +24,7 @@ class Window(NamedTuple):
 
 
 class Places(NamedTuple):
-    """Accurate locations (P, 3) as time, east and north, which tell hills from storeys. Those before `since_s` are old."""
+    """Accurate locations (P, 3) as time, east and north, which tell hills from storeys. Older ones end at `since_s`."""
 
     rows: FloatArray
     since_s: float

@@ -355,9 +355,9 @@ def after_step(
         frame=_with_compass(previous.frame, step, float(x[HEADING_OFFSET])),
         heading_zero=cycle.zero,
         steps=previous.steps.plus(step, walked, x, P),
-        changes=(*previous.changes, lambda path: path.with_event(event)),
         unstepped_var_m2=previous.unstepped_var_m2 + since_last_step(previous, step)[1],
     )
+    updated = with_change(updated, lambda path: path.with_event(event))
     return updated, _step_update(model, previous, updated, step, walked, estimate, is_final)
 
 
@@ -397,14 +397,14 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
     """
     estimates = replace_unchecked(state.estimates, cov=grow_over_gap(state.estimates.cov, gap_s, noise))
     P, after_P = state.estimates.combined[1], estimates.combined[1]
-    return replace_unchecked(
+    changed = replace_unchecked(
         state,
         estimates=estimates,
         steps=state.steps.after_gap(gap_s),
         fixes=state.fixes.after_gap(),
-        changes=(*state.changes, lambda path: path.predicted(P, after_P)),
         std_at_start_m=state.std_at_start_m + math.sqrt(noise.gap_var_m2(gap_s)),
     )
+    return with_change(changed, lambda path: path.predicted(P, after_P))
 
 
 def over_stepless(state: PedestrianState, stepless_s: float) -> PedestrianState:
@@ -414,13 +414,13 @@ def over_stepless(state: PedestrianState, stepless_s: float) -> PedestrianState:
     cov[:, [EAST, NORTH], [EAST, NORTH]] += var_m2
     grown = replace_unchecked(estimates, cov=cov)
     P, grown_P = estimates.combined[1], grown.combined[1]
-    return replace_unchecked(
+    changed = replace_unchecked(
         state,
         estimates=grown,
         steps=replace_unchecked(state.steps, stepless_s=state.steps.stepless_s + stepless_s),
-        changes=(*state.changes, lambda path: path.predicted(P, grown_P)),
         unstepped_var_m2=state.unstepped_var_m2 + var_m2,
     )
+    return with_change(changed, lambda path: path.predicted(P, grown_P))
 
 
 _MAX_NORTH_STD_RAD = 1.0  # limit of a normal density on a circle
@@ -476,13 +476,13 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
     mean[:, :LOG_SCALE] = x[:LOG_SCALE]
     cov[:, :LOG_SCALE] = cov[:, :, :LOG_SCALE] = 0.0
     no_error_m = np.zeros_like(estimates.consider_error_m)
-    return replace_unchecked(
+    state = replace_unchecked(
         state,
         estimates=replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=no_error_m),
         frame=frame.reopened((turning_point,), heading_var_rad2, steps.n_final),
         fixes=replace_unchecked(state.fixes, relocation=RelocationEvidence(), used=(), ranges=()),
-        changes=(*state.changes, lambda path: path.detached(P, time_s, x[:2].copy())),
     )
+    return with_change(state, lambda path: path.detached(P, time_s, x[:2].copy()))
 
 
 def heading_var_rad2(state: PedestrianState) -> float:
@@ -514,13 +514,13 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
     consider_error_m = estimates.consider_error_m @ alignment.rotation.T
     turned = replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=consider_error_m)
     P, (x, turned_P) = estimates.combined[1], turned.combined
-    return replace_unchecked(
+    state = replace_unchecked(
         with_moved_past(state, alignment.positions),
         estimates=turned,
-        changes=(*state.changes, lambda path: path.turned(alignment, P, turned_P, x[:2])),
         heading_zero=HeadingZero(state.heading_zero.offset_rad - alignment.angle_rad, state.heading_zero.time_s),
         frame=state.frame.moved(alignment),
     )
+    return with_change(state, lambda path: path.turned(alignment, P, turned_P, x[:2]))
 
 
 def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], FloatArray]) -> PedestrianState:
