@@ -535,7 +535,7 @@ def test_pressure_pushed_before_the_other_samples_gives_the_same_bits(short_walk
         updates += push(online, block)
     updates += online.finish()
     assert_updates_are_the_track(updates, tracked(recording, weighting=weighting))
-    assert len(online.state.climbs) < 5
+    assert len(online.state.waiting_climbs.climbs) < 5
 
 
 def test_a_barometer_whose_clock_is_ahead_is_told_of_and_does_not_pile_up(short_walk: Recording) -> None:
@@ -545,7 +545,7 @@ def test_a_barometer_whose_clock_is_ahead_is_told_of_and_does_not_pile_up(short_
     assert not any("barometer" in note for note in online.notes)
     for part in np.array_split(time_s[100:], 7):
         online.push_pressure(part + 1e6, np.full(len(part), 1000.0))
-    assert len(online.state.climbs) == MAX_CLIMBS
+    assert len(online.state.waiting_climbs.climbs) == MAX_CLIMBS
     assert any("climb rates of the barometer not used, because its times are ahead" in note for note in online.notes)
     assert len(online.save()) < len(pdr.OnlineFilter().save()) + 50_000
 

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pdr_filter.filter.chain.handler import part_of, states_of
-from pdr_filter.filter.chain.with_plan import PlanTrack
+from pdr_filter.filter.chain.handler import states_of
 from pdr_filter.filter.fixes.alignment import EYE, Place
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, stepless_var_m2
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate, present_position, track_place, within_reach
@@ -308,7 +307,7 @@ def _in_output_frame(config: Config, state: State, present: Present) -> Present:
         if particles is None:
             return in_world(place)
         mean, _ = pedestrian.estimates.combined
-        heading_rad = part_of(state.chain, PlanTrack).particles.heading_rad + float(mean[HEADING_OFFSET])
+        heading_rad = state.particles.heading_rad + float(mean[HEADING_OFFSET])
         return _on_plan(in_world(place), in_world(replace(track_place(pedestrian), heading_rad=heading_rad)), particles)
 
     places = (Place(step.position_m, np.zeros((2, 2)), 0.0, pedestrian.steps.n_final) for step in present.steps)

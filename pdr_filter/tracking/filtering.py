@@ -174,6 +174,11 @@ class State:
         return part_of(self.chain, HeightTrack).height
 
     @property
+    def particles(self) -> Any:
+        """State of the stage on the floor plan. The configuration must have one."""
+        return part_of(self.chain, PlanTrack).particles
+
+    @property
     def clock_offset_s(self) -> float:
         """Offset from the sample clock to the track clock, s. It changes when the sample clock jumps backwards."""
         return self.sensing.conditioner.clock.offset_s
@@ -362,7 +367,7 @@ def place_on_plan(config: Config, state: State, reckoned: tuple[FloatArray, Floa
     """Return the estimate on the floor plan, or None without one, for a position (2,) and covariance (2, 2)."""
     if config.on_plan is None:
         return None
-    return config.on_plan.place(part_of(state.chain, PlanTrack).particles, reckoned)
+    return config.on_plan.place(state.particles, reckoned)
 
 
 def person_of(config: Config, state: State) -> Person | None:

@@ -9,7 +9,6 @@ import numpy as np
 
 from pdr_filter.filter.chain.handler import part_of
 from pdr_filter.filter.chain.two_hypotheses import Hypotheses
-from pdr_filter.filter.chain.with_plan import PlanTrack
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.fixes.frame_rotation import MAX_NORTH_STD_RAD
 from pdr_filter.filter.fixes.rides import Rides
@@ -57,7 +56,7 @@ def notes_of(
     is_pressure_named = any(note.text.startswith("barometer") for note in absent)
     notes += [*config.notes, *height.notes(state.height, state.waiting_climbs.barometer, is_pressure_named)]
     if config.on_plan is not None:
-        notes += config.on_plan.notes(part_of(state.chain, PlanTrack).particles)
+        notes += config.on_plan.notes(state.particles)
     return [*notes, *_frame_notes(config, state), *notes_of_rides(state.statistics.rides, vertices), *_fix_notes(state)]
 
 

@@ -236,7 +236,7 @@ class Soak:
             t = update.step.time_s - self.online.state.clock_offset_s - self.clock_s - self.true_s
             if len(stretch.truth_s) < 300 or not stretch.truth_s[0] <= t <= stretch.truth_s[-1]:
                 continue
-            if not self.online.state.tracker.pedestrian.frame.is_known:
+            if not self.online.state.pedestrian.frame.is_known:
                 continue
             away = position_m - at_time(stretch, t)
             nees = evaluate.nees(away[None], (cov + 0.3**2 * np.eye(2))[None])[0]

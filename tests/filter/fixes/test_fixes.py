@@ -223,7 +223,7 @@ def test_block_sizes_and_saving_change_no_bit_of_a_track_with_all_kinds_of_fixes
     for fix in fixes:
         online.add_fix(fix)
     online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 5), n_resumed=10)
-    frame = online.state.tracker.pedestrian.frame
+    frame = online.state.pedestrian.frame
     assert frame.alignment is not None
     # offline tracking also transforms the steps before the rotation was known
     told = [u.position_m if u.of_start is None else frame.world(u.of_start).position_m for u in updates]

@@ -16,7 +16,6 @@ from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.imm.motion_model import (
     Directions,
     MotionNoise,
-    advance,
     initial_estimate,
     second_order_errors,
     stepless_var_m2,
@@ -29,6 +28,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     present_position,
     with_reopened_rotation,
 )
+from pdr_filter.filter.imm.step_cycle import advance
 from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker, WeightedState, WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
