@@ -12,7 +12,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
-from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, with_cadence
+from pdr_filter.sensing.contexts.context_stage import ContextStage, with_cadence
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.heading_stage import HeadingStage, drift_in_time, with_shown_offsets
@@ -22,7 +22,16 @@ from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided, VehicleVibration, VehicleVibrationState
-from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, ImuBlock, IntArray, Step, replace_unchecked
+from pdr_filter.values import (
+    DEFAULT_CONTEXTS,
+    ContextSet,
+    FloatArray,
+    ImuBlock,
+    IntArray,
+    Step,
+    WindowContext,
+    replace_unchecked,
+)
 
 
 @dataclass(frozen=True, slots=True)
