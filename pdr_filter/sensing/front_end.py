@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
@@ -12,17 +12,27 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
-from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, with_cadence
+from pdr_filter.sensing.contexts.context_stage import ContextStage, with_cadence
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
-from pdr_filter.sensing.heading.heading_stage import HeadingStage, drift_in_time, with_shown_offsets
+from pdr_filter.sensing.heading.heading_stage import HeadingStage, ShownOffsets, drift_in_time
 from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_gate import StepGate
+from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided, VehicleVibration, VehicleVibrationState
-from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, ImuBlock, IntArray, Step, replace_unchecked
+from pdr_filter.values import (
+    DEFAULT_CONTEXTS,
+    ContextSet,
+    FloatArray,
+    ImuBlock,
+    IntArray,
+    Step,
+    WindowContext,
+    replace_unchecked,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +59,10 @@ class SensingState:
         State of the conditioner.
     attitude : AttitudeState
         State of the attitude estimator.
-    contexts, steps, heading, gate, contact_smoothing, north : object
-        States of the stages with these names in `Sensing`. None for a missing stage.
+    contexts, steps : object
+        States of the context stage, None without one, and of the step detector.
+    of_steps : mapping of str to object
+        States of the stages that receive the steps, by the name of the stage in `Sensing`.
     vibration : VehicleVibrationState
         State of the detection of motion without steps.
     cadence : tuple of (float, float)
@@ -69,12 +81,9 @@ class SensingState:
 
     conditioner: ConditionerState
     attitude: AttitudeState
-    contexts: Any
-    steps: Any
-    heading: Any
-    gate: Any
-    contact_smoothing: Any
-    north: Any
+    contexts: object
+    steps: object
+    of_steps: Mapping[str, object]
     vibration: VehicleVibrationState
     cadence: tuple[tuple[float, float], ...]
     n_samples: int
@@ -152,9 +161,8 @@ class Sensing:
                 )
             if getattr(stage, "context_set", self.context_set) != self.context_set:
                 object.__setattr__(self, "contexts", replace(stage, context_set=self.context_set))
-        optional = [stage for stage in (self.contexts, self.north) if stage]
-        stages = [self.conditioner, self.attitude, self.steps, *optional]
-        rates = {stage.rate_hz for stage in stages}
+        stages = self.conditioner, self.attitude, self.steps, self.contexts, self.north
+        rates = {stage.rate_hz for stage in stages if stage is not None}
         if len(rates) > 1:
             raise ValueError(
                 f"all stages must have one rate_hz, got {sorted(rates)}: build every stage with the rate_hz of the "
@@ -165,6 +173,19 @@ class Sensing:
     def _vibration(self) -> VehicleVibration:
         """Detection of motion without steps at the rate of the front end."""
         return VehicleVibration(self.conditioner.rate_hz)
+
+    @cached_property
+    def _step_stages(self) -> dict[str, StepStage]:
+        """Stages that receive the steps of the detector one after the other, by name."""
+        sets_offsets = self.heading is None or hasattr(self.heading, "learns_directions")
+        stages: dict[str, StepStage | None] = {
+            "gate": self.gate,
+            "heading": self.heading,
+            "shown_offsets": None if sets_offsets else ShownOffsets(),
+            "north": self.north,
+            "contact_smoothing": self.contact_smoothing,
+        }
+        return {name: stage for name, stage in stages.items() if stage is not None}
 
     @property
     def steps_only(self) -> Sensing:
@@ -195,10 +216,7 @@ class Sensing:
             attitude=self.attitude.init(),
             contexts=self.contexts.init() if self.contexts else None,
             steps=self.steps.init(),
-            heading=self.heading.init() if self.heading else None,
-            gate=self.gate.init() if self.gate else None,
-            contact_smoothing=self.contact_smoothing.init() if self.contact_smoothing else None,
-            north=self.north.init() if self.north else None,
+            of_steps={name: stage.init() for name, stage in self._step_stages.items()},
             vibration=self._vibration.init(),
             cadence=(),
             n_samples=0,
@@ -293,7 +311,7 @@ class Sensing:
         Device
             Bias and covariance.
         """
-        error_rad, error_var = drift_in_time(self.heading, state.heading)
+        error_rad, error_var = drift_in_time(self.heading, state.of_steps.get("heading"))
         return self.attitude.bias.learnt(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
@@ -310,16 +328,9 @@ class Sensing:
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
         step_state, steps = self.steps.update(state.steps, part, attitude, contexts)
-        heading_state, gate_state, smoothing_state, north_state = None, None, None, None
-        if self.gate:
-            gate_state, steps = self.gate.update(state.gate, part, attitude, steps)
-        if self.heading:
-            heading_state, steps = self.heading.update(state.heading, part, attitude, contexts, steps)
-            steps = with_shown_offsets(self.heading, steps)
-        if self.north:
-            north_state, steps = self.north.update(state.north, part, attitude, steps)
-        if self.contact_smoothing:
-            smoothing_state, steps = self.contact_smoothing.update(state.contact_smoothing, steps)
+        of_steps = dict[str, object]()
+        for name, stage in self._step_stages.items():
+            of_steps[name], steps = stage.update(state.of_steps[name], part, attitude, contexts, steps)
         vibration, moved = self._vibration.update(state.vibration, part, steps)
         # A window comes before a step revealed by the same sample, because its evidence also applies to that step.
         in_order, cadence = _with_cadences(
@@ -330,10 +341,7 @@ class Sensing:
             attitude=attitude_state,
             contexts=context_state,
             steps=step_state,
-            heading=heading_state,
-            gate=gate_state,
-            contact_smoothing=smoothing_state,
-            north=north_state,
+            of_steps=of_steps,
             vibration=vibration,
             cadence=cadence,
             n_samples=n_before + n,
@@ -349,21 +357,11 @@ class Sensing:
         Each step comes with the time of the last processed sample.
         """
         steps = self.steps.finish(state.steps)
-        if self.gate:
-            gate, steps = self.gate.close(state.gate, steps)
-            state = replace_unchecked(state, gate=gate)
-        if self.heading:
-            heading, steps = self.heading.finish(state.heading, steps)
-            steps = with_shown_offsets(self.heading, steps)
-            state = replace_unchecked(state, heading=heading)
-        if self.north:
-            north, steps = self.north.finish(state.north, steps)
-            state = replace_unchecked(state, north=north)
-        if self.contact_smoothing:
-            smoothing_state, steps = self.contact_smoothing.update(state.contact_smoothing, steps)
-            state = replace_unchecked(state, contact_smoothing=smoothing_state)
+        of_steps = dict[str, object]()
+        for name, stage in self._step_stages.items():
+            of_steps[name], steps = stage.finish(state.of_steps[name], steps)
         vibration, steps = self._vibration.finish(state.vibration, steps)
-        state = replace_unchecked(state, vibration=vibration)
+        state = replace_unchecked(state, of_steps=of_steps, vibration=vibration)
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:
@@ -378,8 +376,7 @@ class Sensing:
             contexts=self.contexts.after_gap(state.contexts) if self.contexts else None,
             steps=self.steps.init(),
             vibration=self._vibration.after_gap(state.vibration),
-            heading=self.heading.after_gap(state.heading) if self.heading else None,
-            north=self.north.init() if self.north else None,
+            of_steps={name: stage.after_gap(state.of_steps[name]) for name, stage in self._step_stages.items()},
             cadence=(),
             n_samples=0,
         )

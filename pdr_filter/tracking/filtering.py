@@ -25,7 +25,7 @@ from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, 
 from pdr_filter.filter.imm.step_history import TRAIL_TIME
 from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
+from pdr_filter.sensing.contexts.context_stage import with_climbs
 from pdr_filter.sensing.features.barometer import STAIRS_MPS, Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
 from pdr_filter.sensing.heading.heading_stage import knows_north
@@ -44,6 +44,7 @@ from pdr_filter.values import (
     PositionFix,
     Standstill,
     Step,
+    WindowContext,
     received_s,
     replace_unchecked,
 )

@@ -16,7 +16,7 @@ from pdr_filter.recipes.config import Config, check_config
 from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
-from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
+from pdr_filter.sensing.contexts.context_stage import with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Sensing, SensingState
@@ -53,6 +53,7 @@ from pdr_filter.values import (
     PositionFix,
     Step,
     Table,
+    WindowContext,
     Windows,
     all_fixes,
     check_fix,

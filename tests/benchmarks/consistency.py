@@ -35,8 +35,7 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import present_position
 from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.step_length.models import length_and_jacobian
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step, WindowContext
 from tests.benchmarks.common import Tables, recordings, run
 from tests.helpers import a_step as made_step
 

@@ -39,7 +39,7 @@ from pdr_filter.filter.height.floor_detection import (
 from pdr_filter.filter.height.vertical_modes import DOWN, DRIFT, JUMP, LIFT, N_MODES, UP
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.weighting import context_log_evidence
-from pdr_filter.sensing.contexts.context_stage import WindowContext, with_stairs_in_thirds
+from pdr_filter.sensing.contexts.context_stage import with_stairs_in_thirds
 from pdr_filter.sensing.features.barometer import RISER_M, Climb, ClimbState
 from pdr_filter.values import (
     Context,
@@ -49,6 +49,7 @@ from pdr_filter.values import (
     Note,
     Origin,
     PositionFix,
+    WindowContext,
     repetition,
     replace_unchecked,
 )

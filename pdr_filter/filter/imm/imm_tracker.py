@@ -26,8 +26,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
 from pdr_filter.filter.imm.recent_windows import RecentWindows, n_after, window_before, with_window
 from pdr_filter.filter.imm.step_cycle import StepMotion, step_cycle
 from pdr_filter.filter.imm.step_history import Walked
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace_unchecked
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, WindowContext, replace_unchecked
 
 
 @dataclass(frozen=True, eq=False)

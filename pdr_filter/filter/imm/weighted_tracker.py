@@ -39,8 +39,7 @@ from pdr_filter.filter.imm.recent_windows import (
 from pdr_filter.filter.imm.step_cycle import step_cycle
 from pdr_filter.filter.imm.step_history import Walked
 from pdr_filter.filter.imm.weighting import HC, WC, Weighting, context_weights
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace_unchecked
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, WindowContext, check_numbers, replace_unchecked
 from pdr_filter.values.mixtures import posterior_prob
 
 _SUM_TOLERANCE = 1e-6

@@ -17,8 +17,8 @@ from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.imm.weighting import ModeEvidence, carrying_log_evidence
 from pdr_filter.filter.step_length.models import known_length
-from pdr_filter.sensing.contexts.context_stage import CARRYING_STAY_PROB, WindowContext, follow_mode
-from pdr_filter.values import CARRYING_MODES, CONTEXTS
+from pdr_filter.sensing.contexts.context_stage import CARRYING_STAY_PROB, follow_mode
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, WindowContext
 
 PRIOR = np.full(6, 1 / 6)
 WALKING = CONTEXTS.index("walking")

@@ -32,8 +32,7 @@ from pdr_filter.filter.imm.step_cycle import advance
 from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker, WeightedState, WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step, replace_unchecked
+from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step, WindowContext, replace_unchecked
 
 LATENCY_S = 0.74
 EVEN_PRIOR = np.full(6, 1 / 6)

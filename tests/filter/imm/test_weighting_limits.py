@@ -30,8 +30,7 @@ from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, PositionFix, Step, mixtures
+from pdr_filter.values import CONTEXTS, PositionFix, Step, WindowContext, mixtures
 
 N = len(CONTEXTS)
 SEEDS = st.integers(0, 2**32 - 1)
