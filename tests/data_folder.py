@@ -13,7 +13,7 @@ def _data() -> Path:
     if folder := os.environ.get("PDR_DATA"):
         return Path(folder)
     if not _BESIDE.is_dir():
-        from pdr_filter.datasets import cache_folder
+        from pdr_filter.data.datasets import cache_folder
 
         try:
             return cache_folder()

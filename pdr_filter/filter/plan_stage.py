@@ -30,8 +30,8 @@ class PlanState(Protocol):
 class PlanStage(Protocol):
     """Stage that processes the events of a tracker on a floor plan.
 
-    `pdr_filter.maps.particle_filter.ParticleFilter` is the implementation. Each `on_` method returns the state after
-    one event. Its argument `pedestrian` is the state of the tracker after the same event.
+    `pdr_filter.apps.maps.particle_filter.ParticleFilter` is the implementation. Each `on_` method returns the state
+    after one event. Its argument `pedestrian` is the state of the tracker after the same event.
     """
 
     @property
