@@ -1,4 +1,4 @@
-"""The libraries of the pages, from npm into pdr_filter/report/assets: `python .ci/vendor.py`.
+"""The libraries of the pages, from npm into pdr_filter/apps/report/assets: `python .ci/vendor.py`.
 
 Names, versions and npm's checksums stand in assets/libraries.json, with the checksum of each file that was written.
 For a newer version change version and integrity there (`npm view NAME@VERSION dist.integrity`), and run this.
@@ -15,7 +15,7 @@ import tarfile
 import tempfile
 from pathlib import Path
 
-ASSETS = Path(__file__).parents[1] / "pdr_filter" / "report" / "assets"
+ASSETS = Path(__file__).parents[1] / "pdr_filter" / "apps" / "report" / "assets"
 LIST = ASSETS / "libraries.json"
 
 

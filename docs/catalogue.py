@@ -20,7 +20,7 @@ ANY = "…"
 # Subjects of notes that are lists of texts, by the folder of their module. `Note` objects name their subject.
 SUBJECTS = {
     "sensing": "samples",
-    "io": "reading",
+    "data/io": "reading",
     "offline/smoothing": "smoothing",
     "offline/calibration": "calibration",
 }

@@ -23,8 +23,9 @@ import pdr_filter
 sys.path.insert(0, str(Path(__file__).parent))
 import catalogue
 
-# `pdr_filter.plot` is a name of the module `pdr_filter.report.plot`, and autosummary imports modules by their name.
-sys.modules.setdefault("pdr_filter.plot", pdr_filter.plot)
+# Public names of modules of data and applications, because autosummary imports modules by their name.
+for name in ("batch", "datasets", "plot"):
+    sys.modules.setdefault(f"pdr_filter.{name}", getattr(pdr_filter, name))
 
 project = "pdr_filter"
 author = "The pdr_filter developers"

@@ -1,31 +1,33 @@
 # The public names of the package: this list is read when the package is imported, and by type checkers.
 
-from . import batch as batch
-from . import datasets as datasets
 from . import evaluate as evaluate
 from . import imm as imm
 from . import protocols as protocols
 from . import recipes as recipes
 from . import simulate as simulate
 from . import testing as testing
+from .apps import batch as batch
+from .apps.maps.floor_plan import FloorPlan as FloorPlan
+from .apps.maps.radio.radio_map import RadioMap as RadioMap
+from .apps.report import plot as plot
+from .apps.walk_map.walk_map import WalkMap as WalkMap
+from .apps.walk_map.walk_map import map_walks as map_walks
 from .classifiers.context_model import ContextModel as ContextModel
 from .classifiers.rvm import RelevanceVectorClassifier as RelevanceVectorClassifier
+from .data import datasets as datasets
+from .data.io.files.errors import RecordingError as RecordingError
+from .data.io.formats import read as read
 from .filter.imm.motion_model import Mode as Mode
 from .filter.imm.pedestrian_state import StepUpdate as StepUpdate
 from .filter.step_length.models import StepLengthFit as StepLengthFit
 from .filter.step_length.models import known_length as known_length
 from .filter.step_length.person import Person as Person
-from .io.files.errors import RecordingError as RecordingError
-from .io.formats import read as read
-from .maps.floor_plan import FloorPlan as FloorPlan
-from .maps.radio.radio_map import RadioMap as RadioMap
 from .offline.calibration.fit import calibrate as calibrate
 from .offline.smoothing.smooth import smooth as smooth
 from .offline.smoothing.smoothed import Smoothed as Smoothed
 from .offline.training.context_fitting import fit_contexts as fit_contexts
 from .recipes.config import Config as Config
 from .recipes.step_length_calibration import Calibration as Calibration
-from .report import plot as plot
 from .sensing.conditioning import merge_streams as merge_streams
 from .sensing.device import Device as Device
 from .tracking.extrapolation import Now as Now
@@ -51,7 +53,5 @@ from .values.samples import Samples as Samples
 from .values.step import Step as Step
 from .values.wifi import Wifi as Wifi
 from .values.windows import Windows as Windows
-from .walk_map.walk_map import WalkMap as WalkMap
-from .walk_map.walk_map import map_walks as map_walks
 
 __version__: str

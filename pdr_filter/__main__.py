@@ -1,6 +1,6 @@
 """The command `pdr-filter` as `python -m pdr_filter`."""
 
-from pdr_filter.cli import main
+from pdr_filter.apps.cli import main
 
 if __name__ == "__main__":
     main()

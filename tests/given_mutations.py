@@ -17,14 +17,14 @@ from heard import round_a_block, walk_with_wifi
 from saved_mutations import changed, later, mutated_files, outcome
 
 import pdr_filter as pdr
+from pdr_filter.apps.live import assembly, messages
+from pdr_filter.apps.maps.radio.radio_map import RadioMap
+from pdr_filter.apps.maps.storey import LIFT
+from pdr_filter.data.io.tables.column_mapping import read_mapping
 from pdr_filter.filter.step_length.person import Session
-from pdr_filter.io.tables.column_mapping import read_mapping
-from pdr_filter.live import assembly, messages
-from pdr_filter.maps.radio.radio_map import RadioMap
-from pdr_filter.maps.storey import LIFT
 
-sys.path.insert(0, str(Path(__file__).parent / "io"))
-sys.path.insert(0, str(Path(__file__).parent / "maps"))
+sys.path.insert(0, str(Path(__file__).parent / "data" / "io"))
+sys.path.insert(0, str(Path(__file__).parent / "apps" / "maps"))
 
 import made_up
 from app_files import GENERIC_MAPPING, push_messages, sensor_logger_files

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
+from pdr_filter.apps.walk_map.chains import Chain, chain_of, content_of
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, Wifi
 from pdr_filter.values.recording import Recording
-from pdr_filter.walk_map.chains import Chain, chain_of, content_of
 
 SPACING_M = 8.0
 SCAN_S = 2.2
@@ -68,7 +68,7 @@ def chains_made_once() -> Iterator[None]:
         return replace(made[walk], key=key)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pdr_filter.walk_map.chains.chain_of", once)
+        patch.setattr("pdr_filter.apps.walk_map.chains.chain_of", once)
         yield
 
 

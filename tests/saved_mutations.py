@@ -31,7 +31,7 @@ from pdr_filter.values import ImuBlock
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Subject
 
-sys.path.insert(0, str(Path(__file__).parent / "io"))
+sys.path.insert(0, str(Path(__file__).parent / "data" / "io"))
 
 sys.path.insert(0, str(Path(__file__).parent))
 

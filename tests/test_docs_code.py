@@ -22,7 +22,7 @@ from heard import heard_along
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
-from pdr_filter.cli.app import app
+from pdr_filter.apps.cli.app import app
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.simulate.sensors import BAROMETER, SensorErrors
 from pdr_filter.values import Samples

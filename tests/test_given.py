@@ -14,10 +14,10 @@ import pytest
 from given_mutations import GIVEN, PHYPHOX_ANSWER, PHYPHOX_CONFIG, a_plan, a_radio_map, try_given, use_phyphox
 
 import pdr_filter as pdr
+from pdr_filter.apps.live.messages import MessageError
+from pdr_filter.apps.maps.radio.radio_map import RadioMap
 from pdr_filter.classifiers.model_files import file_pair
 from pdr_filter.filter.step_length.person import Session
-from pdr_filter.live.messages import MessageError
-from pdr_filter.maps.radio.radio_map import RadioMap
 from pdr_filter.values import limits
 
 SLOW_S = 2.0  # a second on a machine that is not busy
@@ -118,7 +118,7 @@ def test_a_plan_of_which_one_part_cannot_be_is_refused(
 def test_cells_of_a_large_plan_are_those_of_its_outline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = plan_with(lambda c: None, tmp_path / "plan.geojson")
     whole = pdr.FloorPlan.read(path)
-    monkeypatch.setattr("pdr_filter.maps.geojson._BLOCK_CELLS", 1000)  # a few rows together
+    monkeypatch.setattr("pdr_filter.apps.maps.geojson._BLOCK_CELLS", 1000)  # a few rows together
     for storey, again in zip(whole.storeys, pdr.FloorPlan.read(path).storeys, strict=True):
         np.testing.assert_array_equal(again.cells, storey.cells)
 

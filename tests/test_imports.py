@@ -49,14 +49,14 @@ def test_the_first_online_filter_loads_neither_scipy_nor_what_only_other_recipes
 
 @pytest.mark.parametrize("module", ["scipy", "vqf", "pdr_filter.filter", "pdr_filter.sensing", "pdr_filter.tracking"])
 def test_the_live_server_leaves_the_filter_to_its_workers_and_does_not_load(module: str) -> None:
-    assert module not in loaded_by("import pdr_filter.live.hub")
+    assert module not in loaded_by("import pdr_filter.apps.live.hub")
 
 
 @pytest.mark.parametrize("module", ["gtsam", "matplotlib", "sklearn", "scipy", "vqf", "pymap3d"])
 def test_the_help_of_the_command_does_not_load(module: str) -> None:
     statement = (
         "import sys; sys.argv = ['pdr-filter', '--help']\n"
-        "from pdr_filter.cli.app import app; app(standalone_mode=False)"
+        "from pdr_filter.apps.cli.app import app; app(standalone_mode=False)"
     )
     loaded = loaded_by(statement)
     assert "typer" in loaded
@@ -88,23 +88,23 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
 
 # Three groups, in the order in which they may import: each package those before it.
 FRAMEWORK = ["values", "classifiers", "sensing", "filter", "recipes", "tracking", "simulate", "offline", "evaluate"]
-DATA = ["io", "datasets"]
-APPLICATIONS = ["maps", "report", "batch", "walk_map", "live", "workbench", "cli"]
+DATA = [f"data.{name}" for name in ("io", "datasets")]
+APPLICATIONS = [f"apps.{name}" for name in ("maps", "report", "batch", "walk_map", "live", "workbench", "cli")]
 PACKAGES = [*FRAMEWORK, *DATA, *APPLICATIONS]
 PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 
 # Convenience methods of the framework that import data or applications when they are called, never before.
 WHEN_CALLED = {
-    ("values.recording", "io.files.own_format_writer"),  # Recording.save
-    ("classifiers.model_files", "io.files.safe_files"),  # models and calibrations, saved and loaded
-    ("sensing.device", "io.files.safe_files"),  # Device.save, Device.load
-    ("filter.step_length.person", "io.files.safe_files"),  # Person.save, Person.load
-    ("recipes.config", "maps.particle_filter"),  # Config.with_plan
-    ("recipes.step_length_calibration", "report.plot"),  # Calibration.plot
-    ("tracking.track", "io.files.track_writers"),  # Track.to_csv, Track.to_geojson and others
-    ("tracking.track", "report.plot"),  # Track.plot
-    ("offline.smoothing.smooth", "maps.plan_smoothing"),  # pdr.smooth(plan=...)
-    ("offline.training.cross_validation", "io.formats"),  # recordings to train on
+    ("values.recording", "data.io.files.own_format_writer"),  # Recording.save
+    ("classifiers.model_files", "data.io.files.safe_files"),  # models and calibrations, saved and loaded
+    ("sensing.device", "data.io.files.safe_files"),  # Device.save, Device.load
+    ("filter.step_length.person", "data.io.files.safe_files"),  # Person.save, Person.load
+    ("recipes.config", "apps.maps.particle_filter"),  # Config.with_plan
+    ("recipes.step_length_calibration", "apps.report.plot"),  # Calibration.plot
+    ("tracking.track", "data.io.files.track_writers"),  # Track.to_csv, Track.to_geojson and others
+    ("tracking.track", "apps.report.plot"),  # Track.plot
+    ("offline.smoothing.smooth", "apps.maps.plan_smoothing"),  # pdr.smooth(plan=...)
+    ("offline.training.cross_validation", "data.io.formats"),  # recordings to train on
 }
 
 
@@ -150,7 +150,8 @@ def imports_of_modules(types: bool = False, only_at_import: bool = False) -> dic
 
 
 def package_of(module: str) -> str:
-    return module.partition(".")[0]
+    first, *rest = module.split(".")
+    return ".".join([first, *rest[:1]]) if first in ("data", "apps") else first
 
 
 # Modules outside the packages: names for users and `python -m pdr_filter`. Nothing in the package imports them.
@@ -159,7 +160,7 @@ FOR_USERS = ["imm", "protocols", "testing", "__main__"]
 
 def test_there_are_eighteen_packages_and_beside_them_only_names_for_users() -> None:
     imports = imports_of_modules()
-    assert {package_of(module) for module in imports} == {"", "version", *PACKAGES, *FOR_USERS}
+    assert {package_of(module) for module in imports} == {"", "version", "data", "apps", *PACKAGES, *FOR_USERS}
     assert {path.stem for path in PACKAGE.glob("*.py")} == {"__init__", "version", *FOR_USERS}
     assert not {target for targets in imports.values() for target in targets} & set(FOR_USERS)
 
@@ -169,7 +170,10 @@ def test_every_folder_of_modules_is_a_package() -> None:
 
 
 def test_no_module_imports_from_a_package_above_its_own() -> None:
-    level = {package: number for number, package in enumerate(["version", *PACKAGES[:-1], "", "cli", *FOR_USERS])}
+    level = {
+        package: number
+        for number, package in enumerate(["version", *PACKAGES[:-1], "data", "apps", "", "apps.cli", *FOR_USERS])
+    }
     up = {
         (module, target)
         for module, targets in imports_of_modules().items()

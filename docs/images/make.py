@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 import pdr_filter as pdr
-from pdr_filter.report.palette import BLUE, FAINT, INK, ORANGE
+from pdr_filter.apps.report.palette import BLUE, FAINT, INK, ORANGE
 from tests.data_folder import DATA
 
 HERE = Path(__file__).resolve().parent
@@ -38,7 +38,7 @@ OUTSIDE: dict[str, object] = {"facecolor": "#FFFFFF", "edgecolor": FAINT, "lines
 
 # name: centre, half width and half height in the units of the figure, title, package, style
 BOXES: dict[str, tuple[float, float, float, float, str, str, dict[str, object]]] = {
-    "file": (3.4, 10.0, 1.35, 0.42, "file or folder", "io", OUTSIDE),
+    "file": (3.4, 10.0, 1.35, 0.42, "file or folder", "data.io", OUTSIDE),
     "app": (7.0, 10.0, 1.35, 0.42, "app", "tracking.online", OUTSIDE),
     "uniform": (5.2, 8.4, 1.35, 0.42, "uniform samples", "sensing.conditioning", ONLINE),
     "attitude": (1.75, 6.8, 1.35, 0.42, "attitude", "sensing.attitude,\ngyroscope_bias", ONLINE),
@@ -51,7 +51,7 @@ BOXES: dict[str, tuple[float, float, float, float, str, str, dict[str, object]]]
     "calibrate": (1.55, 1.6, 1.3, 0.42, "calibrate", "offline.calibration", OFFLINE),
     "track": (5.2, 1.6, 1.4, 0.42, "Track", "tracking", OUTSIDE),
     "smooth": (8.9, 1.6, 1.3, 0.42, "smooth", "offline.smoothing", OFFLINE),
-    "results": (5.2, 0.25, 1.4, 0.42, "results", "evaluate, report, io", OFFLINE),
+    "results": (5.2, 0.25, 1.4, 0.42, "results", "evaluate, apps.report", OFFLINE),
 }
 # from, its side, to, its side, data, offset of the label from the middle of the arrow
 ARROWS: list[tuple[str, str, str, str, str, tuple[float, float]]] = [

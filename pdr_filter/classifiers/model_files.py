@@ -40,7 +40,7 @@ class ArtefactFormat:
         JSON cannot represent either, and for more data than `read` accepts.
         """
         # Imported late, because this package must not import the readers and writers of files.
-        from pdr_filter.io.files.safe_files import write_files
+        from pdr_filter.data.io.files.safe_files import write_files
 
         content: dict[str, Any] = {"format_version": self.version, "kind": self.kind, **description}
         packed = None if arrays is None else _packed(arrays)
@@ -63,7 +63,7 @@ class ArtefactFormat:
         There are no arrays if the .json has no checksum of a .npz. ValueError if a file is missing, damaged, or of
         another kind or version, if `build` fails, or if a field of its result is not of its declared type.
         """
-        from pdr_filter.io.files.safe_files import read_small
+        from pdr_filter.data.io.files.safe_files import read_small
 
         json_path, npz_path = file_pair(path)
         for needed in (npz_path if str(path).endswith(".npz") else json_path, json_path):
@@ -85,7 +85,7 @@ class ArtefactFormat:
 
         Other errors of the file are found by `read`.
         """
-        from pdr_filter.io.files.safe_files import read_small
+        from pdr_filter.data.io.files.safe_files import read_small
 
         try:
             return _kind(json.loads(read_small(file_pair(path)[0], limits.MAX_DESCRIPTION_BYTES))) == self.kind
@@ -161,7 +161,7 @@ def _unpacked(path: Path, checksum: str) -> Arrays:
 
     ValueError if it is missing, too large or damaged, if its checksum differs, or if it contains pickled objects.
     """
-    from pdr_filter.io.files.safe_files import read_small
+    from pdr_filter.data.io.files.safe_files import read_small
 
     if not path.is_file():
         raise ValueError(f"{path.name} is missing in the same folder, copy both files")

@@ -313,7 +313,7 @@ class Config:
             If `plan` is not a `FloorPlan`, if it does not have the start, or if no cell of a start area is walkable.
         """
         # imported here, so that a filter without a plan does not load the maps
-        from pdr_filter.maps.particle_filter import ParticleFilter
+        from pdr_filter.apps.maps.particle_filter import ParticleFilter
 
         placed = self if start is None else self.in_world_frame()
         return replace(placed, on_plan=ParticleFilter.of(plan, start, seed))

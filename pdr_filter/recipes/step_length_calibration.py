@@ -473,7 +473,7 @@ class Calibration:
         matplotlib Figure
             Figure that belongs to no window, so that it need not be closed.
         """
-        from pdr_filter.report import plot
+        from pdr_filter.apps.report import plot
 
         main = self.main_context
         model, people = self.models[main], self.subjects

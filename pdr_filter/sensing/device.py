@@ -111,7 +111,7 @@ class Device:
             Path of the file.
         """
         # Imported here because importing `sensing` must not import the packages that read and write files.
-        from pdr_filter.io.files.safe_files import write_text
+        from pdr_filter.data.io.files.safe_files import write_text
 
         content = {"bias_radps": self.bias_radps.tolist(), "bias_cov_radps2": self.bias_cov_radps2.tolist()}
         return write_text(path, json.dumps({"pdr_filter_device": 1, **content}, indent=1) + "\n")
@@ -135,7 +135,7 @@ class Device:
         ValueError
             If the file is missing or damaged, or is not a device file. The message names the file.
         """
-        from pdr_filter.io.files.safe_files import read_json
+        from pdr_filter.data.io.files.safe_files import read_json
 
         try:
             content = read_json(Path(path), limits.MAX_SMALL_BYTES)

@@ -149,7 +149,7 @@ class Track(TrackRows):
         Path
             The written file.
         """
-        from pdr_filter.io.files import track_writers as writers
+        from pdr_filter.data.io.files import track_writers as writers
 
         return writers.write_csv(self, path, origin)
 
@@ -166,7 +166,7 @@ class Track(TrackRows):
         pandas.DataFrame
             One row for each step.
         """
-        from pdr_filter.io.files import track_writers as writers
+        from pdr_filter.data.io.files import track_writers as writers
 
         return writers.track_frame(self, origin)
 
@@ -192,7 +192,7 @@ class Track(TrackRows):
         ValueError
             If pandas or pyarrow is not installed: they come with the extra `parquet`.
         """
-        from pdr_filter.io.files import track_writers as writers
+        from pdr_filter.data.io.files import track_writers as writers
 
         return writers.write_parquet(self, path, origin)
 
@@ -218,7 +218,7 @@ class Track(TrackRows):
         ValueError
             If neither `origin` nor `Track.origin` is given.
         """
-        from pdr_filter.io.files import track_writers as writers
+        from pdr_filter.data.io.files import track_writers as writers
 
         return writers.write_geojson(self, path, origin)
 
@@ -242,7 +242,7 @@ class Track(TrackRows):
         ValueError
             If the track has an origin: use `to_geojson`.
         """
-        from pdr_filter.io.files import track_writers as writers
+        from pdr_filter.data.io.files import track_writers as writers
 
         return writers.write_local_geojson(self, path)
 
@@ -266,7 +266,7 @@ class Track(TrackRows):
         ValueError
             If neither `origin` nor `Track.origin` is given.
         """
-        from pdr_filter.io.files import track_writers as writers
+        from pdr_filter.data.io.files import track_writers as writers
 
         return writers.write_kml(self, path, origin)
 
@@ -296,7 +296,7 @@ class Track(TrackRows):
         ValueError
             If the track has no origin, or the times are not between the years 1970 and 9999.
         """
-        from pdr_filter.io.files import track_writers as writers
+        from pdr_filter.data.io.files import track_writers as writers
 
         return writers.write_gpx(self, path, origin, epoch_s)
 
@@ -315,7 +315,7 @@ class Track(TrackRows):
         Path
             The written file.
         """
-        from pdr_filter.io.files import track_writers as writers
+        from pdr_filter.data.io.files import track_writers as writers
 
         return writers.write_tum(self, path)
 
@@ -332,6 +332,6 @@ class Track(TrackRows):
         matplotlib.figure.Figure
             The figure.
         """
-        from pdr_filter.report import plot
+        from pdr_filter.apps.report import plot
 
         return plot.track(self, path)

@@ -280,7 +280,7 @@ class Recording:
             The written file or folder.
         """
         # Imported late, because this package must not import the writers of files.
-        from pdr_filter.io.files.own_format_writer import write_own_format
+        from pdr_filter.data.io.files.own_format_writer import write_own_format
 
         truth = {name: getattr(self.truth, name) for name in self.truth.present()}
         return write_own_format(path, self.streams, truth, {**self.meta, "name": self.name}, self.wifi)

@@ -32,7 +32,7 @@ _VALUE = ', "value": '  # separates the header from the text of the checksum
 _MAX_BYTES = 64 << 20
 _MAX_VALUES = 2_000_000
 # Packages with the classes of a filter. Classes of other packages are loaded only if their module is imported already.
-_PACKAGES = ("values", "classifiers", "sensing", "filter", "recipes", "tracking", "maps")
+_PACKAGES = ("values.", "classifiers.", "sensing.", "filter.", "recipes.", "tracking.", "apps.maps.")
 
 
 class Shipped:
@@ -239,7 +239,7 @@ def _array(node: Mapping[str, Any]) -> np.ndarray[Any, Any]:
 def _dataclass(name: str) -> type[Any]:
     module_name, _, class_name = name.partition(":")
     rest = module_name.partition(".")[2]
-    if module_name not in sys.modules and rest.partition(".")[0] not in _PACKAGES:
+    if module_name not in sys.modules and not rest.startswith(_PACKAGES):
         raise ValueError(f"refused to load {name!r}, because only the classes of a filter are loaded")
     cls = getattr(importlib.import_module(module_name), class_name)
     if not (isinstance(cls, type) and is_dataclass(cls)):

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pdr_filter as pdr
-from pdr_filter.io.describe import reading_report
-from pdr_filter.io.files.errors import RecordingError
-from pdr_filter.io.folders import recordings_in
-from pdr_filter.io.tables.column_values import constant_part, turning
+from pdr_filter.data.io.describe import reading_report
+from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.folders import recordings_in
+from pdr_filter.data.io.tables.column_values import constant_part, turning
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 from tests.benchmarks.common import DATA, ROOT, Tables, run
 
@@ -126,7 +126,7 @@ def shown(sentence: str) -> str:
 
 def odd_tables(tables: Tables, arguments: argparse.Namespace) -> None:
     """What the reader does with each kind of odd table and what it says."""
-    sys.path.insert(0, str(ROOT / "tests" / "io"))
+    sys.path.insert(0, str(ROOT / "tests" / "data" / "io"))
     from oddities import ODDITIES
 
     rows: list[list[str]] = []

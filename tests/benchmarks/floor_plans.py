@@ -3,7 +3,7 @@
 usage: python -m tests.benchmarks.floor_plans [whole] [wrong] [contradicted] [start] [radio] [--data ../shared/data]
 
 The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
-plan, not aligned. What staying in a room costs (`maps.crossing_costs`) and the smallest odds of a wrong start were
+plan, not aligned. What staying in a room costs (`apps.maps.crossing_costs`) and the smallest odds of a wrong start were
 chosen on storey F1 of ms_indoor alone, how much a scan of Wi-Fi counts for particles, how uneven steps are and how
 often people choose a direction on F1 and B1.
 The other storeys and humolire are other walks, but not untouched: what being outside costs, and that people choose
@@ -29,7 +29,7 @@ from scipy.stats import chi2
 from shapely.affinity import rotate, scale, translate
 
 import pdr_filter as pdr
-from pdr_filter.maps.storey import LIFT
+from pdr_filter.apps.maps.storey import LIFT
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray
 from tests.benchmarks.common import Tables, median_and, paths, run

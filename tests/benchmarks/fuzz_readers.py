@@ -33,7 +33,7 @@ from pathlib import Path
 from tests.benchmarks.app_files import FILES
 from tests.benchmarks.common import Tables, run
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "data" / "io"))
 
 from app_files import write_zip
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file, of_another_kind
@@ -78,8 +78,8 @@ def cut(text: bytes) -> bytes:
 
 def fuzz(form: str, inputs: int, seed: int, apps: Path) -> Counter[str]:
     """Counts of what happened, and the memory by which the process grew."""
-    from pdr_filter.io.files.errors import RecordingError
-    from pdr_filter.io.formats import read
+    from pdr_filter.data.io.files.errors import RecordingError
+    from pdr_filter.data.io.formats import read
 
     warnings.simplefilter("error")
     counts: Counter[str] = Counter()

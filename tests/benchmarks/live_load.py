@@ -33,7 +33,7 @@ from pdr_filter.values import FloatArray, Samples
 from tests.benchmarks.common import Tables, run
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "live"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "apps" / "live"))
 from browser import Browser
 from serving import Server, sensor_logger_messages
 

@@ -146,7 +146,7 @@ FORMATS = (
 def reading(tables: Tables, arguments: argparse.Namespace) -> None:
     """One row for each format."""
     if arguments.read:
-        from pdr_filter.io.formats import read
+        from pdr_filter.data.io.formats import read
 
         begin, cpu = time.perf_counter(), time.process_time()
         recording = read(arguments.read)

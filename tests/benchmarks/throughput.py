@@ -36,8 +36,8 @@ from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.step_length.models import bounce_fit
 from pdr_filter.recipes import default
 from pdr_filter.values import PositionFix, Samples
+from tests.apps.maps.made_up import box, feature, line, write
 from tests.benchmarks.common import ROOT, Tables, paths, run
-from tests.maps.made_up import box, feature, line, write
 
 SITES = ("humolire", "ms_indoor", "oxiod", "ubicomp13", "tyrex", "oxford", "ipol", "motionsense", "ipin2023")
 # In another process, so that trees can be compared: reads nothing but the package and the recordings.

@@ -22,11 +22,11 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import pdr_filter as pdr
+from pdr_filter.apps.walk_map.chains import Chain, chain_of
+from pdr_filter.apps.walk_map.placing import SURE, UNKNOWN_NORTH, PlacedGroup, Pose, ScannedWalks, locate, turned
+from pdr_filter.apps.walk_map.walk_map import DECLINATION_STD_RAD, _mapped
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
-from pdr_filter.walk_map.chains import Chain, chain_of
-from pdr_filter.walk_map.placing import SURE, UNKNOWN_NORTH, PlacedGroup, Pose, ScannedWalks, locate, turned
-from pdr_filter.walk_map.walk_map import DECLINATION_STD_RAD, _mapped
 from tests.benchmarks.common import Tables, paths, run
 from tests.benchmarks.radio import Known, errors_of, map_of, place, scores
 

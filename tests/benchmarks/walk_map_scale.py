@@ -25,7 +25,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.batch import each
+from pdr_filter.apps.batch import each
 from pdr_filter.simulate import Leg, simulate
 from tests.benchmarks.common import ROOT, Tables, run
 from tests.heard import hearing

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
-from pdr_filter.cli.app import app
+from pdr_filter.apps.cli.app import app
 from pdr_filter.evaluate import comparison_table, context_errors, latex, markdown, study_rows, study_table, write_tables
 from pdr_filter.evaluate.comparison import MEASURES
 from pdr_filter.simulate import Gait, Leg, simulate

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.cli.app import app
+from pdr_filter.apps.cli.app import app
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "docs" / "examples" / "own_recipe"
 MODULE = """
@@ -108,7 +108,7 @@ def test_the_example_is_a_distribution_whose_recipe_the_command_finds_by_its_nam
         [
             sys.executable,
             "-c",
-            "from pdr_filter.cli import main; main()",
+            "from pdr_filter.apps.cli import main; main()",
             "track",
             "walk.zip",
             "--recipe",

@@ -13,9 +13,9 @@ import pytest
 from helpers import cut_randomly
 
 import pdr_filter as pdr
+from pdr_filter.apps.report.html import html_report
 from pdr_filter.filter.imm.modes import context_modes
 from pdr_filter.filter.step_length.models import bounce_fit
-from pdr_filter.report.html import html_report
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows

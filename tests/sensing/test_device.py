@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
-from pdr_filter.cli.app import app
+from pdr_filter.apps.cli.app import app
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Recording
 

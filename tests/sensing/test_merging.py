@@ -14,7 +14,7 @@ from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 
 import pdr_filter as pdr
-from pdr_filter.io.describe import describe
+from pdr_filter.data.io.describe import describe
 from pdr_filter.sensing.clock import MAX_GAP_S, ClockState, accept_rows, one_clock
 from pdr_filter.sensing.stream_merging import (
     _MAX_ROWS,

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.data.io.formats import read
 from pdr_filter.evaluate.steps import StepScores
 from pdr_filter.evaluate.tables import markdown
-from pdr_filter.io.formats import read
 from pdr_filter.values import FloatArray
 from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables

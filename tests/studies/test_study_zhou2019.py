@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pdr_filter.io.formats import read
+from pdr_filter.data.io.formats import read
 from pdr_filter.values import Samples, table
 from pdr_filter.values.recording import Recording, Truth
 from tests.studies import zhou2019 as measured

@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from pdr_filter.report.geometry import ellipse_axes
+from pdr_filter.apps.report.geometry import ellipse_axes
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import RADIUS_68, RADIUS_95, HeadingFix, Origin, PositionFix, Samples
 from pdr_filter.values.recording import Recording

@@ -73,7 +73,7 @@ def test_steps_lead_along_the_directions_that_a_stage_states(recording: pdr.Reco
 def test_tracks_with_parts_of_other_packages_are_smoothed_and_drawn(recording: pdr.Recording, tmp_path: Any) -> None:
     smoothed = pdr.smooth(recording, config=own_config())
     assert smoothed.track.distance_m == pytest.approx(70.0, rel=0.2)
-    from pdr_filter.report.html import write_report
+    from pdr_filter.apps.report.html import write_report
 
     write_report([smoothed.track], tmp_path / "own.html", recording)
     assert (tmp_path / "own.html").stat().st_size > 10_000

@@ -8,7 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
-from pdr_filter.cli.app import app
+from pdr_filter.apps.cli.app import app
 from pdr_filter.values.track_placement import TrackPlacement, texts
 
 NAMES = [field.name for field in fields(TrackPlacement)]

@@ -26,7 +26,7 @@ class PlanStart(Protocol):
 class PlanStage(Protocol):
     """Stage that estimates the position on a floor plan, from the events of a tracker.
 
-    `pdr_filter.maps.particle_filter.ParticleFilter` is the implementation.
+    `pdr_filter.apps.maps.particle_filter.ParticleFilter` is the implementation.
     """
 
     @property

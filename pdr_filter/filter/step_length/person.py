@@ -156,7 +156,7 @@ class Person:
             Path of the written file.
         """
         # Imported here because the filter package must not depend on file access.
-        from pdr_filter.io.files.safe_files import write_text
+        from pdr_filter.data.io.files.safe_files import write_text
 
         content = {"pdr_filter_person": 1, "sessions": [asdict(session) for session in self.sessions]}
         return write_text(path, json.dumps(content, indent=1) + "\n")
@@ -180,7 +180,7 @@ class Person:
         ValueError
             If the file cannot be read or is not a person file.
         """
-        from pdr_filter.io.files.safe_files import read_json
+        from pdr_filter.data.io.files.safe_files import read_json
 
         try:
             content = read_json(Path(path), limits.MAX_SMALL_BYTES)

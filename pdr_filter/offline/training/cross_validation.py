@@ -49,7 +49,7 @@ _LEAST_STD = 1e-6  # a smaller standard deviation is rounding noise of a constan
 def read_recording(path: Path) -> Recording:
     """Return the recording of a file, for training."""
     # imported late, because fitting needs recordings but no file formats
-    from pdr_filter.io.formats import read
+    from pdr_filter.data.io.formats import read
 
     return read(path)
 

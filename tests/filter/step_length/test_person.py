@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import pdr_filter as pdr
 from models.training.simulated_people import random_person
 from pdr_filter import recipes
-from pdr_filter.cli.app import app
+from pdr_filter.apps.cli.app import app
 from pdr_filter.filter.fixes.gnss import RADIUS_68, fixes_of
 from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.imm.pedestrian_state import initial_state

@@ -19,7 +19,7 @@ from models.training.carrying_training import (
 )
 from models.training.simulated_people import MODES, simulated_person
 from pdr_filter.classifiers.context_model import load_model
-from pdr_filter.io.files.own_format import write_recording
+from pdr_filter.data.io.files.own_format import write_recording
 from pdr_filter.sensing.features import carrying
 from pdr_filter.values import CARRYING_MODES
 

@@ -20,10 +20,10 @@ from models.training import context_training as training
 from models.training import guo2018_training as train_guo
 from models.training.context_training import PLANS, labelled_windows, model_without
 from models.training.train_all import train
+from pdr_filter.apps.cli.app import app
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.classifiers.transition_files import Transitions, load_transitions
-from pdr_filter.cli.app import app
-from pdr_filter.io.files.own_format import write_recording
+from pdr_filter.data.io.files.own_format import write_recording
 from pdr_filter.offline.training.classifier_choice import fit_softmax
 from pdr_filter.offline.training.context_sequences import (
     UNKNOWN,

@@ -16,8 +16,8 @@ from models.training.guo2018_training import DATASETS, kappa, train_guo, walk_th
 from models.training.simulated_people import MODES, simulated_person
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.context_model import ContextModel, load_model
-from pdr_filter.io.files.own_format import write_recording
-from pdr_filter.io.formats import read
+from pdr_filter.data.io.files.own_format import write_recording
+from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.guo2018.contexts import PoseContext
 from pdr_filter.recipes.guo2018.features import NAMES, AmbientSamples, MotionLevel, PoseWindows
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator

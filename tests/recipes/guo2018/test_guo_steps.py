@@ -8,7 +8,7 @@ import pytest
 from helpers import cut_uniform, flat_attitude, uniform_block
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.io.formats import read
+from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.guo2018.contexts import PoseContext
 from pdr_filter.recipes.guo2018.steps import PoseStepDetector, PoseStepState, feature_signals, signal_rows
 from pdr_filter.sensing.attitude import AttitudeEstimator

@@ -8,7 +8,7 @@ import pywt
 from helpers import bumps, flat_attitude, imu, sensed, uniform_block, walk_of_bumps
 from scipy.signal import butter, sosfilt
 
-from pdr_filter.io.formats import read
+from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.martinelli2018.steps import WaveletDetectorState, WaveletStepDetector, wavelet_kernel
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams

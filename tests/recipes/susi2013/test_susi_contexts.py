@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.io.formats import read
+from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.susi2013.contexts import (
     MODES,
     TREE,

@@ -8,7 +8,7 @@ from helpers import cut_uniform, flat_attitude, sensed, uniform_block
 from scipy.signal import butter, sosfilt, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.io.formats import read
+from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.susi2013.contexts import MotionModes
 from pdr_filter.recipes.susi2013.steps import NormMinimaState, NormMinimaStepDetector
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams

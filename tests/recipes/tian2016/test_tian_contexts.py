@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.io.formats import read
+from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.tian2016.contexts import CarryingMachine, MachineState, TianContexts, TianContextsState
 from pdr_filter.recipes.tian2016.steps import HOLDING, POCKET, SWING, TRANS, TianStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import firwin
 
-from pdr_filter.io.formats import read
+from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.zhou2019 import contexts as behaviour
 from pdr_filter.recipes.zhou2019.steps import (
     CARRIED,

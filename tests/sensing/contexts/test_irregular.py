@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 from sklearn.metrics import roc_auc_score
 
-from pdr_filter.io.formats import read
+from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.martinelli2018.features import NAMES as MARTINELLI_NAMES
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.irregular_motion import (

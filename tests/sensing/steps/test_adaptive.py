@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import bumps, flat_attitude, imu, sensed, uniform_block, walk_of_bumps
 
-from pdr_filter.io.formats import read
+from pdr_filter.data.io.formats import read
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.adaptive_detector import (

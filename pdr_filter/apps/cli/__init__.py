@@ -1,0 +1,5 @@
+"""Command line `pdr-filter`."""
+
+from pdr_filter.apps.cli.app import main
+
+__all__ = ["main"]

@@ -1,0 +1,61 @@
+"""Command line `pdr-filter`. Results are on stdout; progress, warnings and errors are on stderr.
+
+Exit codes: 0 for success, 1 if some of several files failed, 2 if all files failed or an option is invalid, and 130 if
+the user interrupted the command.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from pdr_filter.apps.cli.calibrate import calibrate, smooth
+from pdr_filter.apps.cli.compare import compare
+from pdr_filter.apps.cli.convert import convert
+from pdr_filter.apps.cli.info import info
+from pdr_filter.apps.cli.live import live
+from pdr_filter.apps.cli.map import map_folder
+from pdr_filter.apps.cli.options import in_groups
+from pdr_filter.apps.cli.plan import plan
+from pdr_filter.apps.cli.radio import radio
+from pdr_filter.apps.cli.simulate import demo, simulate
+from pdr_filter.apps.cli.track import track
+from pdr_filter.apps.cli.train import train
+from pdr_filter.apps.cli.workbench import app as workbench
+from pdr_filter.version import __version__
+
+app = typer.Typer(
+    name="pdr-filter",
+    help="Pedestrian dead reckoning: estimate a track with its uncertainty from the inertial sensors of a phone.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+for command in (track, info, convert, plan, train, compare, calibrate, smooth, radio, simulate, demo, live, workbench):
+    app.command()(in_groups(command))
+app.command("map")(in_groups(map_folder))
+
+
+def main() -> None:
+    """Run the command line."""
+    app()
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"pdr-filter {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+if __name__ == "__main__":
+    main()

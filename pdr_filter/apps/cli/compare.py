@@ -1,0 +1,324 @@
+"""Command `pdr-filter compare`, which compares the weightings HC, WC and IMM, or recipes.
+
+HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the step
+lengths, weighted with the context probabilities. IMM is the interacting multiple model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pdr_filter.apps.cli import console
+from pdr_filter.apps.cli.console import escape
+from pdr_filter.apps.cli.options import (
+    AsJson,
+    ClassifierName,
+    Files,
+    FixesFile,
+    ModelFile,
+    PersonFile,
+    PlacementOptions,
+    Source,
+    TransitionsFile,
+    context_changes,
+)
+from pdr_filter.values.sanitise import file_name
+
+if TYPE_CHECKING:
+    from pdr_filter.recipes.config import Config
+    from pdr_filter.tracking.track import Track
+    from pdr_filter.values import Table
+    from pdr_filter.values.recording import Recording
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Tracks of one recording by weighting or recipe. The last track is the baseline of the comparison.
+
+    Attributes
+    ----------
+    recording : Recording
+        Recording that was tracked.
+    tracks : dict of str to Track
+        Track of each weighting or recipe.
+    rmse_m : dict of str to float
+        Position RMSE of each track; empty without --truth.
+    errors : Table
+        Errors of the tracks, from `evaluate.comparison_table`.
+    in_contexts : Table or None
+        Errors by context, from `evaluate.context_errors`; None without context labels.
+    by_contexts : Table or None
+        Errors of the distance that are due to contexts, from `evaluate.weighting_errors`; None without labels of steps,
+        and for recipes.
+    """
+
+    recording: Recording
+    tracks: dict[str, Track]
+    rmse_m: dict[str, float]
+    errors: Table
+    in_contexts: Table | None
+    by_contexts: Table | None
+
+    def summary(self) -> dict[str, Any]:
+        """Return the results of all tracks as JSON values: the name of the recording, and a summary for each track."""
+        rows = [
+            {"track": name, **track.summary(), **({"rmse_m": self.rmse_m[name]} if name in self.rmse_m else {})}
+            for name, track in self.tracks.items()
+        ]
+        return {"name": self.recording.name, "tracks": rows}
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Options for configuration, person and fixes, which all compared tracks share."""
+
+    recipe: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Recipe to compare. Repeat the option for each recipe. Several recipes replace the comparison of "
+            "weightings."
+        ),
+    ] = None
+    classifier: ClassifierName = None
+    model: ModelFile = None
+    transitions: TransitionsFile = None
+    person: PersonFile = None
+    fixes: FixesFile = None
+    fix_std_m: Annotated[
+        float, typer.Option("--fix-std", min=0.01, help="Standard deviation in m of fixes without std_m.")
+    ] = 1.0
+
+    def check(self, n_files: int) -> None:
+        """Raise ValueError for an unknown recipe, and for fixes of more than one recording."""
+        import pdr_filter as pdr
+
+        for name in self.recipe or ():
+            pdr.recipes.check_name(name)
+        if self.fixes is not None and n_files > 1:
+            raise ValueError(f"--fixes are of one recording, got {n_files} recordings: compare them one by one")
+
+    def config(self, recording: Recording, name: str) -> Config:
+        """Return the configuration of a recipe with the given models."""
+        import pdr_filter as pdr
+
+        changed = context_changes(self.classifier, self.model, self.transitions, name)
+        config = changed(pdr.recipes.for_recording(name, recording))
+        return config if self.fixes is None else config.in_world_frame()
+
+    def tracks(
+        self, recording: Recording, where: dict[str, Any], progress: Callable[[float], None]
+    ) -> dict[str, Track]:
+        """Return the track of each weighting, or of each recipe if there are several.
+
+        `where` are the arguments of `PlacementOptions`. The recording's own locations are used only on request.
+        """
+        import pdr_filter as pdr
+        from pdr_filter.data.io.fix_files import fixes_of_file
+
+        options: dict[str, Any] = {
+            **where,
+            "gnss": where["gnss"] or "off",
+            "person": self.person,
+            "fixes": () if self.fixes is None else fixes_of_file(self.fixes, self.fix_std_m),
+        }
+        first, *others = self.recipe or ["default"]
+        if not others:
+            return pdr.evaluate.weighting_tracks(recording, self.config(recording, first), progress, **options)
+        tracks: dict[str, Track] = {}
+        for i, name in enumerate(self.recipe or ()):
+
+            def show(fraction: float, i: int = i) -> None:
+                progress((i + fraction) / (1 + len(others)))
+
+            tracks[name] = pdr.track(recording, self.config(recording, name), progress=show, **options)
+        return tracks
+
+    def by_contexts(self, recording: Recording) -> Table | None:
+        """Return the errors of the weightings that are due to contexts, or None if no context of a step is known.
+
+        They need no known length, and have the step lengths of the recipe.
+        """
+        import pdr_filter as pdr
+
+        names = self.recipe or ["default"]
+        try:
+            config = self.config(recording, names[0])
+            return None if len(names) > 1 else pdr.evaluate.weighting_errors(recording, config)
+        except ValueError:
+            return None
+
+
+def compare(
+    files: Files,
+    setting: Setting,
+    placement: PlacementOptions,
+    source: Source,
+    truth: Annotated[
+        bool,
+        typer.Option(
+            "--truth",
+            help="Also show mean errors over persons, and the position error of each recording after rigid alignment "
+            "to its ground truth.",
+        ),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for NAME.compare.html, which shows all tracks, and for tables (CSV, LaTeX)."),
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare the weightings HC, WC and IMM on recordings, or several recipes.
+
+    HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
+    step lengths, weighted with the context probabilities. IMM is the interacting multiple model. Tracks are online.
+
+    With --calibration, all tracks have the step lengths of a calibration. Calibrate on some people, and compare on the
+    others.
+    """
+    import numpy as np
+
+    import pdr_filter as pdr
+    from pdr_filter.apps.report.html import write_report
+
+    written: set[str] = set()
+    without: list[str] = []  # names of recordings without ground truth
+    replaced: list[Path] = []
+
+    def compare_one(file: Path, progress: Callable[[float], None]) -> Compared:
+        recording = source.read(file)
+        tracks = setting.tracks(recording, where, progress)
+        errors = pdr.evaluate.comparison_table(recording, tracks)
+        labels = recording.truth.labels
+        in_contexts = None if labels is None or not len(labels) else pdr.evaluate.context_errors(recording, tracks)
+        is_known = truth and bool(np.isfinite(errors.rmse_m).all())
+        rmse_m = dict(zip(tracks, errors.rmse_m.tolist(), strict=True)) if is_known else {}
+        by_contexts = None if out is None or in_contexts is None else setting.by_contexts(recording)
+        found = Compared(recording, tracks, rmse_m, errors, in_contexts, by_contexts)
+        if truth and not is_known:
+            without.append(recording.name)
+        if out is not None:
+            named = [replace(track, name=f"{recording.name}, {name}") for name, track in tracks.items()]
+            path = out / f"{console.unique_name(file_name(recording.name), written)}.compare.html"
+            if path.exists():
+                replaced.append(path)
+            write_report(named, path, recording)
+        if as_json:
+            console.print_json(found.summary())
+        return found
+
+    with console.one_line_errors():
+        files = console.recordings_of(files)
+        setting.check(len(files))
+        where = placement.arguments()
+    compared, failed = console.each(files, compare_one, as_json)
+    study = _study(compared) if truth or out is not None else None
+    if study is not None and out is not None:
+        with console.one_line_errors():
+            replaced += _write(study, compared, out)
+    if compared and not as_json:
+        _print(compared)
+        if study is not None:
+            _print_study(study)
+        console.say_written(out)
+    console.say_without_truth(without)
+    console.say_replaced(replaced)
+    console.exit_if_failed(failed, len(files))
+
+
+def _print(compared: Sequence[Compared]) -> None:
+    has_truth = any(found.rmse_m for found in compared)
+    columns = ["recording", "track", "steps", "distance", "difference to the last", "end east", "end north"]
+    columns += ["± at the end", "end to last end", *(["error (RMSE)"] if has_truth else [])]
+    table = console.new_table(*columns, n_keys=2)
+    for found in compared:
+        *_, reference = found.tracks.values()
+        reference_end = reference.summary()
+        for i, (name, track) in enumerate(found.tracks.items()):
+            end = track.summary()
+            apart_east_m = end["end_east_m"] - reference_end["end_east_m"]
+            apart_north_m = end["end_north_m"] - reference_end["end_north_m"]
+            is_reference = track is reference
+            table.add_row(
+                escape(found.recording.name) if i == 0 else "",
+                name,
+                str(track.n_steps),
+                console.in_m(track.distance_m),
+                "" if is_reference else console.in_m(track.distance_m - reference.distance_m, "+.1f"),
+                console.in_m(end["end_east_m"]),
+                console.in_m(end["end_north_m"]),
+                console.in_m(end["end_std_m"]) if track.n_steps else "",
+                "" if is_reference else console.in_m((apart_east_m**2 + apart_north_m**2) ** 0.5),
+                *([console.in_m(found.rmse_m[name]) if found.rmse_m else ""] if has_truth else []),
+                end_section=is_reference,
+            )
+    table.caption = console.STD_CAPTION
+    console.print_table(table)
+    console.print_notes([list(found.tracks.values())[-1] for found in compared])
+
+
+def _study(compared: Sequence[Compared]) -> Table | None:
+    """Return a table of mean errors over persons (`evaluate.study_table`), or None if no recording has ground truth.
+
+    Each recording without a name of its person counts as another person.
+    """
+    import numpy as np
+
+    import pdr_filter as pdr
+    from pdr_filter.evaluate.comparison import MEASURES
+
+    if not any(np.isfinite(found.errors[name]).any() for found in compared for name in MEASURES):
+        return None
+    # recordings without a name of the person count as different persons
+    people = [found.recording.subject.id or f"recording {k}" for k, found in enumerate(compared)]
+    return pdr.evaluate.study_table([found.errors for found in compared], people)
+
+
+def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
+    """Write the tables of study, recordings and contexts as CSV and LaTeX, and return the files that were replaced."""
+    import numpy as np
+
+    from pdr_filter.evaluate import study_rows, write_tables
+    from pdr_filter.values import table
+
+    def joined(parts: Sequence[tuple[str, Table]]) -> Table:
+        names = parts[0][1].dtype.names or ()
+        columns = {name: np.concatenate([part[name] for _, part in parts]) for name in names}
+        return table({"recording": np.concatenate([np.full(len(part), of) for of, part in parts]), **columns})
+
+    tables = {"study": study, "recordings": joined([(found.recording.name, found.errors) for found in compared])}
+    labelled = [(found.recording.name, found.in_contexts) for found in compared if found.in_contexts is not None]
+    if labelled:
+        tables["contexts"] = joined(labelled)
+    weighted = [(found.recording.name, found.by_contexts) for found in compared if found.by_contexts is not None]
+    if weighted:
+        tables["weightings"] = joined(weighted)
+    before = console.existing(*(out / f"{name}{suffix}" for name in tables for suffix in (".csv", ".tex")))
+    for name, rows in tables.items():
+        write_tables(rows, out / name, 2, _CAPTIONS[name], study_rows(study) if name == "study" else None)
+    return before
+
+
+_CAPTIONS = {
+    "study": r"Mean absolute errors over persons, $\pm$ half of the 95\,\% interval.",
+    "recordings": "Errors of each recording.",
+    "contexts": "Errors by context.",
+    "weightings": "Error of the distance against the same steps with known contexts.",
+}
+
+
+def _print_study(study: Table) -> None:
+    """Print mean errors with their 95 % intervals."""
+    from pdr_filter.evaluate import study_rows
+
+    rows = study_rows(study)
+    shown = console.new_table(*rows[0], n_keys=2)
+    for row in rows:
+        shown.add_row(*map(str, row.values()))
+    has_interval = any("±" in str(row["mean"]) for row in rows)
+    shown.caption = f"mean absolute errors over persons{', ± half of the 95 % interval' if has_interval else ''}"
+    console.print_table(shown)

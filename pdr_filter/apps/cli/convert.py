@@ -1,0 +1,80 @@
+"""Command `pdr-filter convert`, which converts a file of any app to a recording and explains the column mapping."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pdr_filter.apps.cli import console
+from pdr_filter.values.sanitise import file_name, printable, printable_lines
+
+
+class PlatformOption(StrEnum):
+    """Platform of the phone, which decides the sign of the acceleration."""
+
+    IOS = "ios"
+    ANDROID = "android"
+
+
+def convert(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder of any app.")],
+    mapping: Annotated[
+        Path | None, typer.Option("--map", help="TOML file with the column mapping. Default: the mapping is guessed.")
+    ] = None,
+    platform: Annotated[
+        PlatformOption | None,
+        typer.Option(
+            help="Platform of the phone, which decides the sign of the acceleration. Needed only when it cannot be "
+            "detected."
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Output file. Default: NAME_recording.zip next to FILE.")] = None,
+) -> None:
+    """Convert a file to a recording, and show the column mapping with its reasons.
+
+    The column mapping of a table is written next to the recording, as NAME_recording.toml. If a column is mapped
+    wrongly, correct this file and pass it with --map. Existing files are never overwritten.
+    """
+    from pdr_filter.data.io.describe import reading_report
+    from pdr_filter.data.io.detection import detect
+    from pdr_filter.data.io.files.archive import outside
+    from pdr_filter.data.io.files.safe_files import write_text
+    from pdr_filter.data.io.folders import only_recording_in
+    from pdr_filter.data.io.formats import read
+    from pdr_filter.data.io.tables.any_table import read_guessed, read_mapped
+    from pdr_filter.data.io.tables.column_mapping import read_mapping
+
+    with console.one_line_errors():
+        if mapping is not None and platform is not None:
+            raise ValueError(
+                f"--platform {platform.value} and --map {mapping} both set the sign "
+                "of the acceleration: omit --platform"
+            )
+        text = ""
+        of_platform = None if platform is None else platform.value
+        file = only_recording_in(file)
+        if mapping is not None:
+            recording = read_mapped(file, read_mapping(mapping))
+        elif detect(file) == "table":
+            found = read_guessed(file, of_platform)
+            recording, text = found.recording, found.guess.mapping.toml()
+        else:
+            recording = read(file, platform=of_platform)
+        to = out or outside(file.absolute())[0].with_name(f"{file_name(recording.name)}_recording.zip")
+        mapping_path = to.with_suffix(".toml") if to.suffix else to.with_name(f"{to.name}.toml")
+        for path in (to, *([mapping_path] if text else [])):
+            if path.exists():
+                raise ValueError(
+                    f"{path} already exists, and convert does not overwrite files: give --out another name"
+                )
+        for line in (*reading_report(recording).lines(), *([""] if text else [])):
+            typer.echo(printable(line))
+        typer.echo(printable_lines(text), nl=False)
+        written = [recording.save(to)]
+        if text:
+            written.append(write_text(mapping_path, text))
+    for path in written:
+        console.stderr().print(f"written: {console.escape(str(path))}")

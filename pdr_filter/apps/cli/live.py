@@ -1,0 +1,287 @@
+"""Command `pdr-filter live`, a server that tracks the phones that send it samples."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+import sys
+import tempfile
+import uuid
+from collections.abc import Callable, Coroutine
+from contextlib import ExitStack
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pdr_filter.apps.cli import console
+from pdr_filter.apps.cli.options import Height
+
+if TYPE_CHECKING:
+    from pdr_filter.apps.live.hub import Live
+    from pdr_filter.values.recording import Recording
+
+
+# Interval at which the server is checked for shutdown.
+_POLL_S = 0.1
+
+
+class Platform(StrEnum):
+    """Platform of a phone, which decides the sign of the acceleration."""
+
+    IOS = "ios"
+    ANDROID = "android"
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Address of the server, and the token for access."""
+
+    host: Annotated[
+        str,
+        typer.Option(
+            help="Address on which the server listens. 0.0.0.0 accepts phones in the same network, with a token."
+        ),
+    ] = "127.0.0.1"
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port. 0 takes any free port.")] = 8000
+    token: Annotated[
+        str | None,
+        typer.Option(
+            help="Access token, which is part of the URL. Default: a random token if the server accepts other machines."
+        ),
+    ] = None
+    https: Annotated[
+        bool,
+        typer.Option(
+            "--https",
+            help="Serve over HTTPS with a self-made certificate, which the page that sends from a browser needs.",
+        ),
+    ] = False
+
+    @property
+    def name(self) -> str:
+        """Name or address by which phones reach this computer."""
+        from pdr_filter.apps.live.access import lan_address
+
+        return lan_address() if self.host in ("0.0.0.0", "::") else self.host
+
+    def address(self, port: int) -> str:
+        """URL of the server without a path."""
+        host = f"[{self.name}]" if ":" in self.name else self.name
+        return f"http{'s' * self.https}://{host}:{port}"
+
+
+@dataclass(frozen=True, slots=True)
+class Phones:
+    """Options for phones and pedestrians."""
+
+    platform: Annotated[
+        Platform | None,
+        typer.Option(
+            help="Platform of the phones, which decides the sign of the acceleration. Needed only when it cannot be "
+            "detected."
+        ),
+    ] = None
+    height_m: Height = None
+    recipe: Annotated[str, typer.Option(help="Name of a recipe, or module:function for a recipe of your own.")] = (
+        "default"
+    )
+    max_devices: Annotated[int, typer.Option(min=1, help="Maximum number of phones at the same time.")] = 64
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes among which the phones are divided.")] = 1
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Address of a Dask cluster among whose machines the phones are divided, such as tcp://host:8786. All "
+            "machines need access to the folder of --record."
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """Raise ValueError for a recipe that does not exist or cannot be saved with a session."""
+        if self.recipe != "default":
+            from pdr_filter.apps.live.session import plain_config_bytes
+            from pdr_filter.apps.live.settings import Settings
+
+            plain_config_bytes(Settings(self.recipe, self.height_m))
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """Sources from which the server fetches samples."""
+
+    phyphox: Annotated[
+        list[str] | None,
+        typer.Option(metavar="HOST:PORT", help="Address of a phone that runs phyphox with remote access enabled."),
+    ] = None
+    sensorserver: Annotated[
+        list[str] | None, typer.Option(metavar="HOST:PORT", help="Address of an Android phone that runs SensorServer.")
+    ] = None
+    mqtt: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="URL",
+            help="Topic of an MQTT broker: mqtt://HOST/TOPIC or mqtts://HOST/TOPIC, with "
+            "USER:PASSWORD@ before HOST if needed.",
+        ),
+    ] = None
+    replay: Annotated[Path | None, typer.Option(help="Replay this recording instead of listening to a phone.")] = None
+    speed: Annotated[float, typer.Option(min=0.01, help="Playback speed relative to real time.")] = 1.0
+
+    def walk(self) -> Recording | None:
+        """Return the recording that is replayed, or None."""
+        from pdr_filter.data.io.formats import read
+
+        return None if self.replay is None else read(self.replay)
+
+    def tasks(self, walk: Recording | None, shared: Live) -> list[Coroutine[Any, Any, None]]:
+        """Return a coroutine for each source, which fetches its samples and passes them to the server `shared`."""
+        from pdr_filter.apps.live import sources
+
+        def say(text: str) -> None:
+            console.say_error(text)
+
+        def take(name: str) -> sources.Taker:
+            return sources.told(shared.take, name, say)
+
+        session = uuid.uuid4().hex[:8]
+        made: list[tuple[str, Callable[[], Coroutine[Any, Any, None]]]] = [
+            *((at, sources.Phyphox(at, take(at)).run) for at in self.phyphox or ()),
+            *((at, partial(sources.sensor_server, at, session, take(at))) for at in self.sensorserver or ()),
+            *(("--mqtt", sources.Mqtt(at, take("--mqtt")).run) for at in self.mqtt or ()),  # `at` may have a password
+        ]
+        replay = [] if walk is None else [sources.replay(walk, self.speed, take(f"--replay {walk.name}"))]
+        return [*(sources.again(name, source, say) for name, source in made), *replay]
+
+
+def live(
+    address: Address,
+    phones: Phones,
+    sources: Sources,
+    record: Annotated[
+        Path | None, typer.Option(help="Folder for recordings. A restarted server resumes the walks in it.")
+    ] = None,
+    tiles: Annotated[str, typer.Option(metavar="URL", help="URL of map tiles, which contains {z}, {x} and {y}.")] = "",
+) -> None:
+    """Track phones in real time. A web page shows the position of each phone with its uncertainty.
+
+    Phones send with Sensor Logger, SensorServer, phyphox, MQTT or their browser, as described in docs/live.md.
+    """
+    with console.one_line_errors(), ExitStack() as opened:
+        try:
+            import uvicorn
+
+            from pdr_filter.apps.live.certificate import certificate
+            from pdr_filter.apps.live.hub import Live
+            from pdr_filter.apps.live.server import app
+        except ImportError as error:
+            raise ValueError(
+                f'the packages of the live server are not installed ({error}): pip install "pdr_filter[live]"'
+            ) from None
+        from pdr_filter.apps.live.access import is_loopback, made_token
+        from pdr_filter.apps.live.settings import Settings
+
+        phones.check()
+        walk = sources.walk()  # before the server starts, because a bad file must end the command
+        is_open = not is_loopback(address.host)
+        token = (address.token or made_token(record)) if is_open or address.token else ""
+        platform = "" if phones.platform is None else phones.platform.value
+        settings = Settings(phones.recipe, phones.height_m, platform, phones.max_devices)
+        folder = record or Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="pdr_filter_live_")))
+        folder.mkdir(parents=True, exist_ok=True)
+        shared = Live(settings, folder, phones.workers, phones.scheduler or "")
+        certified: dict[str, Any] = {}
+        if address.https:
+            certified["ssl_certfile"] = certificate(folder / "certificate", address.name)
+        config = uvicorn.Config(
+            app(shared, token, tiles),
+            **certified,
+            log_level="warning",
+            access_log=False,
+            ws_max_size=4 * 1024**2,
+            timeout_graceful_shutdown=2,
+            lifespan="off",
+        )
+
+        def say(port: int) -> None:
+            _print_addresses(address, port, token)
+
+        listening = opened.enter_context(bound(address.host, address.port))
+        asyncio.run(_run(shared, uvicorn.Server(config), listening, partial(sources.tasks, walk), say))
+
+
+def bound(host: str, port: int) -> socket.socket:
+    """Return a bound socket. ValueError if the address is in use or not permitted."""
+    made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        made.bind((host, port))
+    except OSError as error:
+        made.close()
+        raise ValueError(
+            f"cannot listen on {host}, port {port}: {error.strerror}; give another --host or --port"
+        ) from None
+    return made
+
+
+async def _run(
+    shared: Live,
+    server: Any,
+    listening: socket.socket,
+    tasks: Callable[[Live], list[Coroutine[Any, Any, None]]],
+    say: Callable[[int], None],
+) -> None:
+    """Start the workers, serve, and stop the workers at the end."""
+    try:
+        await shared.start()
+        await served(server, listening, [*tasks(shared), until_exit(server, shared.broadcast.end)], say)
+    finally:
+        await shared.stop()
+
+
+async def until_exit(server: Any, end: Callable[[], None]) -> None:
+    """Call a function when the server shuts down, to close event streams: the server waits for open connections."""
+    while not server.should_exit:
+        await asyncio.sleep(_POLL_S)
+    end()
+
+
+async def served(
+    server: Any, listening: socket.socket, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]
+) -> None:
+    """Serve until Ctrl+C. Sources start when the server accepts connections."""
+    serving = asyncio.create_task(server.serve([listening]))
+    while not (server.started or serving.done()):
+        await asyncio.sleep(0.02)
+    say(listening.getsockname()[1])
+    fetching = [asyncio.create_task(_run_source(source)) for source in sources]
+    try:
+        await serving
+    finally:
+        for task in fetching:
+            task.cancel()
+
+
+async def _run_source(source: Coroutine[Any, Any, None]) -> None:
+    """Run a source. A ValueError or OSError that ends it is printed, so that the other sources continue."""
+    try:
+        await source
+    except (ValueError, OSError) as error:
+        console.say_error(console.message(error))
+
+
+def _print_addresses(address: Address, port: int, token: str) -> None:
+    """Print the URLs of the server, and a QR code for phones if there is a token."""
+    import segno
+
+    root, query = address.address(port), f"?token={token}" if token else ""
+    out = console.stderr()
+    out.print(f"page         {root}/{query}")
+    out.print(f"phones send  {root}/data{query}")
+    if address.https:
+        out.print(f"browsers     {root}/phone{query}")
+    if token:
+        segno.make(f"{root}/{'phone' * address.https}{query}", micro=False).terminal(sys.stderr, compact=True)
+    out.print("Ctrl+C stops the server.")

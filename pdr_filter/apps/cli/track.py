@@ -1,0 +1,347 @@
+"""Command `pdr-filter track`, which tracks recordings one by one, or many recordings into one table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from pdr_filter.apps.cli import console
+from pdr_filter.apps.cli.index_page import write_index
+from pdr_filter.apps.cli.options import (
+    AnchorsFile,
+    AsJson,
+    ClassifierName,
+    Files,
+    Folder,
+    Loop,
+    ModelFile,
+    Online,
+    PersonFile,
+    PlacementOptions,
+    RadioFile,
+    RangesFile,
+    Scheduler,
+    Source,
+    TransitionsFile,
+    context_changes,
+    ranges_of,
+)
+from pdr_filter.values.sanitise import file_name
+
+if TYPE_CHECKING:
+    from pdr_filter.recipes.config import Config
+    from pdr_filter.tracking.track import Track
+    from pdr_filter.values.recording import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """Options for recipe, models, persistent files and fixes of a track."""
+
+    recipe: Annotated[
+        str, typer.Option(help="Name of a recipe, such as default, or module:function for a recipe of your own.")
+    ] = "default"
+    weighting: Annotated[
+        Literal["hc", "wc", "imm"] | None,
+        typer.Option(
+            help="Weighting of the contexts: highest context (hc), weighted context (wc) or interacting multiple model "
+            "(imm). Default: the weighting of the recipe."
+        ),
+    ] = None
+    classifier: ClassifierName = None
+    model: ModelFile = None
+    transitions: TransitionsFile = None
+    device: Annotated[
+        Path | None,
+        typer.Option(
+            help="File with the gyroscope bias of the phone. It is read if it exists, and updated after the walk."
+        ),
+    ] = None
+    person: PersonFile = None
+    radio: RadioFile = None
+    ranges: RangesFile = None
+    anchors: AnchorsFile = None
+    online: Online = False
+    loop: Loop = False
+
+    def changes(self) -> Callable[[Config], Config]:
+        """Return a function that puts --classifier, --model and --transitions into a configuration.
+
+        ValueError or OSError for a recipe, file or combination that cannot be used, before any recording is read.
+        """
+        from pdr_filter import recipes
+
+        recipes.check_name(self.recipe)
+        return context_changes(self.classifier, self.model, self.transitions, self.recipe)
+
+
+@dataclass(frozen=True, slots=True)
+class OutputOptions:
+    """Options for the files that are written."""
+
+    out: Folder = None
+    export: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KIND,...", help="Also write NAME.KIND for each KIND: csv, geojson, gpx, kml, parquet or tum."
+        ),
+    ] = None
+    report: Annotated[
+        bool, typer.Option("--report", help="Also write NAME.html, a page with map, charts and notes.")
+    ] = False
+    parquet: Annotated[
+        bool,
+        typer.Option(
+            "--parquet",
+            help="Also write NAME.parquet. With --jobs or --scheduler, write the table as Parquet instead of CSV.",
+        ),
+    ] = False
+
+    @property
+    def table(self) -> Path:
+        """Path of the table of many recordings. ValueError without --out."""
+        if self.out is None:
+            raise ValueError("--jobs and --scheduler write one table, and its folder is not given: add --out FOLDER")
+        return self.out / ("tracks.parquet" if self.parquet else "tracks.csv")
+
+    @property
+    def kinds(self) -> list[str]:
+        """Requested kinds of files, without duplicates. ValueError for an unknown kind."""
+        requested = [kind.strip().lower() for part in self.export or () for kind in part.split(",")]
+        for kind in requested:
+            if kind not in _EXPORTS:
+                raise ValueError(
+                    f"--export must be one or several of {', '.join(_EXPORTS)}, separated by commas, got {kind!r}"
+                )
+        return list(dict.fromkeys([*requested, *(["parquet"] if self.parquet else [])]))
+
+    def check(self) -> None:
+        """Raise ValueError for options that cannot be used. Call it before files are read."""
+        from pdr_filter.data.io.files.track_writers import pandas_for_parquet
+
+        if "parquet" in self.kinds:
+            pandas_for_parquet(self.out or Path())
+
+    def write(self, tracks: Sequence[Track], recording: Recording, name: str) -> list[Path]:
+        """Write the files of one recording, and return the existing files that were replaced.
+
+        The first track is written to all files. Further tracks appear only in the report. ValueError for GPX or KML of
+        a track without a geographic position.
+        """
+        result = tracks[0]
+        folder, kinds = self.out or Path(), self.kinds
+        before = console.modified_ns(folder, name)
+        geographic = [kind for kind in kinds if kind in ("gpx", "kml")]
+        if geographic and result.origin is None:
+            raise ValueError(
+                f"{result.name}: --export {','.join(geographic)} needs a geographic position, and no locations were "
+                "used: give --origin LAT,LON, with --heading DEG for the first walking direction, or "
+                "export geojson, which also stores local metres"
+            )
+        if self.out is not None:
+            console.write_track(result, folder, name)
+            if result.origin is not None:
+                kinds = [*kinds, "geojson"]
+        for kind in dict.fromkeys(kinds):
+            _EXPORTS[kind](result, folder / f"{name}.{kind}", recording)
+        if self.report:
+            from pdr_filter.apps.report.html import write_report
+
+            write_report(tracks, folder / f"{name}.html", recording)
+        return console.overwritten(before)
+
+
+# Function that writes each kind of file.
+_EXPORTS: Mapping[str, Callable[[Track, Path, Recording], Path]] = {
+    "csv": lambda track, path, _: track.to_csv(path),
+    "geojson": lambda track, path, _: console.write_map(track, path),
+    "gpx": lambda track, path, recording: track.to_gpx(path, epoch_s=recording.epoch_s or 0.0),
+    "kml": lambda track, path, _: track.to_kml(path),
+    "parquet": lambda track, path, _: track.to_parquet(path),
+    "tum": lambda track, path, _: track.to_tum(path),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class WorkerOptions:
+    """Options for parallel processing of many recordings."""
+
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Number of processes. Writes one table, from which an interrupted run resumes."),
+    ] = None
+    scheduler: Scheduler = None
+
+    def make_one_table(self) -> bool:
+        """Return True if the results are written to one table."""
+        return self.jobs is not None or self.scheduler is not None
+
+
+def track(
+    files: Files,
+    method: Method,
+    placement: PlacementOptions,
+    source: Source,
+    output: OutputOptions,
+    workers: WorkerOptions,
+    as_json: AsJson = False,
+) -> None:
+    """Track recordings, and show steps, distance, end point and contexts of each.
+
+    The track is smoothed from the whole recording. The report also shows the online track, that is, the estimates that
+    were available at each step. With --online, all results are of the online track.
+
+    ± at the end is one standard deviation in the worst direction.
+
+    A folder is replaced by all recordings in it. With --out, table, picture and report of each recording are written,
+    and index.html lists them. Without --out, only the files of --export, --report and --parquet are written, to the
+    current folder.
+
+    --jobs and --scheduler write one table for all recordings, tracks.csv in the folder of --out, with online tracks.
+    The table grows as recordings finish, and an interrupted run resumes from it.
+    """
+    import pdr_filter as pdr
+    from pdr_filter.filter.step_length.person import MAX_SESSION_STD
+    from pdr_filter.recipes.step_length_calibration import Calibration, read_person
+
+    with console.one_line_errors():
+        if workers.make_one_table():
+            _check_one_table(method, placement, output, as_json)
+            _track_many(files, method, placement, source, output.table, workers)
+            return
+        given, files = files, console.recordings_of(files)
+        if output.out is not None and files != given:
+            output = replace(output, report=True)
+        output.check()
+        changes = method.changes()
+        where = placement.arguments()
+        radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
+        ranges = ranges_of(method.ranges, method.anchors, where.get("origin"))
+        if ranges and len(files) > 1:
+            raise ValueError(
+                f"--ranges are measured in one recording, got {len(files)} recordings: track them one by one"
+            )
+    written: set[str] = set()
+    replaced: list[Path] = []
+    listed: dict[str, Track] = {}
+
+    def track_one(file: Path, progress: Callable[[float], None]) -> Track:
+        recording = source.read(file)
+        config = changes(pdr.recipes.for_recording(method.recipe, recording))
+        if radio is not None or ranges:
+            config = config.in_world_frame()
+        device = method.device if method.device is not None and method.device.exists() else None
+        person = read_person(method.person) if method.person is not None and method.person.exists() else None
+        heard = [] if radio is None else [*radio.fixes(recording), *(radio.grids(recording) if placement.plan else [])]
+        tracks = console.estimates(
+            recording,
+            method.online,
+            method.loop,
+            output.report,
+            progress,
+            config=config,
+            weighting=method.weighting,
+            fixes=[*heard, *ranges],
+            device=device,
+            person=person,
+            **where,
+        )
+        result = tracks[0]
+        if method.device is not None and result.device is not None:
+            result.device.save(method.device)
+        if method.person is not None and result.person is not None and not isinstance(person, Calibration):
+            result.person.save(method.person)
+        name = console.unique_name(file_name(result.name), written)
+        replaced.extend(output.write(tracks, recording, name))
+        listed[name] = result
+        if as_json:
+            console.print_json(result.summary())
+        return result
+
+    tracks, failed = console.each(files, track_one, as_json)
+    console.say_replaced(replaced)
+    if tracks and method.person is not None and not method.person.exists():
+        console.stderr().print(
+            console.escape(
+                f"{method.person} was not written, because the fixes of the walk do not determine the step length to "
+                f"{MAX_SESSION_STD:.0%}: track a walk of ten minutes outdoors, or give known positions"
+            )
+        )
+    if output.out is not None and files != given and listed:
+        with console.one_line_errors():
+            write_index(listed, failed, output.out / "index.html")
+    if tracks and not as_json:
+        console.print_tracks(tracks)
+        console.say_written(output.out)
+    console.exit_if_failed(failed, len(files))
+
+
+def _check_one_table(method: Method, placement: PlacementOptions, output: OutputOptions, as_json: bool) -> None:
+    """Raise ValueError for options of a single recording if many recordings are written to one table."""
+    single_options = {
+        "--classifier": method.classifier,
+        "--model": method.model,
+        "--transitions": method.transitions,
+        "--device": method.device,
+        **replace(placement, gnss=None).given(),
+        "--radio": method.radio,
+        "--ranges": method.ranges,
+        "--loop": method.loop,
+        "--export": output.export,
+        "--report": output.report,
+        "--json": as_json,
+    }
+    if given := [name for name, value in single_options.items() if value]:
+        raise ValueError(
+            f"{', '.join(given)} cannot be used with --jobs or --scheduler, which write one table of many recordings: "
+            "omit one or the other"
+        )
+
+
+def _track_many(
+    files: Sequence[Path],
+    method: Method,
+    placement: PlacementOptions,
+    source: Source,
+    table: Path,
+    workers: WorkerOptions,
+) -> None:
+    from pdr_filter.apps import batch
+
+    with console.progress("tracking") as show:
+
+        def show_progress(p: batch.Progress) -> None:
+            left = "" if p.left_s is None else f", {p.left_s:.0f} s left"
+            show(p.fraction, f"{p.n_done}/{p.n}, {p.n_failed} failed{left}")
+
+        try:
+            rows = batch.track(
+                files,
+                method.recipe,
+                method.weighting,
+                out=table,
+                jobs=workers.jobs or 1,
+                scheduler=workers.scheduler,
+                progress=show_progress,
+                file_format=source.file_format,
+                height_m=source.height_m,
+                calibration=method.person,
+                gnss=placement.gnss,
+            )
+        except RuntimeError as error:  # the cluster does not respond
+            raise ValueError(console.message(error)) from error
+        except KeyboardInterrupt:
+            console.stderr().print(
+                f"stopped: finished recordings are in {console.escape(str(table))}; "
+                "run the same command again to resume"
+            )
+            raise typer.Exit(console.STOPPED) from None
+    failed = {Path(row.path): row.reason for row in rows if row.failed}
+    for path, reason in failed.items():
+        console.say_error(f"{path}: {reason}")
+    typer.echo(f"{len(rows) - len(failed)} recordings tracked, {len(failed)} failed: {table}")
+    console.exit_if_failed(failed, len(rows))

@@ -1,0 +1,119 @@
+"""Command `pdr-filter train`, which fits a context model on labelled recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pdr_filter.apps.cli import console
+from pdr_filter.apps.cli.console import escape
+
+
+class Classifier(StrEnum):
+    """Values of the option `--classifier`: the classifiers of `fit_contexts` that can be chosen by name."""
+
+    RVM = "rvm"
+    FOREST = "forest"
+    BLEND = "blend"
+    BOOSTED = "boosted"
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """Options for the context model."""
+
+    classifier: Annotated[
+        Classifier,
+        typer.Option(
+            metavar="NAME",
+            help="Relevance vector machine (rvm), random forest (forest), the mean of relevance vector machines and "
+            "extremely randomised trees (blend), or of logistic regression and boosted trees (boosted).",
+        ),
+    ] = Classifier.RVM
+    carrying_modes: Annotated[
+        bool, typer.Option("--carrying-modes", help="Learn the carrying mode of the phone instead of the context.")
+    ] = False
+    name: Annotated[str, typer.Option(help="Name of the model and its files. Default: contexts or carrying.")] = ""
+
+
+def train(
+    out: Annotated[Path, typer.Option(help="Folder for NAME.npz and NAME.json, or transitions.json.")],
+    how: Fitting,
+    folder: Annotated[Path | None, typer.Argument(help="Folder of labelled recordings.")] = None,
+    sequences: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of recordings from which the transitions of the shipped model and "
+            "the exponents of its evidence are estimated. Replaces FOLDER."
+        ),
+    ] = None,
+) -> None:
+    """Fit a context model on labelled recordings, best of ten persons or more. Contexts may have any names.
+
+    The person of a recording is subject.id in its meta.json, or else the name of a folder: FOLDER/anna/1.zip. Labels
+    are read from truth_labels.csv. The report on stdout is from cross-validation with held-out persons, or with
+    held-out recordings if all are of one person.
+    """
+    if (folder is None) == (sequences is None):
+        console.say_error(
+            "give either FOLDER, or --sequences FOLDER for transitions only: exactly one of the two is needed"
+        )
+        raise typer.Exit(console.UNUSABLE)
+    before = {path: path.stat().st_mtime_ns for path in out.glob("*") if path.is_file()}
+    if folder is not None:
+        _fit(folder, out, how)
+    elif sequences is not None:
+        _estimate_transitions(sequences, out)
+    console.say_replaced(console.overwritten(before))
+
+
+def _fit(folder: Path, out: Path, how: Fitting) -> None:
+    """Fit a model on the recordings in a folder, write it and print its report."""
+    import pdr_filter as pdr
+
+    with console.one_line_errors(), console.progress("fitting") as show:
+        paths = console.recordings_of([folder])
+        recordings = [pdr.read(path) for path in paths]
+        people = [
+            str(recording.subject.id) if recording.subject.id else _person_of(path, folder)
+            for path, recording in zip(paths, recordings, strict=True)
+        ]
+        model = pdr.fit_contexts(
+            recordings,
+            how.classifier.value,
+            head="carrying_mode" if how.carrying_modes else "context",
+            people=people,
+            name=how.name,
+            progress=show,
+        )
+        path = model.save(out)
+    for line in model.report().split("\n"):
+        console.print_line(line)
+    console.stderr().print(f"written: {escape(str(path))}")
+
+
+def _person_of(path: Path, folder: Path) -> str:
+    """Return the name of the subfolder of `folder` that contains a recording, also in deeper folders.
+
+    It is "unnamed" for a recording directly in `folder`.
+    """
+    parts = path.resolve().relative_to(folder.resolve()).parts
+    return parts[0] if len(parts) > 1 else "unnamed"
+
+
+def _estimate_transitions(sequences: Path, out: Path) -> None:
+    """Estimate transitions and exponents for the shipped model from recordings, and write them to the folder `out`."""
+    from pdr_filter.offline.training import transition_training as training
+
+    with console.one_line_errors(), console.progress("training") as show:
+        changing = training.changing_recordings(console.recordings_of([sequences]))
+        card = training.train_evidence(
+            changing, out, training.shipped_model_without, lambda what, fraction: show(fraction, what)
+        )
+    typer.echo(out / "transitions.json")
+    for what in ("transition_prob", "exponents"):
+        console.stderr().print(f"{what}: {escape(card[what])}")

@@ -1,0 +1,99 @@
+"""Hub of the server: bodies of phones go to the workers, and events of the workers go to all readers."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import AsyncIterator
+from functools import partial
+from pathlib import Path
+
+from pdr_filter.apps.live.access import MAX_BODY_BYTES, Rates
+from pdr_filter.apps.live.broadcast import Broadcast
+from pdr_filter.apps.live.cluster import DaskCluster
+from pdr_filter.apps.live.messages import MessageError, parse
+from pdr_filter.apps.live.parts import Answer, Take
+from pdr_filter.apps.live.settings import Event, Settings
+from pdr_filter.apps.live.workers import Process, Starter, Workers
+
+
+class Live:
+    """State of a running server that all its requests share."""
+
+    def __init__(self, settings: Settings, folder: Path, n_workers: int = 1, scheduler: str = "") -> None:
+        self.settings, self.folder, self.n_workers, self.scheduler = settings, folder, n_workers, scheduler
+        self.rates = Rates()
+        self.sessions: dict[str, Event] = {}
+        self.broadcast = Broadcast()
+        self._workers: Workers | None = None
+        self._cluster: DaskCluster | None = None
+
+    @property
+    def workers(self) -> Workers:
+        """Workers of the running server; RuntimeError before it runs."""
+        if self._workers is None:
+            raise RuntimeError("the server does not run: call start() before, or do not use it after its end")
+        return self._workers
+
+    async def start(self) -> None:
+        """Start the workers, which load recent sessions; ValueError if one cannot start."""
+        start: Starter = partial(Process.start, self.settings, self.folder)
+        if self.scheduler:
+            self._cluster = DaskCluster(self.scheduler, self.settings, self.folder)
+            await self._cluster.connect()
+            start = self._cluster.start
+        self._workers = Workers(start, self.n_workers, self._shown)
+        await self._workers.start()
+        without = ("path", "history", "silent_s")
+        for key, track in (await self.tracks()).items():
+            self.sessions[key] = {n: v for n, v in track.items() if n not in without} | {"event": "session"}
+
+    async def tracks(self) -> dict[str, Event]:
+        """`track` events of all sessions, by the id of the session."""
+        return {event["id"]: event for event in await self.workers.whole() if event["event"] == "track"}
+
+    async def stop(self) -> None:
+        """Save all sessions and end the workers."""
+        if self._workers is not None:
+            await self._workers.close()
+        if self._cluster is not None:
+            await self._cluster.close()
+
+    async def take(self, body: bytes, device: str = "", session: str = "", platform: str = "") -> Answer:
+        """Pass the messages in the body of a request to the worker of their device, and return its answer.
+
+        `device`, `session` and `platform` are used for messages that do not contain them. The status is 413 for a body
+        that is too long, and 400 for one that is not understood or is of several devices. It is 429 if the device sends
+        too much.
+        """
+        if len(body) > MAX_BODY_BYTES:
+            return Answer(413, {"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"})
+        try:
+            messages = parse(body, device, session, platform)
+        except MessageError as error:
+            return Answer(400, {"error": str(error)})
+        names = {message.device for message in messages}
+        if len(names) > 1:
+            return Answer(400, {"error": "one body is of one device; send messages of different devices apart"})
+        name = next(iter(names), device)
+        if not self.rates.allows(name, len(body)):
+            return Answer(429, {"error": f"{name} sends too much; a phone may send 1 MB a second"})
+        return await self.workers.take(Take(name, messages, time.time()))
+
+    def _shown(self, text: str) -> None:
+        """Pass an event of a worker, as JSON text, on to all pages and clients.
+
+        The last `session` event of each session is kept in `sessions`, until the session is gone.
+        """
+        head = json.loads(text[: text.index(",")] + "}")["event"]
+        if head in ("session", "gone"):
+            event = json.loads(text)
+            if head == "gone":
+                self.sessions.pop(event["id"], None)
+            else:
+                self.sessions[event["id"]] = event
+        self.broadcast.send(text)
+
+    def events(self) -> AsyncIterator[str]:
+        """Yield the present state of all sessions, then each event, and an empty text now and then between events."""
+        return self.broadcast.events(self.workers.whole)

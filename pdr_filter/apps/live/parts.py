@@ -1,0 +1,150 @@
+"""Share of the devices that one worker process or one actor of a cluster serves.
+
+It answers requests in their order, and returns events for pages with the answers.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pdr_filter.apps.live.assembly import LateError
+from pdr_filter.apps.live.messages import Message, MessageError
+from pdr_filter.apps.live.settings import BusyError, Event, FixError, Settings
+
+
+@dataclass(frozen=True, slots=True)
+class Take:
+    """Request to process the messages that one device sent in one HTTP body, received at `received_s`."""
+
+    device: str
+    messages: Sequence[Message]
+    received_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """Request for all sessions, with their paths and present estimates."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Request, about once per second, to filter what waits, to save changed sessions and to forget silent phones."""
+
+
+@dataclass(frozen=True, slots=True)
+class Save:
+    """Last request to a worker: save all sessions."""
+
+
+Request = Take | Whole | Tick | Save
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Answer to the sender of a request: HTTP status and content."""
+
+    status: int
+    content: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Said:
+    """Response of a part to one request: the answer for the sender, and the events for the open web pages.
+
+    The events are JSON texts, for all changes since the previous response.
+    """
+
+    answer: Answer
+    events: list[str]
+
+
+class Part:
+    """Share of the devices that one worker serves, with the sessions of these devices.
+
+    Parameters
+    ----------
+    settings : Settings
+        How phones are tracked.
+    folder : Path
+        Recordings of all sessions, of every part.
+    part, n_parts : int
+        Number of this part, and how many there are.
+    """
+
+    def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
+        from pdr_filter.apps.live.devices import Devices  # here, because the server must not load the filter
+
+        if not folder.is_dir():
+            raise ValueError(f"no folder {folder} here: the server and all workers need the same one")
+        self._events: list[str] = []
+        self._devices = Devices(settings, folder, self._emit, part, n_parts)
+
+    def _emit(self, event: Event) -> None:
+        self._events.append(json.dumps(event, allow_nan=False))
+
+    def answer(self, requests: Sequence[Request]) -> list[Said]:
+        """Return a `Said` for each request, in order. Consecutive messages are filtered and saved together."""
+        said: list[Said] = []
+        taken: list[tuple[Answer, set[str]]] = []
+        for request in requests:
+            if isinstance(request, Take):
+                taken.append(self._taken(request))
+            else:
+                said += self._settled(taken)
+                taken = []
+                said.append(Said(self._answer(request), self._shown()))
+        return [*said, *self._settled(taken)]
+
+    def _settled(self, taken: Sequence[tuple[Answer, set[str]]]) -> list[Said]:
+        """Return a `Said` for each message, after the sessions were saved and those that are due were filtered.
+
+        If a session failed, its error becomes the answer to its messages. The first `Said` has all events.
+        """
+        failed = self._devices.settle()
+        answers: list[Answer] = []
+        for answer, keys in taken:
+            errors = [failed[key] for key in keys if key in failed]
+            answers.append(_refusal(errors[0]) if errors and answer.status == 200 else answer)
+        events = self._shown()
+        return [Said(answer, events if i == 0 else []) for i, answer in enumerate(answers)]
+
+    def _shown(self) -> list[str]:
+        events, self._events = self._events, []
+        return events
+
+    def _answer(self, request: Whole | Tick | Save) -> Answer:
+        devices = self._devices
+        if isinstance(request, Whole):
+            return Answer(200, devices.whole())
+        if isinstance(request, Tick):
+            devices.tick()
+        else:
+            devices.close()
+        return Answer(200, None)
+
+    def _taken(self, request: Take) -> tuple[Answer, set[str]]:
+        try:
+            content, keys = self._devices.accept(request.messages, request.received_s)
+        except (ValueError, BusyError, OSError) as error:
+            return _refusal(error), set()
+        return Answer(200, content), keys
+
+
+def _refusal(error: Exception) -> Answer:
+    statuses = {MessageError: 400, FixError: 409, LateError: 410, BusyError: 503, OSError: 503}
+    status = next((status for kind, status in statuses.items() if isinstance(error, kind)), 422)
+    return Answer(status, {"error": str(error)})
+
+
+def answers_of_part(
+    settings: Settings, folder: Path, part: int, n_parts: int
+) -> Callable[[Sequence[Request]], list[Said]]:
+    """Load one part of the devices, and return the function that answers requests for this part.
+
+    A worker process calls this function once when it starts. The returned function is `Part.answer`.
+    """
+    return Part(settings, folder, part, n_parts).answer

@@ -1,0 +1,541 @@
+"""Session of one phone: its filter, recording and saved state. Messages come in, events go out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from pdr_filter import recipes
+from pdr_filter.apps.live import assembly
+from pdr_filter.apps.live.assembly import Assembly, LateError, SessionError
+from pdr_filter.apps.live.messages import FORCE, Message, parse
+from pdr_filter.apps.live.recorder import DEVICE, Recorder
+from pdr_filter.apps.live.settings import Event, FixError, Settings
+from pdr_filter.filter.fixes.alignment import Place
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.device import Device
+from pdr_filter.sensing.stream_merging import Sensor
+from pdr_filter.tracking.filtering import frame_name
+from pdr_filter.tracking.georeferencing import live_config
+from pdr_filter.tracking.online import OnlineFilter
+from pdr_filter.tracking.warnings import device_notes
+from pdr_filter.values import FixResult, PositionFix, RangeFix, Samples, interpolated, limits
+from pdr_filter.values import serialisation as serialise
+from pdr_filter.values.recording import Recording
+from pdr_filter.values.sanitise import file_name
+
+# Newest positions that the page shows: three hours of walking.
+_MAX_PATH = 20_000
+# Shortest times between two `now` events, and between two `track` events of a path whose north is not settled. Turning
+# a step costs some 50 us, so a path of hours is sent less often.
+_NOW_S, _TURN_S, _TURN_STEP_S = 0.2, 5.0, 0.005
+# Pages get the path again where it was corrected by more than this, no more often than this.
+_CORRECTED_M, _CORRECTED_S = 1.0, 2.0
+# Entries of the charts for a page that is opened late: five minutes.
+_HISTORY, _HISTORY_STEP_S = 300, 1.0
+# Samples that are pushed at once. `sensing.stream_merging` keeps no more waiting rows of the fastest phones.
+_PART_S = 10.0
+# Messages of a journal that are filtered at once, so that their samples need little memory.
+_LOAD_MESSAGES = 100
+_FIX_STD_RANGE_M = (0.01, 1000.0)
+# Folder with a file for each phone: its gyroscope bias at the end of its latest session.
+DEVICES = "devices"
+
+
+@cache
+def plain_config(settings: Settings) -> Config:
+    """Configuration of a session before its first samples are known."""
+    meta = {"subject": {"height_m": settings.height_m}}
+    return recipes.for_recording(settings.recipe, Recording("live", Samples(np.empty(0), np.empty((0, 3))), meta=meta))
+
+
+@cache
+def plain_config_bytes(settings: Settings) -> bytes:
+    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones.
+
+    ValueError for a recipe with parts of classes outside of this package: sessions are saved with their configuration.
+    """
+    try:
+        return serialise.to_bytes(plain_config(settings))
+    except TypeError as error:
+        raise ValueError(
+            f"recipe {settings.recipe!r} has parts of classes outside of pdr_filter, and sessions of phones are saved "
+            f"with their configuration ({error}): use an OnlineFilter of your own, or a recipe of parts of the package"
+        ) from None
+
+
+def session_id(device: str, session: str) -> str:
+    """Return a session's name for addresses and folders.
+
+    It consists of letters of the device name and a checksum, so that no two sessions share a name.
+    """
+    letters = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in file_name(device))[:40]
+    return f"{letters}-{hashlib.sha256(json.dumps([device, session]).encode()).hexdigest()[:12]}"
+
+
+class DeviceSession:
+    """One session of one phone: its filter, its recording, and its waiting messages."""
+
+    def __init__(self, device: str, session: str, settings: Settings, folder: Path) -> None:
+        self.id = session_id(device, session)
+        self.device, self.session, self.settings = device, session, settings
+        self.recorder = Recorder(folder / self.id)
+        self._known_device = folder / DEVICES / f"{session_id(device, '')}.json"  # from earlier sessions of the phone
+        self.assembly, self.held = Assembly(), list[Message]()
+        self.online: OnlineFilter | None = None
+        self.refused = ""  # reason why the session cannot be tracked
+        self.has_ended = False
+        self.begun_unix_s: float | None = None  # when the first message came
+        self.notes: tuple[str, ...] = ()  # about the session as a whole, besides those of the filter
+        self._ready: list[assembly.Streams] = []  # samples that are not filtered yet
+        self._ready_s = 0.0  # time that they span
+        self._received_s = math.nan  # unix time of the last message
+        self._told: Event = {}  # by the last `session` event
+        self.path: list[list[float]] = []
+        # For each row of `path`: the place in the frame of the start, if the row still turns until north is settled.
+        self._starts: list[Place | None] = []
+        self._drawn: list[list[float]] = []  # time, east and north of the path that pages draw
+        self._unsaved_at = math.inf  # monotonic time of the first change that is not saved
+        self._history: deque[Event] = deque(maxlen=_HISTORY)  # of `now` events, for the charts
+        self._is_untold = False  # whether samples came after the last `now` event
+        self._judged: tuple[FixResult, ...] = ()  # fixes whose outcome was already sent
+        self._now_at, self._turn_at, self._drawn_at, self._advanced_at = -math.inf, -math.inf, -math.inf, -math.inf
+        self.seen_at = time.monotonic()
+
+    # --- messages ---
+
+    def take(self, message: Message, received_s: float) -> list[Event]:
+        """Take and record a message, which `advance` filters, and return the events that it causes.
+
+        FixError or LateError if the message cannot be used. A message of a session that cannot be tracked is recorded,
+        and `refused` holds the reason. SessionError if the session has ended.
+        """
+        if self.has_ended:
+            raise SessionError("this session has ended; begin a new one")
+        self._received_s = received_s
+        events = self._took(message)
+        self.recorder.journal(message)
+        return events
+
+    def _took(self, message: Message) -> list[Event]:
+        self.seen_at = time.monotonic()
+        self._unsaved_at = min(self._unsaved_at, self.seen_at)
+        if self.refused:
+            return []
+        if message.fix is not None:
+            events = self.advance()
+            return [*events, self._fixed(message.fix), *self._now(is_due=True)]
+        try:
+            self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, self.settings.platform)
+            self._record(ready)
+        except LateError:
+            raise
+        except ValueError as error:
+            return self._refuse(error)
+        return self.finish() if message.is_end else []
+
+    def _record(self, ready: Sequence[assembly.Streams]) -> None:
+        """Append samples to the recording, and keep them for the filter, which is created at the first samples."""
+        if ready and self.online is None:
+            self.online = OnlineFilter(self._begun(_joined(ready)))
+        for samples in ready:
+            for name, rows in samples.items():
+                self.recorder.samples(name, rows)
+            self._ready_s += float(np.ptp(samples[FORCE].time_s)) if FORCE in samples else 0.0
+        self._ready += ready
+
+    def is_due(self, wait_s: float) -> bool:
+        """Return True if samples of `wait_s` seconds wait, or if the last call of `advance` was twice as long ago.
+
+        A worker that is behind so filters more at once, and needs less time for it.
+        """
+        return self._ready_s >= wait_s or time.monotonic() - self._advanced_at >= 2 * wait_s
+
+    def advance(self) -> list[Event]:
+        """Filter the samples of all messages that `take` received, and return the events.
+
+        Afterwards `refused` may hold the reason why the session cannot be tracked.
+        """
+        ready, self._ready, self._ready_s, self._advanced_at = self._ready, [], 0.0, time.monotonic()
+        if self.refused:
+            return []
+        try:
+            return [*self._filtered(_joined(ready)), *self._about_changed()]
+        except ValueError as error:
+            return self._refuse(error)
+
+    def _refuse(self, error: ValueError) -> list[Event]:
+        self.refused, self.held = str(error), []
+        return self._about_changed()
+
+    def release(self) -> list[Event]:
+        """Filter the messages that wait for a missing one, after a long silence of the phone, and return the events."""
+        self.assembly, self.held, ready = assembly.release(self.assembly, self.held)
+        self._record(ready)
+        events = self.advance()
+        self._keep_device()
+        return events
+
+    def finish(self) -> list[Event]:
+        """Filter the last steps, when no further message can arrive, and return the events. The session then ends."""
+        try:
+            self.assembly, self.held, ready = assembly.finish(self.assembly, self.held, self.settings.platform)
+            self._record(ready)
+        except ValueError as error:
+            return self._refuse(error)
+        events = self.advance()
+        if self.refused:
+            return events
+        if self.online is not None:
+            events += self._stepped(self.online.finish())
+        self.has_ended = True
+        self._keep_device()
+        told = [*self._outcomes(), *self._about_changed(), *self._turned(is_due=True), *self._corrected(is_due=True)]
+        return [*events, *told, *self._now(is_due=True)]
+
+    def _filtered(self, samples: assembly.Streams) -> list[Event]:
+        if self.online is None or not samples:
+            return []
+        events = self._stepped(_pushed(self.online, samples))
+        return [*events, *self._outcomes(), *self._turned(), *self._corrected(), *self._now()]
+
+    def _begun(self, samples: assembly.Streams) -> Config:
+        """Return the configuration for the sensors in the first samples, and write it and metadata to the recording.
+
+        ValueError if unit and sign of the acceleration are unknown.
+        """
+        kind = self.assembly.kind
+        if kind is None:
+            raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
+        meta: dict[str, Any] = {"name": f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id}
+        meta["name"] = file_name(meta["name"])
+        meta |= {"source": "pdr-filter live", "accelerometer": f"{kind.force}, {kind.how}"}
+        if kind.zero_ns:
+            meta["epoch_ns"] = kind.zero_ns
+        if self.settings.height_m is not None:
+            meta["subject"] = {"height_m": self.settings.height_m}
+        first = Recording(meta["name"], **cast(Any, samples), meta=meta)
+        plain = plain_config(self.settings)
+        config = live_config(first, plain)
+        if not self.recorder.is_described:  # a session that is loaded again keeps its device
+            with suppress(OSError, ValueError):  # no earlier session, or a damaged file
+                days = max(time.time() - self._known_device.stat().st_mtime, 0.0) / 86400.0
+                Device.load(self._known_device).after(days).save(self.recorder.folder / DEVICE)
+        self.recorder.describe(
+            meta, plain_config_bytes(self.settings) if config is plain else serialise.to_bytes(config)
+        )
+        return self._with_device(config)
+
+    def _with_device(self, config: Config) -> Config:
+        """Return the configuration with the gyroscope bias from an earlier session, if this session began with one."""
+        path = self.recorder.folder / DEVICE
+        return config.with_device(Device.load(path)) if path.exists() else config
+
+    def _keep_device(self) -> None:
+        """Write the gyroscope bias of the phone for its next session, if this session has taught at least half of it.
+
+        The bias counts as half taught if its variance, summed over the axes, is half of that of an unknown phone.
+        """
+        if self.online is None:
+            return
+        plain, learnt = plain_config(self.settings).sensing, self.online.device
+        unknown = plain.device(plain.init())
+        if np.trace(learnt.bias_cov_radps2) > 0.5 * np.trace(unknown.bias_cov_radps2):
+            return
+        with suppress(OSError):  # the next session then learns the bias without it
+            self._known_device.parent.mkdir(exist_ok=True)
+            learnt.save(self._known_device)
+
+    def _fixed(self, content: Any) -> Event:
+        """Add a fix of a user, in the frame of the track or as latitude and longitude; return its `fix` event.
+
+        One with `range_m` is a range to an anchor there (`east_m` and `north_m`, or latitude and longitude). Without
+        `time_s`, the fix is of the present time. FixError if it cannot be used.
+        """
+        online = self.online
+        if online is None:
+            raise FixError("the track has not begun yet: give the fix when it has begun")
+        now = online.now()
+        try:
+            std_m = float(content.get("std_m", 1.0))
+            # samples are on the clock of the phone, and `now` on that of the track, which is never set back
+            time_s = float(content.get("time_s", now.time_s - online.state.clock_offset_s))
+            if "latitude_deg" in content:
+                if online.origin is None:
+                    raise FixError("the track lies nowhere on Earth yet: give east_m and north_m")
+                place = float(content["latitude_deg"]), float(content["longitude_deg"])
+                east_m, north_m = map(float, online.origin.east_north_m(*place))
+            else:
+                east_m, north_m = float(content["east_m"]), float(content["north_m"])
+            if not _FIX_STD_RANGE_M[0] <= std_m <= _FIX_STD_RANGE_M[1]:
+                raise FixError(f"std_m must be {_FIX_STD_RANGE_M[0]} to {_FIX_STD_RANGE_M[1]} m, got {std_m}")
+            place_m = np.array([east_m, north_m])
+            range_m = content.get("range_m")
+            fix = (
+                PositionFix(time_s, place_m, std_m**2 * np.eye(2))
+                if range_m is None
+                else RangeFix(time_s, place_m, float(range_m), std_m)
+            )
+            result = online.add_fix(fix)
+        except KeyError as error:
+            raise FixError(f"the fix has no {error}: see docs/live.md") from None
+        except (TypeError, ValueError) as error:
+            raise error if isinstance(error, FixError) else FixError(str(error)) from None
+        event = {**self._outcome(result), "east_m": east_m, "north_m": north_m, "std_m": std_m}
+        if range_m is None:
+            self.recorder.fix(time_s, east_m, north_m, std_m)
+            return event
+        self.recorder.range(time_s, east_m, north_m, float(range_m), std_m)
+        return {**event, "range_m": float(range_m)}
+
+    # --- events ---
+
+    def about(self) -> Event:
+        """Return the `session` event: properties of the session, with the reason why it waits or cannot be tracked."""
+        kind, origin = self.assembly.kind, None if self.online is None else self.online.origin
+        waits = "" if self.refused else assembly.reason_to_wait(self.assembly, self.held, self.settings.platform)
+        return {
+            "event": "session",
+            "id": self.id,
+            "device": self.device,
+            "session": self.session,
+            "begun_unix_s": self.begun_unix_s,
+            "force": "" if kind is None else f"{kind.force}, {kind.how}",
+            "has_location": kind is not None and kind.has_location,
+            "origin": None if origin is None else [origin.latitude_deg, origin.longitude_deg],
+            "frame": "" if self.online is None else frame_name(self.online.config, self.online.state),
+            "waits": waits,
+            "refused": self.refused,
+            "has_ended": self.has_ended,
+            "notes": [*self.notes, *map(_set_back_words, self.assembly.set_backs), *self._device_notes()],
+            "n_lost_messages": self.assembly.n_lost,
+            "n_repeated_messages": self.assembly.n_repeated,
+        }
+
+    def _device_notes(self) -> list[str]:
+        return [] if self.online is None else device_notes(self.online.config, self.online.state)
+
+    def _about_changed(self) -> list[Event]:
+        """Return a list with the `session` event if it has changed since the last call, otherwise an empty list."""
+        about = self.about()
+        if about == self._told:
+            return []
+        self._told = about
+        return [about]
+
+    def _stepped(self, updates: Iterable[StepUpdate]) -> list[Event]:
+        events: list[Event] = []
+        for update in updates:
+            content = update.to_dict()
+            if update.is_final:
+                self.recorder.step(json.dumps(content))
+                self._add(update)
+            events.append({"event": "step", "id": self.id, **content})
+        return events
+
+    def _outcomes(self) -> list[Event]:
+        """Return events for fixes and locations of the phone with a new outcome."""
+        results = () if self.online is None else self.online.state.last.fixes
+        new = [self._outcome(result) for result in results if result not in self._judged]
+        self._judged = results
+        return new
+
+    def _outcome(self, result: FixResult) -> Event:
+        return {"event": "fix", "id": self.id, **result.to_dict()}
+
+    def _add(self, update: StepUpdate) -> None:
+        self.path.append(_row(update.step.time_s, update.position_m, update.position_cov_m2))
+        self._starts.append(update.of_start)
+        self._drawn.append(self.path[-1][:3])
+        for kept in (self.path, self._starts, self._drawn):
+            if len(kept) > _MAX_PATH:
+                del kept[: _MAX_PATH // 10]
+
+    def _now(self, is_due: bool = False, is_live: bool = True) -> list[Event]:
+        online = self.online
+        self._is_untold = online is not None and time.monotonic() - self._now_at < _NOW_S and not is_due
+        if online is None or self._is_untold:
+            return []
+        self._now_at = time.monotonic()
+        sent = self._received_s if is_live and not math.isnan(self._received_s) else None
+        now = online.now().to_dict()
+        last_s = self._history[-1]["time_s"] if self._history else -math.inf
+        if now["time_s"] is not None and not 0 <= now["time_s"] - last_s < _HISTORY_STEP_S:
+            self._history.append({name: now[name] for name in ("time_s", "context_prob", "walking_speed_mps")})
+        silent_s = time.monotonic() - self.seen_at
+        return [{"event": "now", "id": self.id, "received_unix_s": sent, "silent_s": silent_s, **now}]
+
+    def _turned(self, is_due: bool = False) -> list[Event]:
+        """Return a list with a `track` event now and then while north is uncertain, otherwise an empty list.
+
+        The whole path rotates with the estimate of north. The event is also sent once when north has become certain.
+        """
+        online = self.online
+        wait_s = _TURN_S + len(self.path) * _TURN_STEP_S
+        if online is None or (time.monotonic() - self._turn_at < wait_s and not is_due):
+            return []
+        frame = online.state.pedestrian.frame
+        if not frame.is_known or all(place is None for place in self._starts):
+            return []
+        self._turn_at, drawn = time.monotonic(), frame.at_most_probable_rotation()
+        for row, start in zip(self.path, self._starts, strict=True):
+            if start is not None:
+                place = drawn.world(start)
+                row[:] = _row(row[0], place.position_m, place.cov_m2)
+        if frame.is_joined:  # for good
+            self._starts = [None] * len(self.path)
+        self._drawn = [row[:3] for row in self.path]
+        return [self.track()]
+
+    def _corrected(self, is_due: bool = False) -> list[Event]:
+        """Return a list with a `path` event if later samples and fixes moved the drawn path by more than a metre.
+
+        The list is empty otherwise, and within two seconds of the last check unless `is_due`.
+        """
+        if self.online is None or (time.monotonic() - self._drawn_at < _CORRECTED_S and not is_due):
+            return []
+        self._drawn_at = time.monotonic()
+        path = self.online.path()
+        rows = np.column_stack([path.time_s, path.position_m])[: path.n_steps]
+        if not len(rows) or not self._drawn:
+            return []
+        drawn = np.array(self._drawn)
+        off_m = interpolated(drawn[:, 0], rows[:, 0], rows[:, 1:]) - drawn[:, 1:]
+        if np.hypot(*off_m.T).max() <= _CORRECTED_M:
+            return []
+        self._drawn = rows.tolist()
+        return [self._drawn_path()]
+
+    def _drawn_path(self) -> Event:
+        return {"event": "path", "id": self.id, "path": self._drawn}
+
+    def track(self) -> Event:
+        """Return the event with the session and its path.
+
+        The path has time, east, north and covariance (ee, en, nn) after each step.
+        """
+        silent_s = time.monotonic() - self.seen_at
+        return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path}
+
+    def rest(self) -> list[Event]:
+        """Return a list with a `now` event for the last samples if they came too soon after the previous event.
+
+        The list is empty if there are no such samples.
+        """
+        return self._now(is_due=True, is_live=False) if self._is_untold else []
+
+    def whole(self) -> list[Event]:
+        """Return the events that show the whole session to a newly opened page."""
+        track = {**self.track(), "history": list(self._history)}
+        return [track, self._drawn_path(), *self._now(is_due=True, is_live=False)]
+
+    @property
+    def unsaved_s(self) -> float:
+        """Time since the first change that was not saved, s. 0 if all are saved."""
+        return max(time.monotonic() - self._unsaved_at, 0.0)
+
+    def save(self) -> list[Event]:
+        """Filter what waits, write the state of a session that is tracked, and return the events.
+
+        A session that is not tracked goes on from its journal.
+        A saved state ends the journal, so that samples which it does not know would be missing in the track.
+        """
+        events = self.advance()
+        if self.online is None or self.refused:
+            self.recorder.flush()
+        else:
+            self.recorder.saved({"assembly": self.assembly, "state": self.online.state}, self.held)
+        self._unsaved_at = math.inf
+        return events
+
+    @classmethod
+    def load(cls, device: str, session: str, settings: Settings, folder: Path) -> DeviceSession:
+        """Return the session with all acknowledged messages, however the last process ended."""
+        self = cls(device, session, settings, folder)
+        silent_s = time.time() - max(file.stat().st_mtime for file in (folder / self.id).iterdir())
+        saved, entries = self.recorder.load()
+        if saved is not None:
+            self.assembly = saved["assembly"]
+            self.online = OnlineFilter(self._with_device(self.recorder.config()))
+            self.online.state = saved["state"]
+            self.has_ended = self.online.state.finished
+            self._judged = self.online.state.last.fixes
+            for step in self.recorder.steps()[-_MAX_PATH:]:
+                self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
+                start = step["of_start"]
+                self._starts.append(None if start is None else _place(start))
+        for number, (_, _, platform, body) in enumerate(entries, start=1):
+            for message in parse(body, device, session, platform):
+                with suppress(FixError, LateError):
+                    self._took(message)
+            if number % _LOAD_MESSAGES == 0:
+                self.advance()
+        self.save()
+        self._drawn = [row[:3] for row in self.path]
+        self._turned(is_due=True)
+        self._corrected(is_due=True)
+        self.seen_at = time.monotonic() - max(silent_s, 0.0)
+        return self
+
+
+def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]:
+    """Push samples of all sensors to a filter and return its updates.
+
+    Long stretches, such as those after an outage, are pushed in parts.
+    """
+    begin_s = min(float(stream.time_s[0]) for stream in samples.values())
+    parts = {name: np.floor((stream.time_s - begin_s) / _PART_S) for name, stream in samples.items()}
+    updates: list[StepUpdate] = []
+    for part in np.unique(np.concatenate(list(parts.values()))):
+        bounds = {name: np.searchsorted(parts[name], [part, part + 1]) for name in samples}
+        rows = {name: _rows(samples[name], *bounds[name]) for name in samples if np.ptp(bounds[name])}
+        location = rows.pop("location", None)
+        # locations that began later than the track are only recorded
+        if location is not None and not online.config.model.frame.is_joined:
+            latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
+            online.push_location(location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m)
+        updates += online.push_streams(cast("dict[Sensor, Samples]", rows))
+    return updates
+
+
+def _rows(samples: Samples, first: int, last: int) -> Samples:
+    return Samples(samples.time_s[first:last], samples.values[first:last])
+
+
+def _joined(ready: Sequence[assembly.Streams]) -> assembly.Streams:
+    """Return the samples of several messages joined, with each sensor in order of time."""
+    if len(ready) == 1:
+        return ready[0]
+    found: assembly.Streams = {}
+    for name in dict.fromkeys(name for samples in ready for name in samples):
+        rows = [samples[name] for samples in ready if name in samples]
+        time_s, values = np.concatenate([r.time_s for r in rows]), np.concatenate([r.values for r in rows])
+        order = np.argsort(time_s, kind="stable")
+        found[name] = Samples(time_s[order], values[order])
+    return found
+
+
+def _set_back_words(set_back: tuple[float, float]) -> str:
+    at_s, size_s = set_back
+    return f"the clock of the phone was set back by {size_s:.1f} s at {at_s:.1f} s: times go on from there"
+
+
+def _place(content: Mapping[str, Any]) -> Place:
+    """Return the place from its JSON form that `StepUpdate.to_dict` writes."""
+    position_m, cov_m2 = np.array(content["position_m"]), np.array(content["cov_m2"])
+    return Place(position_m, cov_m2, content["heading_rad"], content["n_steps"])
+
+
+def _row(time_s: float, position_m: Any, cov_m2: Any) -> list[float]:
+    return [float(v) for v in (time_s, *position_m, cov_m2[0, 0], cov_m2[0, 1], cov_m2[1, 1])]

@@ -1,0 +1,307 @@
+"""HTML report of tracks, a self-contained page without network access, fonts or other files.
+
+The page is the template `page/report.html`, filled with styles, scripts and the data of `page_data`. Its content
+security policy forbids the browser to load other files and to run other scripts. uPlot draws the charts over time, and
+Leaflet draws the path. Both are in `assets`, unchanged from npm (`.ci/vendor.py`).
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import math
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+
+from pdr_filter.apps.maps.floor_plan import FloorPlan, plan_of
+from pdr_filter.apps.report import palette
+from pdr_filter.apps.report.page_data import track_data
+from pdr_filter.data.io.describe import ReadingReport, reading_report
+from pdr_filter.data.io.files.safe_files import write_text
+from pdr_filter.tracking import trust_report as trust
+from pdr_filter.values import TrackRows, how_many
+from pdr_filter.values.recording import Recording
+
+# A context that never exceeds this probability is invisible in the chart, and is not listed.
+_VISIBLE_PROB = 0.01
+_SCRIPTS = ("assets/uPlot.iife.min.js", "assets/leaflet.js", "page/plane_map.js", "page/map.js", "page/report.js")
+_STYLES = ("assets/uPlot.min.css", "assets/leaflet.css", "page/plane_map.css", "page/report.css")
+_SMOOTHED_OR_ONLINE = (
+    "The smoothed track is the best estimate from the whole recording. The online track shows the estimates that were "
+    "available at each step."
+)
+_TRACK_COLOURS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.YELLOW)
+
+
+def write_report(
+    tracks: TrackRows | Sequence[TrackRows],
+    path: str | Path,
+    recording: Recording | None = None,
+    plan: FloorPlan | None = None,
+) -> Path:
+    """Write an HTML report of tracks to a file.
+
+    The page is self-contained: it needs no network, no fonts and no other files.
+
+    Parameters
+    ----------
+    tracks : TrackRows or sequence of TrackRows
+        One track, or several tracks in one frame, such as the tracks of several recipes.
+    path : str or Path
+        File to write, such as "walk.html". Missing folders are created.
+    recording : Recording, optional
+        Recording of the tracks. If given, the page also shows its ground truth, its locations and how it was read.
+    plan : FloorPlan, optional
+        Floor plan below the path, in the frame of the tracks. The default is the plan of each track.
+
+    Returns
+    -------
+    Path
+        Path of the file.
+
+    Raises
+    ------
+    ValueError
+        If `tracks` is empty.
+    OSError
+        If the file cannot be written.
+
+    See Also
+    --------
+    html_report : Return the page as text.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.apps.report.html import write_report
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = write_report(pdr.track(walk), f"{folder}/walk.html", walk)
+    ...     print(path.name, path.exists())
+    walk.html True
+    """
+    return write_text(path, html_report(tracks, recording, plan))
+
+
+def html_report(
+    tracks: TrackRows | Sequence[TrackRows], recording: Recording | None = None, plan: FloorPlan | None = None
+) -> str:
+    """Return an HTML report of tracks as text.
+
+    The page shows the path with 95 % ellipses, warnings, contexts, speed and step lengths. It is interactive: the user
+    can move and zoom the path, select a step, and replay the walk.
+
+    Parameters
+    ----------
+    tracks : TrackRows or sequence of TrackRows
+        One track, or several tracks in one frame, such as the tracks of several recipes. The page shows one track at a
+        time in full, and the paths of the others as thin lines.
+    recording : Recording, optional
+        Recording of the tracks. If given, the page also shows its ground truth, its locations and how it was read.
+    plan : FloorPlan, optional
+        Floor plan below the path, in the frame of the tracks. The default is the plan of each track.
+
+    Returns
+    -------
+    str
+        Complete HTML document with all scripts, styles and data.
+
+    Raises
+    ------
+    ValueError
+        If `tracks` is empty.
+
+    See Also
+    --------
+    write_report : Write the page to a file.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.apps.report.html import html_report
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
+    >>> page = html_report(pdr.track(walk), walk)
+    >>> page.startswith("<!DOCTYPE html>"), "Walking speed" in page
+    (True, True)
+    """
+    every = [tracks] if isinstance(tracks, TrackRows) else list(tracks)
+    if not every:
+        raise ValueError("tracks must contain at least one track, got none; pass a Track")
+    names = _names(every)
+    colours = [_TRACK_COLOURS[i % len(_TRACK_COLOURS)] for i in range(len(every))]
+    data = [
+        track_data(track, recording, plan or plan_of(track), len(every)) | {"colour": colour}
+        for track, colour in zip(every, colours, strict=True)
+    ]
+    scripts = [_script(name) for name in _SCRIPTS]
+    return _template().render(
+        title=_title(every, recording),
+        tracks=[
+            _texts(track) | {"name": name, "colour": colour}
+            for track, name, colour in zip(every, names, colours, strict=True)
+        ],
+        reading=None if recording is None else _reading(recording, reading_report(recording), set(every[0].notes)),
+        estimates=_SMOOTHED_OR_ONLINE if len({track.estimate for track in every}) > 1 else "",
+        data={"tracks": data},
+        style=Markup("\n".join(map(_asset, _STYLES))),
+        scripts=[Markup(script) for script in scripts],
+        script_hashes=[_hash(script) for script in scripts],
+    )
+
+
+# --- the template ----------------------------------------------------------------------------------------------------
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=_printable,
+    )
+    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
+    return environment.from_string(_asset("page/report.html"))
+
+
+def _asset(name: str) -> str:
+    return resources.files("pdr_filter.apps.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _script(name: str) -> str:
+    """Return a script. A vendored library is preceded by its licence text, as the licence requires."""
+    folder, file = name.split("/")
+    if folder == "page":
+        return _asset(name)
+    licence = _asset(f"assets/{file.partition('.')[0]}.LICENSE.txt")
+    return f"/*\n{licence}*/\n{_asset(name)}"
+
+
+def _hash(script: str) -> str:
+    """Return the hash of a script in the format of a content security policy."""
+    return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"
+
+
+def _printable(value: Any) -> Any:
+    """Return a text with control characters, also those that change its direction, replaced by a replacement character.
+
+    Values that are not text, and markup, are returned unchanged.
+    """
+    if not isinstance(value, str) or isinstance(value, Markup):
+        return value
+    return "".join(c if c in "\t\n" or (c.isprintable() and not "\ud800" <= c <= "\udfff") else "�" for c in value)
+
+
+# --- texts -----------------------------------------------------------------------------------------------------------
+
+
+def _title(tracks: Sequence[TrackRows], recording: Recording | None) -> str:
+    """Return the title of the page: the name of the recording, else of the only track, else the number of tracks."""
+    if recording is not None and recording.name:
+        return recording.name
+    return tracks[0].name or "track" if len(tracks) == 1 else f"{len(tracks)} tracks"
+
+
+def _names(tracks: Sequence[TrackRows]) -> list[str]:
+    """Return distinct names of tracks. The estimate, the weighting or a number is added if names are equal."""
+    estimates = [f"{t.name}, {t.estimate}" for t in tracks]
+    for names in ([t.name for t in tracks], estimates, [f"{t.name}, {t.weighting}" for t in tracks]):
+        if len(set(names)) == len(names):
+            return names
+    return [f"{i}: {track.name}, {track.weighting}" for i, track in enumerate(tracks, 1)]
+
+
+def _texts(track: TrackRows) -> dict[str, Any]:
+    """Return the texts of the page about one track, by the names that the template uses."""
+    return {
+        "facts": _facts(track),
+        "doubts": trust.problems(track),
+        "has_steps": track.n_steps > 0,
+        "about": f"{track.about_frame} {track.about_estimate}",
+        "seconds": _seconds(track),
+        "floor_changes": [
+            f"{c.start_s:.0f} to {c.end_s:.0f} s: from floor {c.from_floor} to floor {c.to_floor}, "
+            + ("by unknown means" if c.how == "unknown" else f"by {c.how}")
+            for c in track.floor_changes()
+        ],
+        "lengths": _lengths(track),
+    }
+
+
+def _facts(track: TrackRows) -> str:
+    minutes, seconds = divmod(round(track.duration_s), 60)
+    lasted = f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
+    facts = [how_many(track.n_steps, "step"), track.how_far, lasted, f"weighting {track.weighting}"]
+    if track.n_steps:
+        facts.append(f"end {trust.end(track)}")
+    if track.fixes:
+        n_used = sum(fix.accepted for fix in track.fixes)
+        facts.append(f"{n_used} of {how_many(len(track.fixes), 'fix', 'fixes')} used")
+    return " · ".join(facts)
+
+
+def _seconds(track: TrackRows) -> list[tuple[str, str, str]]:
+    """Return name, colour and duration (as text, with its share) of each context that occurs.
+
+    A last entry without a colour is the time of moving without steps, if there is any. The list is empty if the total
+    time is zero.
+    """
+    seconds, without_steps_s = track.context_seconds(), track.seconds_without_steps
+    total_s = sum(seconds.values()) + without_steps_s
+    if total_s <= 0:
+        return []
+
+    def lasting(value_s: float) -> str:
+        return f"{value_s:.0f} s ({100 * value_s / total_s:.0f} %)"
+
+    items = [
+        (name, colour, lasting(seconds[name]))
+        for i, (name, colour) in enumerate(palette.context_colours(track.contexts).items())
+        if seconds[name] >= 0.5 or (track.windows.context_prob[:, i] > _VISIBLE_PROB).any()
+    ]
+    return [*items, *([("moving without steps", "", lasting(without_steps_s))] if without_steps_s >= 0.5 else [])]
+
+
+def _lengths(track: TrackRows) -> str:
+    length_m = track.step_length_m[np.isfinite(track.step_length_m)]
+    if not len(length_m):
+        return ""
+    low, median, high = (float(q) for q in np.quantile(length_m, [0.05, 0.5, 0.95]))
+    return f"Coloured by context. Median {median:.2f} m, 5th to 95th percentile {low:.2f} to {high:.2f} m."
+
+
+def _reading(recording: Recording, report: ReadingReport, already_shown: set[str]) -> dict[str, Any]:
+    """Return the texts about the reading of a recording: "lines", and "streams" with the values of each stream.
+
+    Each value has a flag, True if it is unusual. Notes in `already_shown` are left out.
+    """
+    lines = [f"File: {recording.source}"] if recording.source else []
+    lines += [trust.sentence(line) for line in report.about()]
+    lines += [trust.sentence(note) for note in report.notes if note not in already_shown]
+    streams = [
+        (
+            (s.name, False),
+            (f"{s.n_samples:,}", False),
+            (_or_dash(s.requested_hz, ".1f"), False),
+            (_or_dash(s.mean_rate_hz, ".1f"), s.is_slow),
+            (s.n_gaps, s.n_gaps > 0),
+            (_or_dash(s.longest_gap_s if s.n_gaps else None, ".2f"), False),
+            (s.n_duplicates, s.n_duplicates > 0),
+            (s.n_backward, s.n_backward > 0),
+        )
+        for s in report.streams
+    ]
+    return {"lines": lines, "streams": streams}
+
+
+def _or_dash(value: float | None, spec: str) -> str:
+    return "-" if value is None or not math.isfinite(value) else format(value, spec)

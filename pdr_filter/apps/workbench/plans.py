@@ -1,0 +1,251 @@
+"""Floor plans of the workbench: GeoJSON files with the pictures that they were drawn over.
+
+The editor works in metres in the frame of the picture. Two points with known latitude and longitude put the plan on
+Earth: its features are then saved in degrees, and the collection has a property `georeference` to come back by.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from pdr_filter.apps.maps.floor_plan import FloorPlan
+from pdr_filter.apps.maps.plan_checks import problems_of
+from pdr_filter.apps.workbench.walks import PLANS, ConflictError
+from pdr_filter.data.io.files.safe_files import read_json, whole_file
+from pdr_filter.values import FloatArray, Origin, limits
+from pdr_filter.values.sanitise import file_name
+
+# Two points disagree with the scale of the picture if their distances differ by more.
+_MAX_SCALE_ERROR = 0.05
+_DIGITS_DEG, _DIGITS_M = 9, 3
+
+
+class Plans:
+    """Floor plans in the folder `plans`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / PLANS
+        self._saving = Lock()  # saves run in threads: the version must not change between the check and the write
+
+    def names(self) -> list[str]:
+        """Names of all floor plans in the folder, sorted."""
+        return sorted(path.stem for path in self.folder.glob("*.geojson"))
+
+    def path(self, name: str) -> Path | None:
+        """Return the file of a floor plan, or None if it does not exist.
+
+        Only names of existing files become paths, so that a request cannot reach other files.
+        """
+        return next((path for path in self.folder.glob("*.geojson") if path.stem == name), None)
+
+    def new(self, name: str) -> str:
+        """Make an empty plan and return its name, which may differ from the given one."""
+        stem = free = file_name(name.strip() or "plan").replace("#", "_").replace("%", "_")
+        n = 1
+        while free in self.names():
+            n += 1
+            free = f"{stem} {n}"
+        self._write(self.folder / f"{free}.geojson", {"type": "FeatureCollection", "name": free, "features": []})
+        return free
+
+    def picture(self, name: str, floor: int) -> Path:
+        """File of the picture of a storey."""
+        return self.folder / f"{name}.{floor}.png"
+
+    def load(self, name: str) -> dict[str, Any]:
+        """Return a plan in metres as the editor knows it: version, features, storeys, georeference and problems.
+
+        Features in degrees become metres in the frame of the picture. ValueError if the plan does not exist.
+        """
+        path = self.path(name)
+        if path is None:
+            raise ValueError(f"there is no floor plan {name[:80]!r}: it was deleted or renamed; load the page again")
+        content = read_json(path, limits.MAX_PLAN_BYTES)
+        properties = content.get("properties") or {}
+        features = [_plain(feature) for feature in content.get("features", [])]
+        reference = properties.get("georeference")
+        storeys = properties.get("storeys") or {}
+        if reference:
+            features = _moved(features, Georeference.of(reference).to_metres, _DIGITS_M)
+        elif features and _is_in_degrees(features):  # drawn elsewhere
+            reference, to_metres = _elsewhere(features)
+            features = _moved(features, to_metres, _DIGITS_M)
+        for feature in features:
+            storeys.setdefault(str(feature["properties"].get("floor") or 0), {})
+        return {
+            "name": name,
+            "version": _version(path),
+            "features": features,
+            "storeys": storeys or {"0": {}},
+            "georeference": reference,
+            **self._checked(path, features),
+        }
+
+    def save(self, name: str, version: str, content: Mapping[str, Any]) -> dict[str, Any]:
+        """Replace a plan and return it as `load` does.
+
+        ConflictError if the plan has another version. ValueError if it does not exist, or if a feature cannot be
+        stored. A plan that `FloorPlan.read` rejects is saved, too. The result then has the error message as `reason`.
+        """
+        path = self.path(name)
+        if path is None:
+            raise ValueError(f"there is no floor plan {name[:80]!r}: it was deleted or renamed; load the page again")
+        features = [_plain(feature) for feature in content["features"]]
+        reference = content.get("georeference")
+        properties = {"storeys": dict(content["storeys"]), "georeference": reference}
+        if reference:
+            features = _moved(features, Georeference.of(reference).to_degrees, _DIGITS_DEG)
+        plan = {"type": "FeatureCollection", "name": name, "properties": properties, "features": features}
+        with self._saving:
+            if _version(path) != version:
+                raise ConflictError("another browser or program has changed this plan in the meantime: reload the page")
+            self._write(path, plan)
+        return self.load(name)
+
+    def _checked(self, path: Path, features: list[dict[str, Any]]) -> dict[str, Any]:
+        """Return the `problems` of a drawn plan, and as `reason` the error message of `FloorPlan.read`.
+
+        The message is empty if the plan is valid or has no features.
+        """
+        if not features:
+            return {"problems": [], "reason": ""}
+        try:
+            problems = problems_of(features)
+            FloorPlan.read(path)
+        except ValueError as error:
+            return {"problems": problems_or_none(features), "reason": str(error).replace(f"{path}: ", "")}
+        return {"problems": problems, "reason": ""}
+
+    def _write(self, path: Path, content: Mapping[str, Any]) -> None:
+        with whole_file(path) as file:
+            file.write((json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def problems_or_none(features: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return `problems_of` the features; none if a geometry cannot be read."""
+    try:
+        return problems_of(features)
+    except Exception:  # whatever a damaged geometry provokes; `FloorPlan.read` gives the reason
+        return []
+
+
+class Georeference:
+    """Rotation and shift from the frame of a picture to east and north of an origin."""
+
+    def __init__(self, origin: Origin, turn_rad: float, zero_m: FloatArray) -> None:
+        self.origin, self.zero_m = origin, zero_m  # position of the origin in the frame of the picture
+        cosine, sine = math.cos(turn_rad), math.sin(turn_rad)
+        self.rotation = np.array([[cosine, -sine], [sine, cosine]])
+
+    @classmethod
+    def of(cls, reference: Mapping[str, Any]) -> Georeference:
+        """The georeference of two `points`, each east and north (m), latitude and longitude (degrees).
+
+        ValueError if the distances of the two differ by more than 5 %, or are at most 1 m.
+        """
+        try:
+            first, second = (tuple(map(float, point)) for point in reference["points"])
+            (x0, y0, latitude, longitude), (x1, y1, *there) = first, second
+        except (KeyError, TypeError, ValueError):
+            raise ValueError("a georeference needs two points, each with east, north, latitude, longitude") from None
+        origin, other = Origin.of((latitude, longitude)), Origin.of((there[0], there[1]))
+        drawn = np.array([x1 - x0, y1 - y0])
+        true = origin.east_north_m(other.latitude_deg, other.longitude_deg)
+        drawn_m, true_m = float(np.hypot(*drawn)), float(np.hypot(*true))
+        if not drawn_m > 1.0:
+            raise ValueError(f"the two points are {drawn_m:.1f} m apart in the plan: choose points more than 1 m apart")
+        if abs(true_m / drawn_m - 1.0) > _MAX_SCALE_ERROR:
+            raise ValueError(
+                f"the two points are {drawn_m:.1f} m apart in the plan and {true_m:.1f} m on Earth: correct the scale "
+                "of the picture, or the latitudes and longitudes"
+            )
+        turn_rad = math.atan2(true[1], true[0]) - math.atan2(drawn[1], drawn[0])
+        return cls(origin, turn_rad, np.array([x0, y0]))
+
+    def to_degrees(self, position_m: FloatArray) -> FloatArray:
+        """Longitude and latitude (N, 2) of positions (N, 2) in the frame of the picture."""
+        latitude, longitude = self.origin.latitude_longitude_deg((position_m - self.zero_m) @ self.rotation.T)
+        return np.column_stack([longitude, latitude])
+
+    def to_metres(self, coordinates: FloatArray) -> FloatArray:
+        """Positions (N, 2) in the frame of the picture of longitude and latitude (N, 2)."""
+        return self.origin.east_north_m(coordinates[:, 1], coordinates[:, 0]) @ self.rotation + self.zero_m
+
+
+def _elsewhere(features: list[dict[str, Any]]) -> tuple[dict[str, Any], Any]:
+    """Return the georeference of a drawn plan with coordinates in longitude and latitude, and its transform to metres.
+
+    Such a plan comes from a program other than the workbench, so no georeference is stored with it. The georeference
+    maps the south-west and the north-east corner of the plan, with north up.
+    """
+    points = np.concatenate([_points(feature["geometry"]["coordinates"]) for feature in features])
+    low, high = points.min(axis=0), points.max(axis=0)
+    origin = Origin(float(low[1]), float(low[0]))
+    east_m, north_m = origin.east_north_m(float(high[1]), float(high[0])).tolist()
+    corners = [[0.0, 0.0, origin.latitude_deg, origin.longitude_deg], [east_m, north_m, float(high[1]), float(high[0])]]
+    return {"points": corners}, Georeference.of({"points": corners}).to_metres
+
+
+def _is_in_degrees(features: list[dict[str, Any]]) -> bool:
+    points = np.concatenate([_points(feature["geometry"]["coordinates"]) for feature in features])
+    return float(np.ptp(points, axis=0).max()) <= 0.05 and bool((np.abs(points) <= [180.0, 90.0]).all())
+
+
+def _points(coordinates: Any) -> FloatArray:
+    return np.array([pair[:2] for pair in _flat(coordinates)], dtype=float)
+
+
+def _flat(coordinates: Any) -> list[Any]:
+    """Return the coordinate pairs of a GeoJSON geometry as a flat list."""
+    if isinstance(coordinates[0], float | int):
+        return [coordinates]
+    return [pair for part in coordinates for pair in _flat(part)]
+
+
+def _moved(features: list[dict[str, Any]], move: Any, digits: int) -> list[dict[str, Any]]:
+    """Return the features with transformed coordinates, rounded to `digits` decimals. Third coordinates are dropped.
+
+    `move` transforms positions (N, 2).
+    """
+
+    def moved(coordinates: Any) -> Any:
+        if isinstance(coordinates[0], float | int):
+            return np.round(move(np.array([coordinates[:2]], dtype=float))[0], digits).tolist()
+        return [moved(part) for part in coordinates]
+
+    return [
+        feature | {"geometry": feature["geometry"] | {"coordinates": moved(feature["geometry"]["coordinates"])}}
+        for feature in features
+    ]
+
+
+def _plain(feature: Any) -> dict[str, Any]:
+    """Return a feature with only the fields that a floor plan uses.
+
+    ValueError if the geometry is missing, unreadable, not finite or of an unknown type. Properties may be missing.
+    """
+    try:
+        geometry, properties = feature["geometry"], feature.get("properties") or {}
+        points = np.array(_flat(geometry["coordinates"]), dtype=float)
+        if not np.isfinite(points).all() or geometry["type"] not in _GEOMETRIES:
+            raise ValueError(geometry["type"])
+        known = {name: properties[name] for name in ("type", "floor", "name") if properties.get(name) not in (None, "")}
+        plain = {"type": geometry["type"], "coordinates": geometry["coordinates"]}
+        return {"type": "Feature", "properties": known, "geometry": plain}
+    except (IndexError, KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ValueError(f"not a feature of a floor plan ({error}): {str(feature)[:80]}; delete it") from None
+
+
+_GEOMETRIES = ("LineString", "MultiLineString", "Polygon", "MultiPolygon")
+
+
+def _version(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]

@@ -1,0 +1,214 @@
+"""Conversion of published data sets to recordings with person, labels and ground truth.
+
+Each function takes the folder of the raw files. Information about people and routes is in further files of that folder,
+or in the publication.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from pdr_filter.data.io.apps.indoor_location import read_indoor_location
+from pdr_filter.data.io.files.archive import json_object
+from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.files.safe_files import read_small
+from pdr_filter.data.io.folders import recordings_in
+from pdr_filter.data.io.formats import read
+from pdr_filter.data.io.tables.any_table import read_table
+from pdr_filter.values import FloatArray, Table, limits, table
+from pdr_filter.values.recording import Recording, Truth
+
+_MIN_LEG_M = 5.0
+# Corridors are parallel to the axes of the plan. The landmarks of a leg along a corridor deviate by less than this,
+# those of a leg round a corner by at least 9 degrees.
+_MAX_OFF_RAD = np.radians(5.0)
+# Deviation of the force that marks the first step. The person begins to move half a second before it.
+_SWING_MPS2, _BEFORE_S, _SETTLED_S = 2.0, 0.5, 0.3
+# Walk whose folder has the landmarks of the route, for walks without a file of landmarks.
+_ROUTES = {
+    **dict.fromkeys(("straight", "weinberg_sequences/2f", "weinberg_sequences/3f"), "weinberg_sequences/1f"),
+    **dict.fromkeys(("straight_reversed", *(f"weinberg_sequences/{n}r" for n in "123")), "weinberg_sequences/5r"),
+}
+_ACTIVITIES = {
+    **{"dws": "downstairs", "ups": "upstairs", "wlk": "walking", "jog": "running"},
+    **{"sit": "stationary", "std": "stationary"},
+}
+
+
+def as_found(raw: Path) -> Iterator[Recording]:
+    """Yield the recordings of a folder as the readers find them, without further ground truth."""
+    for path in recordings_in(raw):
+        yield read(path)
+
+
+def humolire(raw: Path) -> Iterator[Recording]:
+    """Yield the walks of HuMoLIRe.
+
+    Ground truth are the passed landmarks, and the straight parts between two landmarks along a corridor as segments of
+    known length. RecordingError if a walk has another number of clicks than its route has landmarks.
+    """
+    walks = raw / "imus" / "1"
+    for references in sorted(walks.rglob("references.txt")):
+        folder = references.parent
+        walk = folder.relative_to(walks).as_posix()
+        recording = read(folder)
+        zero_s = next(_rows(folder / "accelerometer-calibrated.txt"))[1]  # start of the sensor clock
+        clicked_s = np.array([row[0] for row in _rows(references)]) - zero_s
+        points_m = _landmarks(walks / _ROUTES.get(walk, walk) / "keypoints.json")
+        if len(points_m) != len(clicked_s) + 1:
+            raise RecordingError(
+                f"{references}: {len(clicked_s)} clicks and {len(points_m) - 1} landmarks, but their numbers must be "
+                "equal; report this to the maintainers of pdr_filter"
+            )
+        time_s = np.concatenate([[_begin_s(recording)], clicked_s])
+        leg_m, begin_s, end_s = np.diff(points_m, axis=0), time_s[:-1], time_s[1:]
+        length_m = np.linalg.norm(leg_m, axis=1)
+        off_rad = np.abs((np.arctan2(leg_m[:, 1], leg_m[:, 0]) + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+        straight = (length_m >= _MIN_LEG_M) & (off_rad < _MAX_OFF_RAD)
+        straight[0] = False  # the start of the first leg was not clicked
+        truth = Truth(
+            waypoints=_waypoints(time_s, points_m, 0.0),
+            segments=table(
+                {
+                    "start_s": begin_s[straight],
+                    "end_s": end_s[straight],
+                    "distance_m": length_m[straight],
+                    "n_steps": np.full(int(straight.sum()), np.nan),
+                }
+            ),
+            labels=_label(time_s[0], time_s[-1], "walking", "texting"),
+        )
+        meta = {
+            "subject": {"id": "user1", "height_m": 1.86, "age": 24, "gender": "M"},
+            "placement": "in the hand in front of the body, screen up",
+            "truth": "landmarks of the floor plan, clicked when passed",
+        }
+        yield _named(recording, f"humolire_user1_{folder.name}", truth, meta)
+
+
+def motionsense(raw: Path) -> Iterator[Recording]:
+    """Yield the recordings of the first twelve people of MotionSense, one activity each.
+
+    Figures in the documentation are for these people.
+    """
+    people = {row["code"]: row for row in _csv(raw / "data_subjects_info.csv")}
+    for path in sorted(raw.rglob("sub_*.csv")):
+        code, trial = path.stem.removeprefix("sub_"), path.parent.name
+        person, activity = people.get(code), trial.partition("_")[0]
+        if person is None or int(code) > 12 or activity not in _ACTIVITIES:
+            continue
+        recording = read_table(path)
+        end_s = float(recording.accelerometer.time_s[-1])
+        meta = {
+            "subject": {
+                "id": f"s{int(code):02d}",
+                "height_m": float(person["height"]) / 100,
+                "weight_kg": float(person["weight"]),
+                "age": float(person["age"]),
+                "gender": "M" if person["gender"] == "1" else "F",
+            },
+            "device": "Apple iPhone 6s",
+            "placement": "front trouser pocket",
+            "truth": "one activity, no positions and no steps",
+        }
+        truth = Truth(labels=_label(0.0, end_s, _ACTIVITIES[activity], "pocket"))
+        yield _named(recording, f"motionsense_s{int(code):02d}_{trial}", truth, meta)
+
+
+def ms_indoor(raw: Path) -> Iterator[Recording]:
+    """Yield the walks of Indoor Location Competition 2.0, with the surveyed points of the floor plan.
+
+    Walks without such points are skipped.
+    """
+    for path in sorted(raw.glob("*/path_data_files/*.txt")):
+        recording = read_indoor_location(path)
+        waypoints = recording.truth.waypoints
+        if waypoints is None:
+            continue
+        begin_s, end_s = max(0.0, float(waypoints["time_s"][0])), float(waypoints["time_s"][-1])
+        meta = {"placement": "held flat in front of the body"}
+        truth = replace(recording.truth, labels=_label(begin_s, end_s, "walking", "texting"))
+        floor = path.parent.parent.name.lower()
+        yield _named(recording, f"ms_indoor_anon_site1_{floor}_{path.stem}", truth, meta)
+
+
+def humolire_plan(raw: Path) -> dict[str, Any]:
+    """Return the walls of the floor of HuMoLIRe, in metres in the frame of the landmarks.
+
+    The source has pixels of a picture of height 915, with y downwards.
+    """
+    path = raw / "maps" / "map_data.json"
+    content = json_object(read_small(path, limits.MAX_WHOLE_BYTES), str(path))
+    scale_m = float(content["scale"])
+
+    def at(node: dict[str, float]) -> list[float]:
+        return [round(scale_m * node["x"], 3), round(scale_m * (915 - node["y"]), 3)]
+
+    walls = [[at(link["node0"]), at(link["node1"])] for link in cast("list[dict[str, Any]]", content["links"])]
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"type": "wall"},
+            "geometry": {"type": "LineString", "coordinates": wall},
+        }
+        for wall in walls
+    ]
+    frame = "metres, x east_m and y north_m of the waypoints of humolire; north not known"
+    return {"type": "FeatureCollection", "properties": {"frame": frame}, "features": features}
+
+
+def _named(recording: Recording, name: str, truth: Truth, meta: dict[str, Any]) -> Recording:
+    """Return the recording with another name, ground truth and additional metadata."""
+    return replace(recording, name=name, truth=truth, meta={**recording.meta, **meta})
+
+
+def _waypoints(time_s: FloatArray, points_m: FloatArray, floor: float) -> Table:
+    """Return a table of waypoints on one floor."""
+    east_m, north_m = points_m.T
+    return table({"time_s": time_s, "east_m": east_m, "north_m": north_m, "floor": np.full(len(time_s), floor)})
+
+
+def _label(begin_s: float, end_s: float, context: str, carrying_mode: str) -> Table:
+    """Return a table of labels with one row: context and carrying mode between two times in s."""
+    row = {"start_s": begin_s, "end_s": end_s, "context": context, "carrying_mode": carrying_mode}
+    return table({name: [value] for name, value in row.items()})
+
+
+def _begin_s(recording: Recording) -> float:
+    """Return the time in s at which the person begins to move: half a second before the force first swings.
+
+    The force swings if its norm differs from the median by more than 2 m/s2. The first 0.3 s are skipped. The result is
+    0 if the force never swings.
+    """
+    force = recording.accelerometer
+    swing = np.abs(np.linalg.norm(force.values, axis=1) - np.median(np.linalg.norm(force.values, axis=1)))
+    moving = (swing > _SWING_MPS2) & (force.time_s > _SETTLED_S)
+    return max(0.0, float(force.time_s[np.argmax(moving)]) - _BEFORE_S)
+
+
+def _landmarks(path: Path) -> FloatArray:
+    """Return the starting position and the landmarks in the order of the route, (N, 2)."""
+    content = json_object(read_small(path, limits.MAX_SMALL_BYTES), str(path))
+    points = [content["starting_position"], *(content[str(i)] for i in range(int(content["count"])))]
+    return np.array([[point["x"], point["y"]] for point in points], dtype=float)
+
+
+def _rows(path: Path) -> Iterator[list[float]]:
+    """Iterate over the numeric lines of a text file, as lists of numbers.
+
+    The phone app senslogs wrote the files, with fields that are separated by blanks. Lines that do not begin with a
+    digit are skipped.
+    """
+    lines = read_small(path, limits.MAX_MEMBER_BYTES).decode("utf-8", "replace").splitlines()
+    return (list(map(float, line.split())) for line in lines if line[:1].isdigit())
+
+
+def _csv(path: Path) -> list[dict[str, str]]:
+    """Return the rows of a CSV file."""
+    return list(csv.DictReader(read_small(path, limits.MAX_SMALL_BYTES).decode("utf-8-sig").splitlines()))

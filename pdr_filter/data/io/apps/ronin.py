@@ -1,0 +1,216 @@
+"""RoNIN (Herath, Yan, Furukawa 2020): data.hdf5 with its info.json, or the hdf5 file alone.
+
+Layout after the authors' loader (github.com/Sachini/ronin, data_glob_speed.py): `synced/{time, gyro, gyro_uncalib,
+acce, magnet, game_rv}` at 200 Hz in seconds, m/s2, rad/s, uT, quaternions wxyz; `pose/tango_pos` is the position from
+visual odometry. The group `raw`, with quaternions xyzw, is not read. With info.json, as they do:
+
+    specific force = imu_acce_scale (acce - imu_acce_bias),   angular rate = gyro_uncalib - imu_init_gyro_bias.
+
+Reading needs the package h5py (extra `hdf5`).
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_filter.data.io.assemble import Parsed
+from pdr_filter.data.io.files.archive import json_object
+from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.files.safe_files import beside, inside, open_regular, read_small
+from pdr_filter.data.io.tables.text_table import finite
+from pdr_filter.values import FloatArray, limits
+from pdr_filter.values.recording import Recording
+
+RATE_HZ = 200.0
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# hdf5 meets damaged bytes in many places, and h5py passes its complaints on as these.
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError, OverflowError, AttributeError)
+# Filters written by h5py, each at most once: deflate, shuffle, checksum, lzf.
+FILTERS = (1, 2, 3, 32000)
+# Data set and number of its columns.
+ARRAYS = {
+    "accelerometer": ("synced/acce", 3),
+    "gyroscope": ("synced/gyro", 3),
+    "raw gyroscope": ("synced/gyro_uncalib", 3),
+    "magnetometer": ("synced/magnet", 3),
+    "attitude": ("synced/game_rv", 4),
+    "position": ("pose/tango_pos", 3),
+}
+
+
+def read_ronin(path: str | Path) -> Recording:
+    """Return the recording in an hdf5 file of RoNIN or in its folder; the visual position is `truth.position`.
+
+    The calibration in info.json is applied if the file exists. RecordingError if the times or the accelerometer are
+    missing, if a data set has another shape, or if h5py is not installed.
+    """
+    path = Path(path)
+    file = inside(path / "data.hdf5", path) if path.is_dir() else path
+    parsed = Parsed(path, "RoNIN")
+    info = _info(beside(file, "info.json"), parsed)
+    time_s, arrays = _read_arrays(file, parsed.notes)
+    if "accelerometer" not in arrays:
+        raise RecordingError(f"{file}: no synced/acce, which holds the accelerometer; take data.hdf5 as published")
+    for name, values in arrays.items():
+        if len(values) != len(time_s):
+            raise RecordingError(
+                f"{file}: {len(values)} rows of {name}, but {len(time_s)} times, as in a damaged file; take data.hdf5 "
+                "as published"
+            )
+    scale, bias = _vector(info, "imu_acce_scale", file), _vector(info, "imu_acce_bias", file)
+    if scale is not None and bias is not None:
+        arrays["accelerometer"] = scale * (arrays["accelerometer"] - bias)
+        parsed.found.append("accelerometer: scale (acce - bias) with info.json, m/s2")
+    else:
+        parsed.found.append("accelerometer: acce as recorded, m/s2, no calibration in info.json")
+    raw_gyroscope, gyro_bias = arrays.pop("raw gyroscope", None), _vector(info, "imu_init_gyro_bias", file)
+    if raw_gyroscope is not None and gyro_bias is not None:
+        arrays["gyroscope"] = raw_gyroscope - gyro_bias
+        parsed.found.append("gyroscope: gyro_uncalib minus the bias of info.json, rad/s")
+    elif "gyroscope" in arrays:
+        parsed.found.append("gyroscope: gyro as the phone corrected it, rad/s")
+    position_m = arrays.pop("position", None)
+    if position_m is not None:
+        east_m, north_m, up_m = position_m.T
+        parsed.truth["position"] = {"time_s": time_s, "east_m": east_m, "north_m": north_m, "up_m": up_m}
+        parsed.meta["truth"] = "visual odometry of a second phone on the body; its axes turn freely about the vertical"
+    parsed.streams = {stream: (time_s, values) for stream, values in arrays.items()}
+    parsed.requested_hz = dict.fromkeys(arrays, RATE_HZ)
+    parsed.clock = "seconds of the phone (synced/time)"
+    return parsed.recording()
+
+
+def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return the times, and the arrays of `ARRAYS` that exist in the file."""
+    try:
+        import h5py  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise RecordingError(f"{file}: reading hdf5 needs h5py; install pdr_filter[hdf5]") from error
+    try:
+        open_regular(file).close()
+    except OSError as error:
+        raise RecordingError(f"{file}: cannot be read ({error.strerror}); check path and permissions") from error
+    try:
+        with h5py.File(file, "r") as opened:
+            data: Any = opened
+            time_s = _array(data, "synced/time", 1, file, notes)
+            if time_s is None:
+                groups = ", ".join(map(str, islice(data, 8)))
+                raise RecordingError(
+                    f"{file}: no synced/time (found: {groups or 'nothing'}); take data.hdf5 as published"
+                )
+            arrays = {key: _array(data, name, n, file, notes) for key, (name, n) in ARRAYS.items()}
+    except RecordingError:
+        raise
+    except HDF5_ERRORS as error:
+        raise RecordingError(f"{file}: no hdf5 file, or a damaged one ({str(error)[:120]}); copy it again") from error
+    return time_s, {key: values for key, values in arrays.items() if values is not None}
+
+
+def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> FloatArray | None:
+    """Return a data set of an HDF5 file as floats, or None if the file does not have it.
+
+    The shape is (N,) for one column and (N, columns) otherwise. Infinite and absurd values become NaN, with a note in
+    `notes`. RecordingError for another shape, for text and for too many rows.
+    """
+    found: Any = _inside_file(data, name, file)
+    if found is None:
+        return None
+    shape: Any = getattr(found, "shape", None)
+    if shape is None or len(shape) != (1 if columns == 1 else 2) or (columns > 1 and shape[1] != columns):
+        wanted = "(N,)" if columns == 1 else f"(N, {columns})"
+        raise RecordingError(f"{file}: {name} has the shape {shape}; write it as an array of the shape {wanted}")
+    if shape[0] > limits.MAX_ARRAY_ROWS:
+        raise RecordingError(
+            f"{file}: {name} claims {shape[0]} rows, more than {limits.MAX_ARRAY_ROWS}; cut the recording"
+        )
+    if np.dtype(found.dtype).kind not in "fiu":
+        raise RecordingError(f"{file}: {name} holds {found.dtype}; write it as numbers")
+    _check_storage(found, name, file)
+    with np.errstate(over="ignore", invalid="ignore"):
+        return finite(np.array(found[()], dtype=np.float64), name, notes)
+
+
+def _inside_file(data: Any, name: str, file: Path) -> Any:
+    """Return the data set of this name, or None if it does not exist.
+
+    RecordingError for a link, and for values that are kept in other files.
+    """
+    import h5py  # pyright: ignore[reportMissingImports]
+
+    found = data
+    for part in name.split("/"):
+        link = found.get(part, getlink=True)
+        if link is None:
+            return None
+        if not isinstance(link, h5py.HardLink):
+            raise RecordingError(
+                f"{file}: {name} is a link, which may lead to another file; take data.hdf5 as published, or write the "
+                "values into one file with h5py"
+            )
+        found = found[part]
+    if getattr(found, "external", None) or getattr(found, "is_virtual", False):
+        raise RecordingError(
+            f"{file}: {name} is kept in other files; take data.hdf5 as published, or write the values into one file "
+            "with h5py"
+        )
+    return found
+
+
+def _check_storage(found: Any, name: str, file: Path) -> None:
+    """Raise RecordingError for a data set that needs much more memory than its file has bytes.
+
+    Rows that were declared but never written are an example. Unknown compression filters are refused, too.
+    """
+    filters: Any = found.id.get_create_plist()
+    names = [filters.get_filter(i)[0] for i in range(filters.get_nfilters())]
+    if not set(names) <= set(FILTERS) or len(set(names)) < len(names):
+        raise RecordingError(f"{file}: {name} is packed with the filters {names}; pack it with gzip (h5repack)")
+    claimed = max(math.prod(found.shape) * 8, math.prod(found.chunks or (0,)) * found.dtype.itemsize)
+    stored = min(found.id.get_storage_size(), file.stat().st_size)
+    if claimed > max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * stored):
+        raise RecordingError(
+            f"{file}: {name} claims {claimed} bytes and {stored} are stored, unlike sensor data; write the file again"
+        )
+    if FILTERS[0] in names:
+        _check_chunks(found, name, file)
+
+
+def _check_chunks(found: Any, name: str, file: Path) -> None:
+    """Raise RecordingError for a chunk that unpacks to more than its declared size.
+
+    The hdf5 library itself does not check this.
+    """
+    most = math.prod(found.chunks) * found.dtype.itemsize + 4  # a checksum has 4 bytes
+    for i in range(found.id.get_num_chunks()):
+        mask, piece = found.id.read_direct_chunk(found.id.get_chunk_info(i).chunk_offset)
+        if not mask and len(zlib.decompressobj().decompress(piece, most + 1)) > most:
+            raise RecordingError(f"{file}: {name} has a piece of more than {most} bytes unpacked; write the file again")
+
+
+def _info(path: Path, parsed: Parsed) -> dict[str, Any]:
+    if not path.is_file():
+        parsed.notes.append("no info.json beside the file, so the calibration of the data set is not applied")
+        return {}
+    info = json_object(read_small(path, limits.MAX_SMALL_BYTES), str(path))
+    if isinstance(info.get("device"), str):
+        parsed.set_device(info["device"])
+    return info
+
+
+def _vector(info: dict[str, Any], key: str, file: Path) -> FloatArray | None:
+    if key not in info:
+        return None
+    try:
+        value = np.asarray(info[key], dtype=np.float64)
+        if value.shape != (3,) or not (np.abs(value) < limits.LARGEST_VALUE).all():
+            raise ValueError(key)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise RecordingError(f"{file.parent / 'info.json'}: {key} is not three numbers; correct it") from error
+    return value

@@ -1,0 +1,429 @@
+"""Files of one recording, from a zip file, a folder or one file, read within bounds whatever the file claims."""
+
+from __future__ import annotations
+
+import codecs
+import gzip
+import io
+import json
+import re
+import struct
+import tomllib
+import zipfile
+import zlib
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import IO, Any, cast
+
+from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.files.safe_files import inside, open_regular, read_small
+from pdr_filter.data.io.tables.column_names import ACCELERATION, LINEAR, quantity_of_file, trial_of
+from pdr_filter.values import limits
+
+# zipfile bounds what it unpacks at once for these two only; a few kilobytes of bzip2 or lzma can become gigabytes.
+SUPPORTED_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+# Errors of zipfile for damaged files.
+_PYTHON_ERRORS = (EOFError, RuntimeError, OSError, OverflowError, LookupError, ValueError)
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, *_PYTHON_ERRORS)
+# Files that are recordings by themselves and are read in place, not out of a zip.
+IN_PLACE = (".hdf5", ".h5", ".mat", ".xlsx", ".xls", ".mcap", ".db3")
+_ZIP, _GZIP = b"PK", b"\x1f\x8b"
+# First bytes of files that are given by mistake, with the kind and the remedy.
+_OTHERS = {
+    b"7z\xbc\xaf": "a 7z archive; unpack it and give the folder",
+    b"Rar!": "a rar archive; unpack it and give the folder",
+    b"BZh": "a bz2 archive; unpack it and give what is in it",
+    b"\xfd7zXZ": "an xz archive; unpack it and give what is in it",
+    b"\x28\xb5\x2f\xfd": "a zstd archive; unpack it and give what is in it",
+    b"%PDF": "a PDF; export the samples as CSV",
+    b"<!doctype html": "a web page; download the file itself, signed in if need be",
+    b"<html": "a web page; download the file itself, signed in if need be",
+    b"version https://git-lfs": "a pointer to a file in git LFS; get the file itself with git lfs pull",
+}
+_ABOUT = re.compile(r"(?i)(readme|licen[cs]e|notes?)[^/]*$|\.(md|pdf|html?|png|jpe?g|docx?|mp4|m4a)$|(^|/)\.[^/]*$")
+_TABLES = (".csv", ".txt", ".tsv", ".log", ".dat", ".json", ".jsonl", ".ndjson")
+_TAR_AT, _TAR = 257, b"ustar"
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+class Members:
+    """Files of one recording: in a zip file or a folder, or a single file, also in a gz file.
+
+    Nothing is unpacked to disk. Text in UTF-16 with a byte order mark is converted to UTF-8.
+
+    `inside` selects one recording of several. In a zip file it is a folder or a file, and in a log a session. In a
+    folder with files such as `walk1_acc.csv` and `walk1_gyro.csv` it is the name of a trial, walk1. If each sensor has
+    its own folder with one file, such as `Accelerometer/data.csv`, the file has the name `Accelerometer.csv` here.
+    """
+
+    def __init__(
+        self, path: Path, archive: zipfile.ZipFile | None = None, inside: str = "", is_gzip: bool = False
+    ) -> None:
+        self.path = path / inside if inside else path
+        self.inside = inside
+        self._folder = path if path.is_dir() else None
+        self.is_container = archive is not None or self._folder is not None  # not one file
+        self._archive = archive
+        self._infos = {} if archive is None else _infos_by_name(path, archive)
+        self._n_read = 0
+        self._most = limits.MAX_READ_BYTES
+        self._open = gzip.open if is_gzip else open_regular
+        if is_gzip:
+            self._most = min(self._most, _most_unpacked(path.stat().st_size))
+        name = path.stem if is_gzip and path.suffix.lower() == ".gz" else path.name
+        self._files = _files_below(path) if self._folder else {name: path}
+        names = list(self._files if archive is None else self._infos)  # with forward slashes
+        if inside and self.is_container:
+            of_trial = [name for name in names if _trial_path(name) == inside]
+            names = [name for name in names if name == inside or name.startswith(f"{inside}/")] or of_trial
+            self.is_container = names != [inside]
+            if not names:
+                raise RecordingError(f"{path}: nothing in it is called {inside}; look into it for the names")
+        flat = _without_sensor_folders(names)
+        self._files = {flat.get(name, name): file for name, file in self._files.items()}
+        self._infos = {flat.get(name, name): info for name, info in self._infos.items()}
+        self.names = tuple(sorted(flat.get(name, name) for name in names))
+
+    def where(self, name: str) -> str:
+        """Return the name of a member for messages."""
+        return f"{self.path}" if self.path.name == name else f"{self.path}: {name}"
+
+    def only_text(self) -> str:
+        """Return the name of the only file that can be a log or a table.
+
+        It is the file itself, or the only text in a zip file or folder. RecordingError if there are several or none.
+        """
+        names = [name for name in self.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(self.names)
+        if len(names) != 1:
+            raise RecordingError(
+                f"{self.path}: {len(names)} files may be the log or table ({', '.join(names[:4]) or 'nothing'}); "
+                "give the path of one log or table"
+            )
+        return names[0]
+
+    def head(self, name: str, most: int = limits.HEAD_BYTES) -> bytes:
+        """Return the first `most` bytes of a file."""
+        return next(self.parts(name, most), b"")
+
+    def small(self, name: str) -> bytes:
+        """Return the bytes of a file that is small in every recording. RecordingError if it is large."""
+        return self.whole(name, limits.MAX_SMALL_BYTES, "take out of it what is not needed")
+
+    def whole(self, name: str, most: int, remedy: str = "cut the recording") -> bytes:
+        """Return the bytes of a file that must be read as a whole. RecordingError if there are more than `most`."""
+        parts: list[bytes] = []
+        n_bytes = 0
+        for part in self.parts(name, min(limits.BLOCK_BYTES, most + 1)):
+            parts.append(part)
+            n_bytes += len(part)
+            if n_bytes > most:
+                raise RecordingError(f"{self.where(name)}: more than {most} bytes; {remedy}")
+        return b"".join(parts)
+
+    def file(self, most: int) -> bytes:
+        """Return the bytes of the file that was opened. For a zip file these are the packed bytes.
+
+        A zip file inside another one gives its own packed bytes.
+        """
+        if self._archive is None or self._archive.fp is None:
+            return self.whole(self.names[0], most)
+        self._archive.fp.seek(0)
+        content = self._archive.fp.read(most + 1)
+        if len(content) > most:
+            raise RecordingError(f"{self.path}: the file has more than {most} bytes; cut the recording")
+        return content
+
+    def pieces(self, name: str) -> Iterator[bytes]:
+        """Yield the bytes of a file in pieces without byte order mark. A piece may end anywhere in a line.
+
+        RecordingError for a binary file.
+        """
+        for i, part in enumerate(self.parts(name)):
+            # UTF-16 without byte order mark, UTF-32 and binary files have zero bytes
+            if i == 0 and b"\x00" in part[:4096]:
+                raise RecordingError(
+                    f"{self.where(name)}: not UTF-8 text but UTF-16 or a binary file; save it as UTF-8"
+                )
+            yield part.removeprefix(b"\xef\xbb\xbf") if i == 0 else part
+
+    def blocks(self, name: str) -> Iterator[bytes]:
+        """Yield the bytes of a text file in blocks of complete lines, with line feeds as line ends.
+
+        A last line without line end is a block of its own.
+        """
+        rest = b""
+        for part in self.pieces(name):
+            if b"\r" in part or rest.endswith(b"\r"):
+                part, rest = rest + part, b""
+                last = b"\r" if part.endswith(b"\r") else b""  # the line feed may be in the next piece
+                part = part.removesuffix(last).replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
+            cut = part.rfind(b"\n") + 1
+            block, rest = (rest + part[:cut], part[cut:]) if cut else (b"", rest + part)
+            if len(rest) > limits.MAX_LINE_BYTES:
+                raise RecordingError(
+                    f"{self.where(name)}: a line has more than {limits.MAX_LINE_BYTES} bytes, so the file is no table; "
+                    "give a table of samples"
+                )
+            if block:
+                yield block
+        if rest:
+            yield rest.replace(b"\r", b"\n")
+
+    def parts(self, name: str, size: int = limits.BLOCK_BYTES) -> Iterator[bytes]:
+        """Yield the bytes of a file in parts of `size` bytes, so that no more is unpacked at once.
+
+        The checksum (CRC) is tested at the end. RecordingError if the file is damaged, encrypted or too large.
+        """
+        where = self.where(name)
+        try:
+            if self._archive is None:
+                file = self._files[name]
+                _check_size(where, file.stat().st_size)
+                opened = self._open(inside(file, self._folder) if self._folder else file)
+            else:
+                _check_claims(where, self._infos[name])
+                opened = self._archive.open(self._infos[name])
+            with opened as file:
+                part = file.read(size)
+                decoder = codecs.getincrementaldecoder("utf-16")() if part.startswith(_UTF_16) else None
+                while part:
+                    self._n_read += len(part)
+                    if self._n_read > self._most:
+                        raise RecordingError(
+                            f"{where}: unpacks to more than {self._most} bytes; unpack it yourself, if you trust it"
+                            if self._open is gzip.open
+                            else f"{where}: with this file, more than {self._most} bytes are read; cut the recording"
+                        )
+                    yield part if decoder is None else decoder.decode(part).encode()
+                    part = file.read(size)
+        except RecordingError:
+            raise
+        except OSError as error:
+            raise RecordingError(
+                f"{where}: cannot be read ({error.strerror or error}); check its permissions, or copy it again"
+            ) from error
+        except _ZIP_ERRORS as error:
+            raise RecordingError(f"{where}: damaged ({error}); copy or export the recording again") from error
+
+
+@contextmanager
+def open_members(path: Path) -> Generator[Members]:
+    """Context manager that opens a zip file, a folder or one file, and yields its files as `Members`.
+
+    RecordingError if it does not exist, is a file of 0 bytes, or cannot be opened. An empty folder has no members.
+    The path may go on inside a file: `export.zip/walk_2` is the folder walk_2 of the zip.
+    """
+    try:
+        path, inside = outside(path)
+        if not path.exists():
+            raise RecordingError(f"{path}: no such file or folder; check the path")
+        if path.is_dir():
+            yield Members(path, inside=inside)
+            return
+        with open_regular(path) as file:
+            begin = file.read(2)
+            _check_any(path, "the file", begin)
+            if begin == _GZIP:
+                packed = Members(path, is_gzip=True)
+                begin = packed.head(packed.names[0], 2)
+                _check_any(path, "the file in it", begin)
+                if begin == _ZIP:
+                    file = io.BytesIO(packed.whole(packed.names[0], limits.MAX_UNPACKED_BYTES))
+                else:
+                    _refuse_others(path, packed.head(packed.names[0], 512))
+                    yield Members(path, inside=inside, is_gzip=True)
+                    return
+            elif begin != _ZIP:
+                _refuse_others(path, begin + file.read(512))
+                yield Members(path, inside=inside)
+                return
+            with _in_zip(file, path, inside) as members:
+                yield members
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: cannot be read ({error.strerror or error}); check path and permissions"
+        ) from error
+
+
+@contextmanager
+def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) -> Generator[Members]:
+    """Open the files in a zip file.
+
+    If the only content is another zip file, the files in that inner zip file are opened. If there are several, the
+    inner zip file that `inside` names is opened.
+    """
+    try:
+        archive = zipfile.ZipFile(file)
+    except _ZIP_ERRORS as error:
+        raise RecordingError(f"{path}: a zip file that is damaged or cut off; copy or export it again") from error
+    with archive:
+        members = Members(path, archive)
+        zips = zips_among(members.names)
+        named = [name for name in zips if inside == name or inside.startswith(f"{name}/")]
+        if is_inner or not (named or len(zips) == 1):
+            yield Members(path, archive, inside) if inside else members
+            return
+        content = io.BytesIO(members.whole(*(named or zips), most=limits.MAX_UNPACKED_BYTES))
+        if named:
+            path, inside = path / named[0], inside.removeprefix(named[0]).lstrip("/")
+        with _in_zip(content, path, inside, is_inner=True) as members:
+            yield members
+
+
+def _check_any(path: Path, what: str, begin: bytes) -> None:
+    if not begin:
+        raise RecordingError(f"{path}: {what} is empty (0 bytes); copy or export the recording again")
+
+
+def _refuse_others(path: Path, head: bytes) -> None:
+    """Raise RecordingError, which names the kind, for a known kind of file that cannot be a recording."""
+    kind = next((words for begin, words in _OTHERS.items() if head.lower().lstrip().startswith(begin.lower())), "")
+    if head[_TAR_AT:].startswith(_TAR):
+        kind = "a tar archive; unpack it and give the folder"
+    if kind:
+        raise RecordingError(f"{path}: {kind}")
+
+
+def zips_among(names: Sequence[str]) -> list[str]:
+    """Return the names of zip files and .xlsx spreadsheets among the names of files.
+
+    The list is empty if one of the other files may hold samples. Files such as a readme, a licence or an image do not.
+    """
+    others = [name for name in names if not name.lower().endswith((".zip", ".xlsx"))]
+    return [] if any(_ABOUT.search(name) is None for name in others) else [n for n in names if n not in others]
+
+
+def outside(path: Path) -> tuple[Path, str]:
+    """Split a path into a file or folder that exists on disk, and the rest of the path inside it.
+
+    The rest of `export.zip/walk_2` is `walk_2`. In a folder, the rest may be the name of a trial: `walk1` stands for
+    all files such as `walk1_acc.csv` and `walk1_gyro.csv`. In all other cases the rest is "".
+    """
+    if not path.exists():
+        for parent in path.parents:
+            if parent.is_file():
+                return parent, path.relative_to(parent).as_posix()
+        if (
+            path.name
+            and path.parent.is_dir()
+            and any(trial_of(name) == path.name for name in _files_below(path.parent))
+        ):
+            return path.parent, path.name
+    return path, ""
+
+
+def _trial_path(name: str) -> str:
+    """Return the folder of a file followed by the name of its trial (see `trial_of`)."""
+    return str(PurePosixPath(name).parent / trial_of(name))
+
+
+def json_object(content: bytes, where: str) -> dict[str, Any]:
+    """Return the object in the content of a small JSON file. RecordingError if it is not JSON or not an object."""
+    try:
+        value: Any = json.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{where}: not JSON ({error}); correct it or leave the file out") from error
+    if not isinstance(value, dict):
+        raise RecordingError(f"{where}: holds {str(value)[:40]!r}; it must be one object in braces, like {{}}")
+    return cast("dict[str, Any]", value)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the content of a small TOML file. RecordingError if it cannot be read or is not TOML."""
+    content = read_small(path, limits.MAX_TOML_BYTES)
+    try:
+        return tomllib.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{path}: not TOML ({error}); correct it or take it away") from error
+
+
+def _files_below(path: Path) -> dict[str, Path]:
+    """Return the files in a folder by path, including the files in its folder `meta` and in the folders of its sensors.
+
+    Deeper folders are not searched, because the folder may be a home folder with very many files.
+    """
+    found: dict[str, Path] = {}
+    below = [entry for entry in path.iterdir() if entry.is_dir() and not entry.is_symlink() and entry.name != "meta"]
+    for folder in (path, path / "meta", *(below if _are_of_sensors(entry.name for entry in below) else ())):
+        if folder.is_dir():
+            for entry in folder.iterdir():
+                if not entry.is_dir():  # a pipe or a device is refused when it is read, with its name
+                    found[entry.relative_to(path).as_posix()] = entry
+                if len(found) > limits.MAX_MEMBERS:
+                    raise RecordingError(
+                        f"{path}: more than {limits.MAX_MEMBERS} files; give the folder of one recording"
+                    )
+    return found
+
+
+def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
+    """Return new names for files of sensors that each have a folder of their own, as a mapping from the old names.
+
+    `Accelerometer/data.csv` becomes `Accelerometer.csv` if it is the only table in its folder. Names that stay the same
+    are not in the result. No file is renamed on disk.
+    """
+    by_folder: dict[PurePosixPath, list[PurePosixPath]] = {}
+    for name in map(PurePosixPath, names):
+        if name.suffix.lower() in _TABLES and name.parent.name not in ("", "meta"):
+            by_folder.setdefault(name.parent, []).append(name)
+    found: dict[str, str] = {}
+    for parent in {folder.parent for folder in by_folder}:
+        folders = {folder: files for folder, files in by_folder.items() if folder.parent == parent}
+        alone = {folder: files[0] for folder, files in folders.items() if len(files) == 1}
+        if _are_of_sensors(folder.name for folder in alone):
+            flat = {str(file): str(parent / f"{folder.name}{file.suffix}") for folder, file in alone.items()}
+            found |= {name: to for name, to in flat.items() if to not in names}
+    return found
+
+
+def _are_of_sensors(folders: Iterable[str]) -> bool:
+    """Return True if folders are named after an accelerometer and another sensor."""
+    sensors = {quantity_of_file(name)[0] for name in folders} - {""}
+    return len(sensors) > 1 and not sensors.isdisjoint((ACCELERATION, LINEAR))
+
+
+def _most_unpacked(size: int) -> int:
+    """Return the largest number of bytes that a packed file of this size may unpack to."""
+    return max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * size)
+
+
+def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """Return the files in a zip file by their path inside it, with slashes whatever system packed it.
+
+    RecordingError for a path that leads out of the zip file, and for too many files or two of one path. A zip file that
+    claims to unpack to much more than its size is refused, too.
+    """
+    if len(archive.infolist()) > limits.MAX_MEMBERS:
+        raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")
+    claimed = sum(info.file_size for info in archive.infolist())
+    size = archive.fp.seek(0, io.SEEK_END) if archive.fp else 0  # the zip may be inside another one
+    if claimed > _most_unpacked(size):
+        raise RecordingError(
+            f"{path} claims to unpack to {claimed} bytes, {claimed / size:.0f} times its size: no sensor data is like "
+            "that; unpack it yourself and give the folder, if you trust it"
+        )
+    found: dict[str, zipfile.ZipInfo] = {}
+    for info in archive.infolist():
+        name = PurePosixPath(info.filename.replace("\\", "/"))  # some Windows tools write backslashes
+        if name.is_absolute() or ".." in name.parts or (name.parts[:1] and name.parts[0].endswith(":")):
+            raise RecordingError(f"{path}: member {info.filename!r} points outside the zip; pack it again without it")
+        if not info.filename or info.is_dir() or "__MACOSX" in name.parts:
+            continue
+        if str(name) in found:
+            raise RecordingError(f"{path}: {name} is in the zip twice; pack it again with one of them")
+        found[str(name)] = info
+    return found
+
+
+def _check_claims(where: str, info: zipfile.ZipInfo) -> None:
+    if info.flag_bits & 0x1:
+        raise RecordingError(f"{where} is encrypted; unpack it with its password and pack it again without one")
+    if info.compress_type not in SUPPORTED_COMPRESSION:
+        raise RecordingError(f"{where} uses zip compression method {info.compress_type}; pack it again with deflate")
+    _check_size(where, info.file_size)
+
+
+def _check_size(where: str, n_bytes: int) -> None:
+    if n_bytes > limits.MAX_MEMBER_BYTES:
+        raise RecordingError(f"{where}: {n_bytes} bytes, more than {limits.MAX_MEMBER_BYTES}; cut the recording")

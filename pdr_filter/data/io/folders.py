@@ -1,0 +1,229 @@
+"""Recordings in folders, and in files with several recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import lru_cache
+from itertools import islice
+from pathlib import Path, PurePosixPath
+
+from pdr_filter.data.io.apps import sensor_logger
+from pdr_filter.data.io.detection import BINARIES, detect, detect_file
+from pdr_filter.data.io.files.archive import IN_PLACE, Members, open_members, zips_among
+from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.tables.any_table import TEXTS, sensors_of
+from pdr_filter.data.io.tables.column_mapping import mapping_beside
+from pdr_filter.data.io.tables.column_names import (
+    ACCELERATION,
+    GRAVITY,
+    LINEAR,
+    RATE,
+    VECTORS,
+    quantity_of_file,
+    trial_of,
+)
+from pdr_filter.data.io.tables.json_tables import SUFFIXES
+from pdr_filter.values import limits
+
+_TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
+_FILES = {".zip", ".gz", *BINARIES, *IN_PLACE}
+# Files whose names say that the folder around them is one recording.
+_MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "metadata.yaml", "raw data.csv"}
+_WHOLE = ("get_sensor_data", "indoor_location", "ronin")
+
+
+def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
+    """Return the absolute paths of all recordings that the given paths stand for, each once and in order.
+
+    A file stands for itself. A folder that is not itself a recording stands for all recordings in it (`recordings_in`),
+    or for itself if there is none.
+    """
+    found: list[Path] = []
+    for path in [paths] if isinstance(paths, str | Path) else paths:
+        path = Path(path)
+        found += (recordings_in(path) or [path]) if path.is_dir() else [path]
+    return list(dict.fromkeys(str(path.resolve()) for path in found))
+
+
+def recordings_in(folder: str | Path) -> list[Path]:
+    """Return the sorted paths of the recordings in a folder and in its subfolders.
+
+    If the folder itself is one recording, the result is the path of the folder. Hidden files and linked folders are
+    skipped. Every zip and hdf5 file counts as a
+    recording, so that a broken file is reported later. A text file counts if it looks like a known format, or if a TOML
+    file beside it describes its columns. A file that holds several recordings gives one path for each, such as
+    `export.zip/walk_2`. Files such as `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` give the paths
+    `walk1` and `walk2`.
+    """
+    folder = Path(folder)
+    if folder.is_file():
+        return [folder / part for part in _parts_in(folder)] or [folder]
+    inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
+    parts = _parts_in(folder) if not any(map(_is_mapped, inside)) else []
+    if "." in parts:
+        return [folder]
+    trials = [part for part in parts if not (folder / part).exists()]
+    found = [folder / trial for trial in trials]
+    for path in inside:
+        if path.is_dir() and not path.is_symlink():
+            found += recordings_in(path)
+        elif (
+            path.is_file() and (path.suffix.lower() in _FILES or _is_known(path)) and trial_of(path.name) not in trials
+        ):
+            found += [path / part for part in _parts_in(path)] or [path]
+    return found
+
+
+def only_recording_in(path: Path) -> Path:
+    """Return the path of a file with one recording, or the path of the only recording in a folder.
+
+    The path itself is returned for a folder that has links or very many files, which is not searched. RecordingError if
+    a folder or file holds several recordings, or if a folder holds none.
+    """
+    # A search of a whole home folder would take long, and links lead to files that were not given.
+    below = list(islice(path.rglob("*"), limits.MAX_MEMBERS)) if path.is_dir() else []
+    if path.is_dir():
+        is_searched = 0 < len(below) < limits.MAX_MEMBERS and not any(entry.is_symlink() for entry in below)
+        found = recordings_in(path) if is_searched else [path]
+        if len(found) == 1:
+            return found[0]
+        parts = [str(recording.relative_to(path)) for recording in found]
+    else:
+        parts = parts_of(path)
+    if not parts:
+        return path
+    listed = ", ".join(parts[:3])
+    if all(quantity_of_file(PurePosixPath(part).parent.name)[0] for part in parts):
+        raise RecordingError(
+            f"{path}: several files of a sensor in its folder ({listed}); make a folder of each recording instead"
+        )
+    raise RecordingError(
+        f"{path}: holds {len(parts)} recordings ({listed}{', ...' if parts[3:] else ''}); read one, such as "
+        f"{path / parts[0]}, or each that pdr_filter.data.io.folders.recordings_in lists"
+    )
+
+
+def parts_of(path: Path) -> list[str]:
+    """Return the names of the recordings in a file that holds several recordings.
+
+    A name is appended to the path of the file to read its recording. The list is empty for a file with one recording.
+    """
+    if not path.exists():
+        return []
+    with open_members(path) as members:
+        if not members.is_container:
+            parts = sensor_logger.sessions_of(members)
+        else:
+            parts = zips_among(members.names) or recordings_among(members, members.names)
+    return parts if len(parts) > 1 else []
+
+
+def recordings_among(members: Members, names: Iterable[str]) -> list[str]:
+    """Return the paths of those folders and files among the names that are one recording each.
+
+    "." stands for the folder that holds all names. A folder with a typical file of an export, such as
+    `Accelerometer.csv`, is a recording. In any other folder, each file that has an acceleration and another sensor is a
+    recording. If sensors are in separate files, the whole folder is one recording. If the names of these files show
+    several trials, such as `walk1_acc.csv` and `walk2_acc.csv`, each trial is a recording (`_of_one_sensor`).
+    """
+    by_folder: dict[str, list[str]] = {}
+    for name in list(names)[: limits.MAX_MEMBERS]:
+        pure = PurePosixPath(name)
+        if pure.parent.name != "meta":
+            by_folder.setdefault(str(pure.parent), []).append(name)
+    found: list[str] = []
+    n_looked_at = 0
+    for folder, files in sorted(by_folder.items()):
+        if _MEMBERS.intersection(PurePosixPath(name).name.lower() for name in files):
+            found.append(folder)
+            continue
+        whole: list[str] = []
+        of_sensors: dict[str, set[str]] = {}  # the other files, with their sensors
+        for name in files:
+            if not name.lower().endswith((*TEXTS, *SUFFIXES)) or n_looked_at >= limits.MAX_FILES_LOOKED_AT:
+                continue
+            n_looked_at += 1
+            format = detect_file(members, name)
+            sensors = sensors_of(members, name) if format in ("sensor_logger", "table") else set[str]()
+            has_force = ACCELERATION in sensors or {LINEAR, GRAVITY} <= sensors
+            if format in _WHOLE or (has_force and sensors - {ACCELERATION, LINEAR, GRAVITY}):
+                whole.append(name)
+            else:
+                of_sensors[name] = {ACCELERATION} if has_force else sensors & set(VECTORS)
+        found += _of_one_sensor(folder, of_sensors, not whole)
+        found += whole
+    return found
+
+
+def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -> list[str]:
+    """Return the recordings in a folder, for the files that hold only one sensor each.
+
+    `of_sensors` maps the name of a file to its sensors. `is_all` is True if no file of the folder is a recording by
+    itself. Three cases are tried in this order:
+
+    - At least two trials have both an acceleration and a gyroscope: the result is the path of each trial.
+    - There is an acceleration and another sensor, or one acceleration file alone (`is_all`): the result is the folder.
+    - Otherwise each file with an acceleration that includes gravity is a recording.
+    """
+    trials: dict[str, set[str]] = {}
+    for name, sensors in of_sensors.items():
+        trials.setdefault(trial_of(name), set()).update(sensors)
+    whole = [
+        trial for trial, sensors in trials.items() if trial and RATE in sensors and sensors & {ACCELERATION, LINEAR}
+    ]
+    if len(whole) > 1:
+        return [str(PurePosixPath(folder) / trial) for trial in whole]
+    kinds = set[str]().union(*of_sensors.values())
+    force_of = ACCELERATION if ACCELERATION in kinds else LINEAR
+    force = [name for name, sensors in of_sensors.items() if force_of in sensors]
+    is_one = bool(force and kinds - {force_of}) or (len(force) == 1 and is_all)
+    return [folder] if is_one else force if force_of == ACCELERATION else []
+
+
+def _parts_in(path: Path) -> list[str]:
+    """Return the names of the recordings in a file, or among the files of a folder itself.
+
+    The names are relative to `path`. "." in the result means that the files of the folder are together one recording.
+    The list is empty for a file with a single recording, and if a file cannot be read.
+    """
+    try:
+        if path.is_file():
+            found = path.stat()
+            return list(_parts_of_version(path, found.st_size, found.st_mtime_ns))
+        members = Members(path)
+        return recordings_among(members, [name for name in members.names if name[0] != "."])
+    except Exception:
+        return []  # something is wrong with one of them, which its row will say
+
+
+@lru_cache(maxsize=20_000)
+def _parts_of_version(path: Path, n_bytes: int, changed_ns: int) -> tuple[str, ...]:
+    """Return the names of the recordings in a file with several, or none for a file with one recording.
+
+    The result is cached for this size and time of change.
+
+    A program may scan a large folder again and again.
+    """
+    del n_bytes, changed_ns
+    return tuple(parts_of(path))
+
+
+def _is_mapped(path: Path) -> bool:
+    """Return True for a text file that has a TOML file with the mapping of its columns."""
+    return path.suffix.lower() in _TEXTS and path.is_file() and mapping_beside(path).is_file()
+
+
+def _is_known(path: Path) -> bool:
+    """Return True for a text file that looks like a recording, and for one that cannot be read.
+
+    A table without acceleration, and a file of the project's own format, are no recordings by themselves.
+    """
+    if path.suffix.lower() not in _TEXTS:
+        return False
+    try:
+        found = detect(path)
+        if found == "table":  # the table of a track has locations, too
+            return bool({ACCELERATION, LINEAR, GRAVITY} & sensors_of(Members(path), path.name))
+        return found != "own" and (found != "generic_csv" or mapping_beside(path).is_file())
+    except Exception:
+        return True  # something is wrong with it, which its row will say

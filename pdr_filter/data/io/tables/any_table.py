@@ -1,0 +1,260 @@
+"""Tables of any app, with or without a mapping: texts and JSON, alone or in a zip or folder, spreadsheets, MATLAB."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+from pdr_filter.data.io.apps.phyphox import read_experiment
+from pdr_filter.data.io.assemble import Parsed
+from pdr_filter.data.io.files.archive import Members, open_members
+from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
+from pdr_filter.data.io.tables.column_groups import groups_of
+from pdr_filter.data.io.tables.column_guess import Guess, columns_by_content, guess
+from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
+from pdr_filter.data.io.tables.column_names import (
+    ACCELERATION,
+    LINEAR,
+    SENSOR_CODES,
+    VECTORS,
+    letters,
+    quantity_of_file,
+    words_of,
+)
+from pdr_filter.data.io.tables.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
+from pdr_filter.data.io.tables.matlab import is_matlab, matlab_sheets
+from pdr_filter.data.io.tables.sheet import Sheet
+from pdr_filter.data.io.tables.spreadsheet import is_spreadsheet, spreadsheet_sheets
+from pdr_filter.data.io.tables.table_streams import fill
+from pdr_filter.data.io.tables.text_sheets import TextRows, by_text, text_sheet, text_sheets
+from pdr_filter.data.io.tables.text_table import UNKNOWN
+from pdr_filter.values import limits
+from pdr_filter.values.recording import Recording
+
+TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
+_TYPES = ("type", "name", "sensor", "sensortype", "event", "eventtype", "kind")  # that say of which sensor a row is
+_NAMED_VALUE = re.compile(r"(?m)(?:^|[\s,;])([A-Za-z]+ ?[:=] ?[-+.]?\d)")
+_DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename", "sensorid")  # that say whose a row is
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tables:
+    """Pair of a recording that was read from tables and the column mapping with which it was read."""
+
+    recording: Recording
+    guess: Guess  # mapping of the columns, as guessed from names and values
+
+
+def read_table(path: str | Path, platform: str | None = None) -> Recording:
+    """Return the recording in the tables of an app, which are recognised by their columns.
+
+    `platform` ("ios" or "android") determines the sign of the acceleration if the app writes different signs on the two
+    systems. Gravity is added to an acceleration that lacks it, with a note. RecordingError if there is no acceleration,
+    if its sign or unit is unknown, or if `platform` is given although the file or the app decides the sign.
+    """
+    return read_guessed(Path(path), platform).recording
+
+
+def read_guessed(path: Path, platform: str | None = None) -> Tables:
+    """Read a recording, and return it with the column mapping that was guessed and the evidence for it."""
+    with open_members(path) as members:
+        parsed = Parsed(path, "")
+        sheets = sheets_of(members, notes=parsed.notes)
+        where = sheets[0].where if len(sheets) == 1 else str(path)
+        groups = [group for i, sheet in enumerate(sheets) for group in groups_of(sheet, i)]
+        if not groups:
+            raise RecordingError(f"{where}: {_nothing(sheets, path)}")
+        used = [
+            {p for group in groups if group.sheet == i for p in (*group.places, group.time)} for i in range(len(sheets))
+        ]
+        sheets = [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
+        shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
+        dialect = dialect_of(shown)
+        if dialect is None or dialect.sign is None:
+            said = said_platform(members, "\n".join(sheet.about for sheet in sheets))
+            if platform and said and said != platform:
+                raise RecordingError(
+                    f"{where}: its metadata say {said}, and platform is {platform}; leave platform out"
+                )
+            platform = platform or said or None
+        found = guess(sheets, groups, dialect, platform, where)
+        parsed.instead = parsed.instead if dialect is None else dialect.instead
+        fill(parsed, found.mapping, sheets)
+        parsed.source = found.source
+        read_experiment(members, parsed)
+    parsed.found += found.evidence
+    used = {name for stream in found.mapping.streams for name in (*stream.columns, stream.time)}
+    beside = [name for s in sheets if not used.isdisjoint(s.fields) for name in s.fields if name not in used]
+    if beside:
+        parsed.found.append(f"columns not used: {', '.join(dict.fromkeys(beside))[:300]}")
+    parsed.notes[:] = list(dict.fromkeys([*found.notes, *parsed.notes]))
+    parsed.is_unit_of_time_declared = found.is_time_declared
+    try:
+        return Tables(parsed.recording(), found)
+    except RecordingError as error:
+        raise RecordingError(f"{error} (read as {found.source})") from error
+
+
+def read_generic_csv(path: str | Path) -> Recording:
+    """Return the recording in a table whose columns a TOML file of the same name in its folder describes.
+
+    RecordingError if there is no such file.
+    """
+    path = Path(path)
+    if not (mapping := mapping_beside(path)).is_file():
+        raise RecordingError(
+            f"{path}: no {mapping.name} beside it that says which column is what; "
+            f"pdr-filter convert {path.name} shows a mapping to begin with"
+        )
+    return read_mapped(path, read_mapping(mapping))
+
+
+def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Recording:
+    """Read a recording from tables whose columns a mapping describes. `source` names the format in the report.
+
+    RecordingError if a column or table of the mapping is missing, or if the recording is implausible.
+    """
+    parsed = Parsed(path, source)
+    with open_members(path) as members:
+        sheets = sheets_of(members, mapping.separator or None, parsed.notes)
+        if decimal := mapping.decimal:
+            texts = {s: replace(s.parse, decimal=decimal) for s in sheets if isinstance(s.parse, TextRows)}
+            sheets = [replace(s, parse=texts.get(s, s.parse)) for s in sheets]
+        names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
+        used = [{i for i, name in enumerate(sheet.fields) if name in names} for sheet in sheets]
+        fill(parsed, mapping, [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)])
+    for stream in mapping.streams:
+        columns = ", ".join(stream.columns)
+        unit = stream.unit or "unit as it is"
+        parsed.found.append(f"{stream.stream}: {columns}, {unit}, factor {stream.factor:.6g}, as given")
+    parsed.notes[:] = list(dict.fromkeys(parsed.notes))
+    return parsed.recording()
+
+
+def sheets_of(members: Members, separator: str | None = None, notes: list[str] | None = None) -> Sequence[Sheet]:
+    """Return the tables among the files of a recording: text, JSON, spreadsheet or MATLAB.
+
+    A text table with rows of several sensors is split into one table for each sensor. `separator` separates the
+    columns of texts, and is detected if None. Notes on what was skipped are added to `notes`. RecordingError if there
+    is no table, or if a table has rows of several devices.
+    """
+    found: Sequence[Sheet]
+    if is_spreadsheet(members):
+        found = spreadsheet_sheets(members)
+    elif not members.is_container and is_matlab(members.head(members.names[0], 128)):
+        found = matlab_sheets(members, members.names[0])
+    else:
+        texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
+        of_json = [name for name in texts if looks_like(members.head(name, 4096))]
+        whole = [sheet for name in texts if name not in of_json for sheet in text_sheets(members, name, separator)]
+        for sheet in whole:
+            _check_one_device(sheet)
+        found = [part for sheet in whole for part in _by_sensor(sheet)]
+        for name in of_json:
+            if not members.is_container or sensors_of(members, name):
+                found += json_sheets(members, name, notes)
+        for name in members.names if not found else ():
+            if name.lower().endswith(".mat") and is_matlab(members.head(name, 128)):
+                found += matlab_sheets(members, name)
+    if not found:
+        listed = ", ".join(members.names[:8])
+        head = b"" if members.is_container else next(members.pieces(members.names[0]), b"")[:4096]
+        no_table = "a table has a line of names, and below it a line of numbers for each sample, two or more"
+        if members.path.suffix.lower() == ".toml":
+            no_table = f"this is a mapping; give it a recording: pdr-filter convert FILE --map {members.path.name}"
+        why = _named_values(head) or f"no table of samples in it (found: {listed or 'nothing'}); {no_table}"
+        raise RecordingError(f"{members.path}: {why}")
+    return found
+
+
+def _named_values(head: bytes) -> str:
+    """Return the reason why lines such as `ACC: 12, 0.1, 0.2, 9.8` or `x=0.1` cannot be read, or "" for other lines."""
+    found = _NAMED_VALUE.search(head.decode("utf-8", "replace"))
+    if found is None:
+        return ""
+    return (
+        f"its lines have names in front of their numbers ({found[1]!r}); write the names once, in a line above, and "
+        "the sensor of each line in a column of its own, as in sensor,time,x,y,z"
+    )
+
+
+def _check_one_device(sheet: Sheet) -> None:
+    """Raise RecordingError if a column such as device or phone has several values, unless they name sensors."""
+    for i, name in enumerate(sheet.fields):
+        if letters(name) not in _DEVICES:
+            continue
+        values = dict.fromkeys(text for part in by_text(sheet, i) if (text := part.name.strip()) not in ("", *UNKNOWN))
+        if len(values) > 1 and not any(quantity_of_file(value)[0] for value in values):
+            raise RecordingError(
+                f"{sheet.where}: column {name!r} has {len(values)} values ({', '.join(values)[:100]}), so the rows are "
+                "of several devices, and a recording is of one; write the rows of each into a file of its own"
+            )
+
+
+def _by_sensor(sheet: Sheet) -> Sequence[Sheet]:
+    """Split a table whose rows belong to different sensors into one table for each sensor.
+
+    One column names the sensor of each row. The table is returned alone and unchanged if there is no such column, or if
+    the column names no acceleration.
+    """
+    column = next((i for i, text in sheet.texts.items() if quantity_of_file(text)[0] in VECTORS), None)
+    if column is None:
+        column = next((i for i, name in enumerate(sheet.fields) if "".join(words_of(name)) in _TYPES), None)
+    parts = [] if column is None else by_text(sheet, column)
+    if all(part.name.strip() in SENSOR_CODES for part in parts):
+        parts = [replace(part, name=SENSOR_CODES[part.name.strip()]) for part in parts]
+    is_split = any(quantity_of_file(part.name)[0] in (ACCELERATION, LINEAR) for part in parts)
+    return parts if is_split else [sheet]
+
+
+def _is_text(name: str, members: Members) -> bool:
+    pure = PurePosixPath(name)
+    return not members.is_container or (pure.suffix.lower() in (*TEXTS, *SUFFIXES) and pure.parent.name != "meta")
+
+
+def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
+    """Return the error message for tables without a known sensor.
+
+    If the first table has column names, the message contains a column mapping for the user to complete. Otherwise it
+    asks for a line of names.
+    """
+    sheet = sheets[0]
+    if all(name.startswith("column ") for name in sheet.fields):
+        head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""
+        numbers = "its first line has numbers; write a line with the names of the columns above it"
+        return _named_values(head) or numbers
+    time, time_unit, force, unit = columns_by_content(sheet)
+    time, *force = [name.replace('"', "'") for name in (time, *force)]
+    return (
+        f"no column that is known to be of a sensor. Columns seen: {', '.join(sheet.fields[:30])[:300]}. Say which is "
+        "what in a file like this, where ? stands for what the values do not show, with your columns, unit of time (s, "
+        "ms, us, ns, date), unit (m/s2 or g) and sign (-1 if a phone lying face up reads negative on z), and give it "
+        f"with pdr-filter convert {path.name} --map MAP.toml:\n"
+        f'time = {{ column = "{time}", unit = "{time_unit}" }}\n'
+        f'accelerometer = {{ columns = ["{force[0]}", "{force[1]}", "{force[2]}"], unit = "{unit}", sign = 1 }}\n'
+    )
+
+
+def sensors_of(members: Members, name: str) -> set[str]:
+    """Return the set of sensors that the columns of a text or JSON file name.
+
+    The set is empty for a text without a table. It holds only the acceleration if the columns of the accelerometer have
+    an unknown unit or lack an axis.
+    """
+    sheets: Sequence[Sheet]
+    try:
+        if looks_like(members.head(name)):
+            sheets = json_fields(members, name)
+        else:
+            sheet = text_sheet(members, name)
+            named = [] if sheet is None else [t for t in sheet.texts.values() if quantity_of_file(t)[0] in VECTORS]
+            sheets = [] if sheet is None else [replace(sheet, name=named[0]) if named else sheet]
+    except RecordingError:
+        return set()
+    try:
+        return {group.quantity for sheet in sheets for group in groups_of(sheet, 0)}
+    except RecordingError:  # columns of an accelerometer in an unknown unit or without an axis: reading says so
+        return {ACCELERATION}

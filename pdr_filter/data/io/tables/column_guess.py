@@ -1,0 +1,447 @@
+"""Mapping of undescribed tables, guessed from the names of their columns, the app and the values.
+
+Notes and evidence report each guess, such as a unit that comes from the values, or a sign that nothing shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pdr_filter.data.io.describe import median_norm
+from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.tables.app_dialects import Dialect
+from pdr_filter.data.io.tables.column_groups import Group
+from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
+from pdr_filter.data.io.tables.column_names import (
+    ACCELERATION,
+    ANGLES,
+    FIELD,
+    GRAVITY,
+    LINEAR,
+    RATE,
+    ROTATION,
+    SCALARS,
+    TIME_UNITS,
+    UNITS,
+    column_of,
+)
+from pdr_filter.data.io.tables.column_values import constant_part, turning
+from pdr_filter.data.io.tables.sheet import Sheet
+from pdr_filter.data.io.tables.table_streams import is_new_place
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated, limits
+
+# Share of the constant part in the norm of an acceleration: gravity outweighs the motion of walking.
+_GRAVITY_SHARE = 0.6
+_G_OF_GRAVITY = (0.8, 1.25)
+_LEAST_GRAVITY_MPS2 = limits.SPECIFIC_FORCE_RANGE_MPS2[0]
+# A gyroscope in deg/s that is taken for one in rad/s makes gravity turn 57 times too little.
+_DEGREES_BELOW = 0.13  # the geometric mean of 1 and pi/180
+# An angular rate turns gravity as far as it says, in rad/s or deg/s, within this factor; where gravity hardly turns,
+# its mean over two seconds is a small share of its norm. Of 107 recordings that takes 89, and of their phones'
+# orientations, as quaternions, rotation vectors or Euler angles, none.
+_TURNS_AS_SAID = (0.5, 2.0)
+_RATE_SHARE = 0.25
+_NAMES = {
+    **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
+    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
+}
+# Plausible range of the median of a quantity, and the units to try.
+_BY_SIZE = {
+    FIELD: (limits.MAGNETIC_FIELD_RANGE_UT, ("ut", "gauss", "mt", "t")),
+    "barometer": (limits.PRESSURE_RANGE_HPA, ("hpa", "pa", "kpa")),
+}
+# Unix time from 2004 to 2039. Nanoseconds since a phone was started 20 minutes ago are as large as milliseconds of
+# that, but would then come less often than any sensor.
+_EPOCH_S = (1.1e9, 2.2e9)
+_SLOWEST_HZ = 0.1
+
+
+@dataclass
+class Guess:
+    """Guessed mapping of the columns, with the evidence for it."""
+
+    mapping: Mapping
+    evidence: list[str] = field(default_factory=list[str])
+    notes: list[str] = field(default_factory=list[str])
+    source: str = ""
+    is_time_declared: bool = False  # unit of the accelerometer's times
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stream:
+    """Columns of one sensor, with their values."""
+
+    group: Group
+    sheet: Sheet
+    time_unit: str
+    time_s: FloatArray  # on the clock of the table
+    values: FloatArray
+    is_unit_declared: bool
+    unit: str  # as in `UNITS`; empty if not known
+    is_time_declared: bool
+    constant: float  # `constant_part` of an acceleration or a rotation, else NaN
+
+    @property
+    def factor(self) -> float:
+        return UNITS[self.group.quantity].get(self.unit, 1.0)
+
+
+def guess(
+    sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect | None, platform: str | None, where: str
+) -> Guess:
+    """Return the guessed mapping of the columns of these tables.
+
+    `dialect` holds the conventions of the app, if known. `platform` ("ios" or "android") decides the sign of the
+    acceleration if the app does not. `where` names the file in messages. An acceleration without gravity becomes the
+    stream of linear acceleration. RecordingError if there is no acceleration, if its unit is unknown, or if it is in g
+    with an unknown sign. A table without times and with an unknown rate is refused, too.
+    """
+    app = "" if dialect is None else dialect.app
+    result = Guess(Mapping(()), source=f"table of {app}" if app else "table")
+    rate_hz = _rate_of_rows(sheets, groups, dialect, where)
+    streams = [_stream(group, sheets[group.sheet], dialect, rate_hz) for group in groups]
+    streams = [s for s in streams if len(s.values)]
+    forces = _forces(streams, dialect, result, where)
+    is_linear = len(forces) == 1 and not _has_gravity(forces[0])
+    time_s, force = forces[0].time_s, _force(forces)
+    if is_linear:  # without gravity nothing shows how the phone turns
+        time_s, force = time_s[:0], force[:0]
+    streams = [_as_rate(s, time_s, force) for s in streams]
+    chosen = [*forces]
+    result.is_time_declared = forces[0].is_time_declared
+    for quantity in (RATE, FIELD, *SCALARS, "location", ANGLES):
+        fitting = [s for s in streams if s.group.quantity == quantity]
+        if fitting:
+            near = max(
+                fitting,
+                key=lambda s: (_is_of_earth(s), s.group.preference, s.sheet is forces[0].sheet, len(s.values)),
+            )
+            if quantity == "location" and near.sheet is forces[0].sheet and _common_s(near, forces[0]) <= 0:
+                # A clock that began elsewhere: what counts is when the rows of the table have another place.
+                near = _stream(
+                    replace(near.group, time=forces[0].group.time, time_unit=forces[0].time_unit),
+                    near.sheet,
+                    None,
+                    rate_hz,
+                )
+            chosen.append(_with_unit(near, force, time_s, result))
+    left_out = sorted({s.sheet.name for s in streams} - {s.sheet.name for s in chosen})
+    if left_out:
+        result.notes.append(f"left out: {', '.join(left_out)[:200]}")
+    sign = _sign(dialect, platform, forces, result, where)
+    many = len(sheets) > 1
+    result.mapping = Mapping(
+        tuple(
+            StreamMap(
+                stream="accelerometer" if s in forces and not is_linear and len(forces) == 1 else s.group.quantity,
+                columns=tuple(s.sheet.fields[p] if p >= 0 else "" for p in s.group.places),
+                unit=_NAMES.get(s.unit, s.unit),
+                sign=sign if s in forces else 1,
+                time="" if s.group.time is None else s.sheet.fields[s.group.time],
+                time_unit="date" if s.group.time in s.sheet.dates else s.time_unit,
+                file=s.sheet.name if many else "",
+            )
+            for s in chosen
+        ),
+        rate_hz=rate_hz,
+        where=where,
+    )
+    return result
+
+
+def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
+    """Guess the columns of time and accelerometer from the values of a table.
+
+    Returns the name of the column of times, its unit, the names of the three axes, and their unit. The name is "?" for
+    a column that the values do not show.
+    """
+    numbers = [i for i in range(len(sheet.fields)) if i not in sheet.dates and i not in sheet.texts]
+    time, time_unit = next(((sheet.fields[i], "date") for i in sheet.dates), ("?", "s"))
+    with suppress(RecordingError):
+        values = sheet.parse(numbers, None, []).values
+        increasing = [k for k in range(len(numbers)) if len(values) > 1 and (np.diff(values[:, k]) > 0).all()]
+        per_tick = {k: (len(values) - 1) / np.ptp(values[:, k]) for k in increasing}
+        # A count of the rows increases, too.
+        for k in sorted(increasing, key=lambda k: per_tick[k] == 1.0)[:1]:
+            time, time_unit = sheet.fields[numbers[k]], _time_unit(values[:, k])
+            at_s = values[:, k] * TIME_UNITS[time_unit]
+            triples = [range(i, i + 3) for i in range(len(numbers) - 2) if k not in range(i, i + 3)]
+            # Axes have names of one length; with another column in place of an axis, less of gravity is constant.
+            lengths = {triple: len({len(sheet.fields[numbers[i]]) for i in triple}) for triple in triples}
+            for unit, gravity in (("m/s2", STANDARD_GRAVITY_MPS2), ("g", 1.0)):
+                parts = {triple: constant_part(at_s, values[:, [*triple]]) / gravity for triple in triples}
+                low, high = _G_OF_GRAVITY
+                if fitting := [triple for triple, part in parts.items() if low <= part <= high]:
+                    best = max(fitting, key=lambda triple: (-lengths[triple], parts[triple]))
+                    return time, time_unit, [sheet.fields[numbers[i]] for i in best], unit
+    return time, time_unit, ["?"] * 3, "m/s2"
+
+
+def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect | None, where: str) -> float:
+    """Return the sampling rate of tables without a column of times, in Hz, or zero if all tables have one.
+
+    The rate comes from the lines above the first table, or is usual for the app. RecordingError if it is unknown.
+    """
+    if all(group.time is not None for group in groups):
+        return 0.0
+    if dialect is not None and (period_ms := dialect.period_of(sheets[groups[0].sheet].about)):
+        return 1000 / period_ms
+    sheet = next(sheets[group.sheet] for group in groups if group.time is None)
+    names = ", ".join(sheet.fields)[:200]
+    app = f"this looks like {dialect.app}, but there is" if dialect else "there is"
+    raise RecordingError(
+        f"{sheet.where}: {app} no column of times (columns: {names}); export it with times, or give column or rate: "
+        'pdr-filter convert FILE --map MAP.toml with "[time]" and \'column = "..."\' or "rate_hz = ..." in it'
+    )
+
+
+def _stream(group: Group, sheet: Sheet, dialect: Dialect | None, rate_hz: float) -> _Stream:
+    ticks, values = sheet.stream(group.places, group.time)
+    declared = group.unit
+    if not declared and dialect is not None:
+        declared = dialect.units.get(group.quantity, "")
+    is_time_declared = bool(group.time is None or group.time_unit or group.time in sheet.dates)
+    if group.time is None:
+        unit, time_s = "s", ticks.astype(np.float64) / rate_hz
+    else:
+        is_date = group.time in sheet.dates
+        unit = "ns" if is_date else group.time_unit or _time_unit(np.asarray(ticks, dtype=np.float64))
+        time_s = ticks.astype(np.float64) * TIME_UNITS[unit]
+    known = np.isfinite(time_s)
+    if group.quantity == "location":
+        known &= is_new_place(values)
+    if not known.all():
+        time_s, values = time_s[known], values[known]
+    has_constant = group.quantity in (ACCELERATION, LINEAR, GRAVITY, ROTATION)
+    constant = constant_part(time_s, values) if has_constant else math.nan
+    return _Stream(group, sheet, unit, time_s, values, bool(declared), declared, is_time_declared, constant)
+
+
+def _time_unit(ticks: FloatArray) -> str:
+    """Return the unit of times whose header states none.
+
+    Times since 1970 show their unit by their size. Other times are compared with the usual sampling rates of phones.
+    The unit is "s" if none fits.
+    """
+    ticks = ticks[~np.isnan(ticks)]
+    median = float(np.median(ticks)) if len(ticks) else 0.0
+    span = float(ticks.max() - ticks.min()) if len(ticks) else 0.0
+    per_tick = (len(ticks) - 1) / span if span > 0 else 0.0
+    for unit, s in TIME_UNITS.items():
+        if _EPOCH_S[0] < median * s < _EPOCH_S[1] and per_tick >= _SLOWEST_HZ * s:
+            return unit
+    low, high = limits.RATE_RANGE_HZ
+    return next((unit for unit, s in TIME_UNITS.items() if low <= per_tick / s <= high), "s")
+
+
+def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, where: str) -> list[_Stream]:
+    """Return the streams that give the specific force, with their units.
+
+    The list has the accelerometer alone, or linear acceleration and gravity. If there is neither, it has the linear
+    acceleration alone. RecordingError if there is no acceleration, or if its unit is unknown.
+    """
+    app = "this table" if dialect is None else f"this looks like {dialect.app}, whose table"
+    found = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
+    if not found:
+        others = ", ".join(sorted({s.group.quantity for s in streams})) or "none"
+        used = {(s.sheet.name, p) for s in streams for p in (*s.group.places, s.group.time)}
+        sheets = {s.sheet.name: s.sheet.fields for s in streams}
+        left = [name for sheet, fields in sheets.items() for p, name in enumerate(fields) if (sheet, p) not in used]
+        rest = [name for name in left if column_of(0, name).unit in ("", *UNITS[ACCELERATION])]
+        is_there = ", ".join(rest)[:200]
+        remedy = f", or if it is among {is_there}, say so: pdr-filter convert FILE --map MAP.toml" if rest[2:] else ""
+        raise RecordingError(
+            f"{where}: {app} has no accelerometer (sensors seen: {others}); record it and export again{remedy}"
+        )
+    if all(math.isnan(s.constant) for s in found):
+        raise RecordingError(
+            f"{where}: no row has all values of {found[0].group.name}; export all three axes, in the same rows"
+        )
+    of = {q: [s for s in found if s.group.quantity == q] for q in (ACCELERATION, LINEAR, GRAVITY)}
+    # The linear acceleration of ROS messages includes gravity.
+    with_gravity = [s for s in (of[ACCELERATION] or of[LINEAR]) if s.unit and _has_gravity(s)]
+    rates = [s for s in streams if s.group.quantity == RATE]
+    if with_gravity:
+        best = max(
+            with_gravity,
+            key=lambda s: (
+                s.group.preference,
+                max([_common_s(s, other) for other in rates], default=0.0),
+                len(s.values),
+            ),
+        )
+        result.evidence.append(_force_words(best))
+        return [best]
+    linear = [s for s in (*of[LINEAR], *of[ACCELERATION]) if not _has_gravity(s) or not s.unit]
+    if of[GRAVITY] and linear:
+        gravity = max(of[GRAVITY], key=lambda s: len(s.values))
+        best = max(linear, key=lambda s: (s.group.quantity == LINEAR, len(s.values)))
+        if not best.is_unit_declared:
+            best = replace(best, unit=gravity.unit)
+        best = replace(best, group=replace(best.group, quantity=LINEAR))
+        result.evidence.append(
+            f"accelerometer: {best.group.name} and {gravity.group.name} added; {_force_words(gravity)}"
+        )
+        return [best, gravity]
+    if known := [s for s in linear if s.unit]:
+        best = max(known, key=lambda s: (s.group.quantity == LINEAR, s.group.preference, len(s.values)))
+        best = replace(best, group=replace(best.group, quantity=LINEAR))
+        result.evidence.append(_force_words(best))
+        return [best]
+    seen = (linear or found)[0]
+    app = "this looks like a table" if dialect is None else f"this looks like {dialect.app}"
+    instead = "the accelerometer itself" if dialect is None else dialect.instead
+    if not linear and seen.group.quantity == GRAVITY:
+        raise RecordingError(f"{where}: {app} of gravity alone ({seen.group.name}); export {instead} instead")
+    raise RecordingError(
+        f"{where}: {app}, whose acceleration ({seen.group.name}) lacks gravity: the constant part of it is "
+        f"{seen.constant:.2g}, and gravity is 9.8 m/s2 or 1 g; export {instead} instead"
+    )
+
+
+def _with_force_unit(s: _Stream) -> _Stream:
+    """Return the stream of an acceleration with its unit.
+
+    If neither the header nor the app states a unit, the size of the constant part decides between m/s2 and g. The unit
+    stays empty if it fits neither.
+    """
+    if s.is_unit_declared:
+        return s
+    constant = s.constant
+    share = constant / max(median_norm(s.values), 1e-12)
+    if _G_OF_GRAVITY[0] <= constant <= _G_OF_GRAVITY[1] and share > _GRAVITY_SHARE:
+        return replace(s, unit="g")
+    is_mps2 = constant >= _LEAST_GRAVITY_MPS2 or s.group.quantity == LINEAR
+    return replace(s, unit="m/s2" if is_mps2 else "")
+
+
+def _has_gravity(s: _Stream) -> bool:
+    """Return True if an acceleration contains gravity.
+
+    The result is also True if the header states m/s2 for values in g. The checks of every reader refuse such a unit
+    later.
+    """
+    low, high = _G_OF_GRAVITY
+    if s.constant * s.factor >= _LEAST_GRAVITY_MPS2:
+        return True
+    is_near_1 = s.is_unit_declared and low <= s.constant <= high
+    return is_near_1 and s.constant / max(median_norm(s.values), 1e-12) > 0.8
+
+
+def _force_words(s: _Stream) -> str:
+    said = "as its name says" if s.group.unit else "as the app writes" if s.is_unit_declared else "by its size"
+    return (
+        f"{s.group.quantity}: {s.group.name}, {_NAMES.get(s.unit, s.unit)} {said}; its constant part is "
+        f"{s.constant * s.factor / STANDARD_GRAVITY_MPS2:.3f} of gravity"
+    )
+
+
+def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess) -> _Stream:
+    """Return the stream of a sensor other than the accelerometer with its unit.
+
+    The unit is guessed from the values if neither the header nor the app states it.
+    `force` and `time_s` are the specific force in m/s2 and its times. The evidence in `result` gets a line. For a
+    gyroscope the line says how far gravity turns compared with the rotation that the gyroscope predicts.
+    """
+    quantity, name = s.group.quantity, s.group.name
+    if quantity == RATE:
+        factor = turning(time_s, force, s.time_s, s.values * (s.factor if s.unit else 1.0))
+        turns = (
+            "gravity hardly turns, so that it cannot be checked"
+            if factor is None
+            else (f"gravity turns {factor:.2f} times as far as it says")
+        )
+        if not s.unit:
+            is_deg = median_norm(s.values) > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS
+            is_deg = is_deg or (factor is not None and 0 < factor < _DEGREES_BELOW)
+            s = replace(s, unit="deg/s" if is_deg else "rad/s")
+        result.evidence.append(f"gyroscope: {name}, {_NAMES.get(s.unit, s.unit)}; {turns}")
+        return s
+    if not s.unit and quantity in _BY_SIZE:
+        (low, high), units = _BY_SIZE[quantity]
+        norm = median_norm(s.values)
+        fits = [unit for unit in units if low <= norm * UNITS[quantity][unit] <= high]
+        s = replace(s, unit=fits[0] if fits else units[0])
+    elif not s.unit:
+        s = replace(s, unit={"light": "lux", "proximity": "cm", ANGLES: "rad"}.get(quantity, ""))
+    result.evidence.append(f"{quantity}: {name}, {_NAMES.get(s.unit, s.unit) or 'degrees and metres'}")
+    return s
+
+
+def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
+    """Return a stream called rotation as a gyroscope stream if it holds an angular rate. Any other one is unchanged.
+
+    It does so if gravity turns as far as it predicts, in rad/s or deg/s. Where gravity hardly turns or is unknown, the
+    constant part of an angular rate is small. A rotation that is no angular rate is an orientation, and is not used.
+    `force` has no rows if gravity is unknown.
+    """
+    if s.group.quantity != ROTATION:
+        return s
+    factor = turning(time_s, force, s.time_s, s.values)
+    if factor is None:
+        is_rate = s.constant < _RATE_SHARE * median_norm(s.values)
+    else:
+        low, high = _TURNS_AS_SAID
+        is_rate = any(low < factor / unit < high for unit in UNITS[RATE].values())
+    return replace(s, group=replace(s.group, quantity=RATE, preference=0)) if is_rate else s
+
+
+def _force(forces: Sequence[_Stream]) -> FloatArray:
+    """Return the sum of the given accelerations (N, 3) in m/s2, at the times of the first one.
+
+    It is the specific force if gravity is in one of them.
+    """
+    at_s = forces[0].time_s
+    same = [np.array_equal(s.time_s, at_s) for s in forces]
+    values = [
+        s.values if is_same else interpolated(at_s, s.time_s, s.values) for s, is_same in zip(forces, same, strict=True)
+    ]
+    return np.asarray(sum(s.factor * v for s, v in zip(forces, values, strict=True)))
+
+
+def _is_of_earth(s: _Stream) -> bool:
+    """Return False for a magnetic field whose strength is implausible for the field of the Earth, else True.
+
+    An uncalibrated field, with the magnets of the phone in it, is usually implausible.
+    """
+    low, high = limits.MAGNETIC_FIELD_RANGE_UT
+    return s.group.quantity != FIELD or low <= median_norm(s.values) * s.factor <= high
+
+
+def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:
+    """Return the factor 1 or -1 that gives acceleration and gravity Android's sign.
+
+    The app decides, then the platform. Without both, the factor is 1 and a note says so. RecordingError if a platform
+    is given for an app with one sign on all platforms, or if values in g have an unknown sign.
+    """
+    if dialect is not None and dialect.sign is not None:
+        if platform is not None:
+            raise RecordingError(
+                f"{where}: {dialect.app} writes the same sign whatever the platform is; leave platform out"
+            )
+        result.evidence.append(f"sign: {'Android' if dialect.sign > 0 else 'Apple'}'s, as {dialect.app} writes it")
+        return dialect.sign
+    if platform is not None:
+        result.evidence.append(f"sign: that of {platform}, as given or as the metadata say")
+        return -1 if platform == "ios" else 1
+    if dialect is None and forces[0].unit in ("g", "mg"):
+        raise RecordingError(
+            f"{where}: acceleration in g, and nothing shows its sign, which is Apple's or Android's: a phone lying "
+            "face up reads -1 or +1 on z; say it with pdr-filter convert FILE --platform ios, or --platform android, "
+            'and in Python with pdr.read(path, platform="ios")'
+        )
+    result.notes.append(
+        "accelerometer: nothing in the file shows its sign, so Android's is taken; if a phone lying face up reads "
+        "negative on z, turns come out mirrored: then convert the file with --platform ios"
+    )
+    return 1
+
+
+def _common_s(s: _Stream, other: _Stream) -> float:
+    """Return how long two streams overlap in time, in whole seconds, negative for a gap between them."""
+    return round(min(s.time_s.max(), other.time_s.max()) - max(s.time_s.min(), other.time_s.min()))

@@ -1,0 +1,314 @@
+"""Reader of JSON tables, as written by SensorLog and by self-made loggers.
+
+Three layouts are read: an object for each row, in an array or one after the other; an object with an array for each
+column; and an array of rows for each sensor. A nested value is a column such as `accelerometer.x`.
+"""
+
+from __future__ import annotations
+
+import codecs
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
+from itertools import chain
+from typing import Any, cast
+
+import numpy as np
+
+from pdr_filter.data.io.files.archive import Members
+from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.tables.column_names import VECTORS, quantity_of_file
+from pdr_filter.data.io.tables.dates import is_date, nanoseconds_of, without_midnights
+from pdr_filter.data.io.tables.sheet import Sheet
+from pdr_filter.data.io.tables.text_sheets import LARGEST_FLOAT_WHOLE
+from pdr_filter.data.io.tables.text_table import NumberTable, finite, refuse_far_times, to_number, whole_number
+from pdr_filter.values import FloatArray, IntArray, how_many, limits
+
+SUFFIXES = (".json", ".jsonl", ".ndjson")
+_BETWEEN = re.compile(r"[\s,\[\]\x1e]*")
+_BEGIN = re.compile(rb"\s*(\{|\[\s*([\[{\]\"\d.-]|null|$))")  # brackets around a word are TOML or a settings section
+_SENSOR = ("sensor", "sensorType", "type", "name")  # keys whose value says of which sensor a row is
+_PLAIN = ("values", "value", "data", "payload", "fields")  # keys that do not name their content
+_AXES = ("x", "y", "z")
+ROWS_AT_ONCE = 10_000  # limit of the rows that are in memory as Python objects
+_MAX_DEPTH = 5
+_WHOLE = re.compile(r"[0-9]{1,19}(,[0-9]{1,19})*+")
+
+Row = dict[str, Any]
+
+
+def looks_like(head: bytes) -> bool:
+    """Return True if a text begins like JSON, judged by its first bytes."""
+    return _BEGIN.match(head.removeprefix(codecs.BOM_UTF8)) is not None
+
+
+def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> list[Sheet]:
+    """Return the tables in a JSON text, one for each sensor. Tables without numbers are left out.
+
+    If the text is damaged and `notes` is a list, the rows before the damage are returned with a note. RecordingError
+    if `notes` is None, or if no complete object comes before the damage.
+    """
+    where = members.where(name)
+    tables: dict[str, _Columns] = {}
+    for item in objects_in(members.pieces(name), where, notes):
+        for sensor, rows in _rows_of(item):
+            if len(tables) >= limits.MAX_TABLES and sensor not in tables:
+                raise RecordingError(f"{where}: more than {limits.MAX_TABLES} tables; export one recording")
+            tables.setdefault(sensor, _Columns(where)).add(rows)
+    stem = name.rpartition("/")[2].partition(".")[0]
+    return [sheet for sensor, table in tables.items() if (sheet := table.sheet(sensor or stem)) is not None]
+
+
+def json_fields(members: Members, name: str) -> list[Sheet]:
+    """Return the tables in a JSON text with the names of their columns, but without values.
+
+    Only the objects in the first bytes of the text are read. If the first object is longer, the whole text is read. A
+    text that is damaged gives the tables before the damage.
+    """
+    head, found = members.head(name), dict[str, dict[str, None]]()
+    for pieces in ([head], members.pieces(name)):
+        with suppress(RecordingError):
+            for item in objects_in(pieces, members.where(name)):
+                for sensor, rows in _rows_of(item):
+                    found.setdefault(sensor, {}).update(dict.fromkeys(rows if isinstance(rows, dict) else rows[0]))
+        if found or len(head) < limits.HEAD_BYTES:
+            break
+    return [
+        Sheet.of_columns(sensor, members.where(name), dict.fromkeys(fields, np.empty(0)))
+        for sensor, fields in found.items()
+    ]
+
+
+def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = None) -> Iterator[Row]:
+    """Iterate over the JSON objects in a text, which are elements of an array or follow one another.
+
+    If the text is damaged or ends within an object, the objects before it are returned and a note is added to `notes`.
+    Raises RecordingError instead if `notes` is None, or if no complete object comes before the damage. A text that is
+    not UTF-8 always raises it.
+    """
+    decoder, utf_8 = json.JSONDecoder(), codecs.getincrementaldecoder("utf-8")()
+    text, n_found, n_open, wanted = "", 0, 0, 0
+    try:
+        for piece in chain(pieces, [None]):
+            text += utf_8.decode(piece or b"", piece is None).removeprefix("\ufeff" if not n_found else "")
+            if len(text) < wanted and piece is not None:
+                continue
+            end = 0
+            while True:
+                at = end + 1
+                if not text.startswith(",{", end):  # as between most objects; a search takes longer
+                    between = cast("re.Match[str]", _BETWEEN.match(text, end))[0]
+                    n_open += between.count("[") - between.count("]")
+                    at = end + len(between)
+                    if at == len(text):
+                        break
+                try:
+                    value, end = decoder.raw_decode(text, at)
+                except ValueError:
+                    break
+                if isinstance(value, dict):
+                    n_found += 1
+                    yield value
+            text = text[at:]
+            wanted = 2 * len(text)  # an object that is longer than a piece is not tried again for every one
+            if len(text) > limits.MAX_WHOLE_BYTES:
+                raise RecordingError(
+                    f"{where}: an object of more than {limits.MAX_WHOLE_BYTES} characters, or damaged JSON; export "
+                    "again, as CSV if the app can"
+                )
+    except (RecursionError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{where}: the JSON is damaged ({error}); export it again") from error
+    if not text and n_open <= 0:
+        return
+    behind = f" behind {how_many(n_found, 'object')}" if n_found else ""
+    words = f"{where}: the JSON is damaged or cut off{behind}"
+    if notes is None or not n_found:
+        raise RecordingError(f"{words}; export it again")
+    notes.append(f"{words}; the rest was left out")
+
+
+def _rows_of(item: Row, name: str = "", depth: int = 0) -> Iterator[tuple[str, list[Row] | dict[str, list[Any]]]]:
+    """Yield the name and the rows or columns of the tables in a JSON object.
+
+    The name is the sensor that a row names. Otherwise it is the key of the table, or `name` for keys such as "data". An
+    object that is a row itself is a table of one row. Objects in which lists are nested are searched, too.
+    """
+    lists = {key: cast("list[Any]", value) for key, value in item.items() if isinstance(value, list)}
+    tables = {key: [cast("Row", row) for row in rows if isinstance(row, dict)] for key, rows in lists.items()}
+    tables = {key: rows for key, rows in tables.items() if rows}
+    columns = {key: rows for key, rows in lists.items() if key not in tables and len(rows) >= limits.MIN_SAMPLES}
+    for key, rows in tables.items():
+        by_sensor: dict[str, list[Row]] = {}
+        for row in rows:
+            by_sensor.setdefault(_sensor_of(row) or (name if key in _PLAIN else key), []).append(_flat(row))
+        yield from by_sensor.items()
+    if columns:
+        yield name, columns
+    inner = {key: cast("Row", value) for key, value in item.items() if isinstance(value, dict)}
+    if not tables and not columns and not any(map(_holds_columns, inner.values())):
+        yield _sensor_of(item) or name, [_flat(item)]
+    elif depth < _MAX_DEPTH:
+        for key, value in inner.items():
+            if _holds_columns(value):
+                yield from _rows_of(value, name if key in _PLAIN else key, depth + 1)
+
+
+def _holds_columns(item: Row) -> bool:
+    return any(isinstance(v, list) and len(cast("list[Any]", v)) >= limits.MIN_SAMPLES for v in item.values())
+
+
+def _sensor_of(row: Row) -> str:
+    """Return the sensor that a row names if it measures a vector, otherwise an empty string."""
+    said = next((row[key] for key in _SENSOR if isinstance(row.get(key), str)), "")
+    return said[: limits.MAX_NAME_CHARS] if quantity_of_file(said)[0] in VECTORS else ""
+
+
+def _flat(item: Row, before: str = "", depth: int = 0) -> Row:
+    """Return the values in a nested object by name, with points between the names of the levels.
+
+    A list of three values becomes x, y and z. Other lists are left out. Keys such as "values" add no level.
+    """
+    found: Row = {}
+    for key, value in item.items():
+        name = before if key in _PLAIN else f"{before}.{key}" if before else key
+        if isinstance(value, list) and len(cast("list[Any]", value)) == len(_AXES):
+            value = dict(zip(_AXES, cast("list[Any]", value), strict=True))
+        if isinstance(value, dict):
+            if depth < _MAX_DEPTH:
+                found |= _flat(cast("Row", value), name, depth + 1)
+        elif not isinstance(value, list):
+            found[name or key] = value
+    return found
+
+
+class _Columns:
+    """Columns of a table, filled in blocks of some thousand rows, so that few rows are in memory as objects."""
+
+    def __init__(self, where: str) -> None:
+        self._where = where
+        self._rows: list[Row] = []
+        self._lengths: list[int] = []
+        self._parts: list[dict[str, _Column]] = []
+
+    def add(self, rows: list[Row] | dict[str, list[Any]]) -> None:
+        if isinstance(rows, dict):
+            n = max(map(len, rows.values()))
+            self._keep({key: [*column, *[None] * (n - len(column))] for key, column in rows.items()}, n)
+            return
+        self._rows += rows
+        if len(self._rows) >= ROWS_AT_ONCE:
+            self._keep_rows()
+
+    def sheet(self, name: str) -> Sheet | None:
+        """Return the table, or None if no column holds numbers or dates."""
+        self._keep_rows()
+        columns: dict[str, FloatArray | IntArray] = {}
+        places: dict[str, list[int]] = {"": [], "date": [], "exact": []}
+        for i, field in enumerate(dict.fromkeys(key for part in self._parts for key in part)):
+            parts = zip(self._parts, self._lengths, strict=True)
+            known = [part.get(field, (np.full(n, np.nan), "")) for part, n in parts]
+            kinds = {kind for _, kind in known}
+            kind = kinds.pop() if len(kinds) == 1 else ""
+            column = np.concatenate([column for column, _ in known])
+            whole = column.astype(np.int64) if kind else None
+            columns[field] = (
+                column.astype(float) if whole is None else without_midnights(whole) if kind == "date" else whole
+            )
+            places[kind].append(i)
+        if not columns:
+            return None
+        return Sheet.of_columns(name, self._where, columns, {*places["date"]}, {*places["exact"]})
+
+    def _keep_rows(self) -> None:
+        if self._rows:
+            keys = dict.fromkeys(key for row in self._rows for key in row)
+            if len(keys) > limits.MAX_COLUMNS:
+                raise RecordingError(f"{self._where}: {len(keys)} columns, over {limits.MAX_COLUMNS}; export fewer")
+            self._keep({key: [row.get(key) for row in self._rows] for key in keys}, len(self._rows))
+            self._rows = []
+
+    def _keep(self, columns: dict[str, list[Any]], n: int) -> None:
+        found = {key: _column(values, self._where) for key, values in columns.items()}
+        self._parts.append({key: column for key, column in found.items() if column is not None})
+        self._lengths.append(n)
+
+
+_Column = tuple[FloatArray | IntArray, str]  # values, and whether they are dates or exact whole numbers
+
+
+def _column(values: list[Any], where: str) -> _Column | None:
+    """Return the values of a column and their kind, or None for a column of text.
+
+    The kind is "date" for dates, as int64 nanoseconds, and "exact" for int64 numbers that a float would round. It is ""
+    for floats, with NaN for missing values. Dates and exact numbers with a missing value become floats, too.
+    """
+    first = next((value for value in values if value not in (None, "", "null")), None)
+    try:
+        if isinstance(first, str) and is_date(first):
+            kind, whole = "date", [nanoseconds_of(v) if isinstance(v, str) and is_date(v) else None for v in values]
+        elif str(first)[:20].isdecimal() and int(str(first)[:20]) > LARGEST_FLOAT_WHOLE:
+            kind, whole = "exact", _wholes(["" if v is None else str(v) for v in values])
+        else:
+            return np.array(_floats(values), dtype=np.float64), ""
+        if None in whole:  # NaN says so; what a float loses of nanoseconds is less than any clock's jitter
+            return np.array([np.nan if v is None else float(v) for v in whole]), ""
+        ticks = np.array(whole, dtype=np.int64)
+    except (ValueError, OverflowError):
+        return None
+    refuse_far_times(ticks, where)
+    return ticks, kind
+
+
+def table_of_rows(rows: Sequence[Row], columns: Sequence[str], where: str, notes: list[str]) -> NumberTable:
+    """Return a table of JSON objects: the key `time` as whole numbers, and the keys in `columns` as floats.
+
+    Objects whose time is null or empty are left out. RecordingError if the first object lacks one of the keys, or if a
+    value is not a number.
+    """
+    if rows and (missing := [key for key in ("time", *columns) if key not in rows[0]]):
+        found = ", ".join(map(str, rows[0]))[:120]
+        raise RecordingError(f"{where}: no key {missing[0]!r} (found: {found}); export again")
+    try:
+        times = _wholes([str(row["time"]) for row in rows])
+        if None in times:
+            rows = [row for row, time in zip(rows, times, strict=True) if time is not None]
+        whole = np.array([time for time in times if time is not None], dtype=np.int64)
+        values = np.empty((len(rows), len(columns)))
+        for i, key in enumerate(columns):
+            values[:, i] = _floats([row.get(key) for row in rows])
+    except KeyError as error:
+        raise RecordingError(f"{where}: an object has no key {error}; export it again") from error
+    except (ValueError, TypeError, OverflowError) as error:
+        raise RecordingError(f"{where}: not a number ({str(error)[:60]}); export it again") from error
+    refuse_far_times(whole, where)
+    return NumberTable(whole, finite(values, where, notes))
+
+
+def _wholes(texts: list[str]) -> list[int | None]:
+    """Convert texts of numbers to integers without their fractions, and empty texts and words such as null to None.
+
+    ValueError for any other text.
+    """
+    return [*map(int if _WHOLE.fullmatch(",".join(texts)) else whole_number, texts)]
+
+
+def _floats(column: list[Any]) -> list[float]:
+    """Return numbers, or texts of numbers, as floats, with NaN for missing values. ValueError for anything else."""
+    kinds = set(map(type, column))
+    if kinds <= {int, float} or (kinds == {str} and "_" not in "".join(column)):  # Python would read 1_0 as ten
+        with suppress(ValueError):
+            return list(map(float, column))
+    return list(map(_float, column))
+
+
+def _float(value: Any) -> float:
+    if value is None:
+        return math.nan
+    if type(value) in (int, float):
+        return float(value)
+    number = to_number(value) if isinstance(value, str) else None
+    if number is None:
+        raise ValueError(repr(value))
+    return number

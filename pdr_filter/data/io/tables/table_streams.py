@@ -1,0 +1,178 @@
+"""Streams from the columns of tables, on one time base, with the units and signs that a mapping states."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from pdr_filter.data.io.assemble import Parsed
+from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
+from pdr_filter.data.io.tables.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS
+from pdr_filter.data.io.tables.sheet import Sheet
+from pdr_filter.values import BoolArray, FloatArray, IntArray, interpolated_near, limits
+
+
+class _MappedStream(NamedTuple):
+    """Values (N, d) of a stream at times (N,) that are counted in ticks of `unit_s` seconds.
+
+    Integer ticks keep all digits of long times, such as nanoseconds since 1970.
+    """
+
+    ticks: IntArray | FloatArray
+    unit_s: float
+    values: FloatArray
+
+
+class _Zero(NamedTuple):
+    """Origin of the times in s: a tick of `unit_s` seconds."""
+
+    tick: float = 0
+    unit_s: float = 1.0
+
+
+def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
+    """Fill `parsed` with the streams of a mapping, read from the tables, and with the properties of their times.
+
+    If there is only an acceleration without gravity, `parsed.linear` gets the names of its columns. RecordingError
+    unless each column of the mapping is in its table once.
+    """
+    _describe_clock(parsed, mapping)
+    found = {stream.stream: _read(stream, mapping, sheets) for stream in mapping.streams}
+    streams = _combined(found)
+    first = streams.get("accelerometer")
+    zero = _Zero()
+    if first is not None and len(first.ticks):
+        if any(_has_whole_ticks(stream) for stream in found.values()):
+            zero = _Zero(first.ticks[0].item(), first.unit_s)
+        if _has_whole_ticks(first) and (epoch_s := float(first.ticks[0]) * first.unit_s) > 1e9:
+            parsed.meta["epoch_s"] = epoch_s
+    for name, stream in streams.items():
+        parsed.streams[name] = (_seconds(stream, zero), stream.values)
+    if first is not None and first is found.get(LINEAR):
+        parsed.linear = ", ".join(name for s in mapping.streams if s.stream == LINEAR for name in s.columns)
+
+
+def _describe_clock(parsed: Parsed, mapping: Mapping) -> None:
+    """Describe the clock in `parsed`: the columns of times with their units, or the rate of the rows."""
+    times = sorted(
+        {f"{stream.time.removeprefix('column ')} ({stream.time_unit})" for stream in mapping.streams if stream.time}
+    )
+    parsed.clock = f"column {', '.join(times)}" if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
+    parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
+    parsed.rate_hz = mapping.rate_hz if times else 0.0
+    if mapping.rate_hz and not times:
+        parsed.requested_hz = {"accelerometer": mapping.rate_hz}
+
+
+def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _MappedStream:
+    """Return a stream of a mapping from its table, in the units and with the signs of `Recording`.
+
+    Of repeated locations, only the first is kept.
+    """
+    sheet = _sheet_of(stream, mapping, sheets)
+    time = _place(stream.time, sheet, mapping) if stream.time else None
+    ticks, values = sheet.stream([_place(name, sheet, mapping) if name else -1 for name in stream.columns], time)
+    if stream.stream == "location":
+        is_new = is_new_place(values)
+        ticks, values = ticks[is_new], values[is_new]
+        values[values[:, 3] < 0, 3] = np.nan  # apps write -1 for unknown
+    unit_s = 1 / mapping.rate_hz if time is None else TIME_UNITS.get(stream.time_unit, 1e-9)
+    return _MappedStream(ticks, unit_s, values * stream.factor)
+
+
+def _combined(found: dict[str, _MappedStream]) -> dict[str, _MappedStream]:
+    """Return the streams of a recording.
+
+    A missing accelerometer is the sum of linear acceleration and gravity, or the linear acceleration if there is no
+    gravity either. Angles become the quaternions of the stream "attitude".
+    """
+    streams = {name: stream for name, stream in found.items() if name not in (GRAVITY, LINEAR, ANGLES)}
+    if GRAVITY in found and LINEAR in found and "accelerometer" not in found:
+        streams["accelerometer"] = _summed(found[LINEAR], found[GRAVITY])
+    elif LINEAR in found and "accelerometer" not in found:
+        streams["accelerometer"] = found[LINEAR]
+    if ANGLES in found:
+        angles = found[ANGLES]
+        streams["attitude"] = angles._replace(values=quaternion_of(*angles.values.T))
+    return streams
+
+
+def _has_whole_ticks(stream: _MappedStream) -> bool:
+    return stream.ticks.dtype.kind == "i"
+
+
+def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """Return quaternions (w, x, y, z), from sensor to world with z up, from the angles of CoreMotion.
+
+    The rotation matrix is R = Rz(yaw) Rx(pitch) Ry(roll).
+    """
+    with np.errstate(invalid="ignore"):
+        (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a / 2), np.sin(a / 2)) for a in (roll_rad, pitch_rad, yaw_rad))
+    # q_z(yaw) q_x(pitch) = (cy cp, cy sp, sy sp, sy cp); times q_y(roll) = (cr, 0, sr, 0)
+    w, x, y, z = cy * cp, cy * sp, sy * sp, sy * cp
+    return np.column_stack([w * cr - y * sr, x * cr - z * sr, y * cr + w * sr, z * cr + x * sr])
+
+
+def is_new_place(values: FloatArray) -> BoolArray:
+    """Return True for each row whose location is known and differs from the location of the row before, shape (N,).
+
+    `values` (N, d) begin with latitude and longitude. Tables with a row for each sample repeat locations. Latitude 0
+    with longitude 0 is not a location.
+    """
+    changes = np.ones(len(values), dtype=bool)
+    changes[1:] = (values[1:, :2] != values[:-1, :2]).any(axis=1)
+    return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)
+
+
+def _summed(linear: _MappedStream, gravity: _MappedStream) -> _MappedStream:
+    """Return the sum of linear acceleration and gravity at the times of the linear acceleration.
+
+    Gravity is interpolated if its times differ. The sum is NaN in gaps of gravity.
+    """
+    zero = _Zero(linear.ticks[0].item() if len(linear.ticks) else 0, linear.unit_s)
+    at_s, known_s = _seconds(linear, zero), _seconds(gravity, zero)
+    if np.array_equal(at_s, known_s):
+        return linear._replace(values=linear.values + gravity.values)
+    known = ~np.isnan(known_s)
+    at_linear = interpolated_near(at_s, known_s[known], gravity.values[known], limits.GRAVITY_GAP_S)
+    return linear._replace(values=linear.values + at_linear)
+
+
+def _seconds(stream: _MappedStream, zero: _Zero) -> FloatArray:
+    """Return the times of a stream since `zero`, in s.
+
+    Differences of whole numbers keep all digits, so they are taken before the conversion to seconds.
+    """
+    if stream.unit_s == zero.unit_s or zero.tick == 0:
+        return np.asarray(stream.ticks - zero.tick, dtype=np.float64) * stream.unit_s
+    return stream.ticks.astype(np.float64) * stream.unit_s - float(zero.tick) * zero.unit_s
+
+
+def _sheet_of(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> Sheet:
+    if not stream.file:
+        if len(sheets) == 1:
+            return sheets[0]
+        fitting = [s for s in sheets if set(stream.columns) - {""} <= set(s.fields)]
+    else:
+        fitting = [s for s in sheets if s.name == stream.file]
+    if len(fitting) != 1:
+        names = ", ".join(s.name for s in sheets[:10])
+        what, remedy = f"file = {stream.file!r} fits", "write"
+        if not stream.file:
+            what, remedy = f"columns {', '.join(stream.columns)[:100]} are in", "correct them, or write"
+        raise RecordingError(
+            f"{mapping.where}: [{stream.stream}] {what} {len(fitting)} tables; {remedy} file = one of {names}"
+        )
+    return fitting[0]
+
+
+def _place(name: str, sheet: Sheet, mapping: Mapping) -> int:
+    if (n := sheet.fields.count(name)) != 1:
+        raise RecordingError(
+            f"{mapping.where}: column {name!r} is in the table {n} times (columns: "
+            f"{', '.join(sheet.fields)[:300] or 'none'}); name one that is there once"
+        )
+    return sheet.fields.index(name)

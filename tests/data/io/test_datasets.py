@@ -1,0 +1,297 @@
+"""Public recordings from a home that is a local server: cache, checksums, licence, a local folder, no network."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import threading
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from io import BytesIO
+from pathlib import Path
+from zipfile import ZipFile
+
+import numpy as np
+import pytest
+from app_files import core_motion_text, indoor_location_text, on_one_clock
+
+import pdr_filter as pdr
+from pdr_filter import datasets
+from pdr_filter.data.datasets import DATASETS, Dataset
+
+pytest.importorskip("pooch")
+
+ROWS = "".join(f"{i / 50:.2f} 0.0 0.1 9.8\n" for i in range(100))
+FILES = ("walk_1/accelerometer.txt", "walk_1/gyroscope.txt", "walk_2/accelerometer.txt", "walk_2/gyroscope.txt")
+
+
+class Quiet(SimpleHTTPRequestHandler):
+    asked: list[str] = []  # noqa: RUF012 - of the test that runs
+
+    def log_message(self, *_: object) -> None:
+        self.asked.append(self.path)
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Iterator[str]:
+    """The address of a server with the files of a data set."""
+    for file in FILES:
+        (tmp_path / "home" / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "home" / file).write_text(ROWS if "acc" in file else ROWS.replace("9.8", "0.0"))
+    Quiet.asked = []
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Quiet, directory=str(tmp_path / "home")))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    server.server_close()
+
+
+def little(home: str, sha256: tuple[str, ...] = ()) -> Dataset:
+    return Dataset("Two little walks", "CC0", "Nobody", home, FILES, sha256)
+
+
+@pytest.fixture(autouse=True)
+def _without_a_local_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("PDR_DATA", raising=False)
+
+
+def test_recordings_are_downloaded_once_and_their_licence_is_shown(
+    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(DATASETS, "little", little(home))
+    paths = datasets.fetch("little", tmp_path / "cache")
+    assert [path.name for path in paths] == ["walk_1.zip", "walk_2.zip"]
+    shown = capsys.readouterr().err
+    assert "licence: CC0" in shown
+    assert "attribution: Nobody" in shown
+    assert (tmp_path / "cache" / "little" / "ATTRIBUTION.txt").read_text() in shown
+    walk = pdr.read(paths[0])
+    np.testing.assert_allclose(walk.accelerometer.values[0], [0.0, 0.1, 9.8])
+    assert walk.meta["licence"] == "CC0"
+    assert walk.meta["dataset"] == "little"
+    n_asked = len(Quiet.asked)
+    assert n_asked == len(FILES)
+    assert datasets.fetch("little", tmp_path / "cache") == paths
+    assert len(Quiet.asked) == n_asked
+    assert capsys.readouterr().err == ""
+
+
+def test_a_file_with_another_checksum_is_refused(tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    right = tuple(hashlib.sha256((tmp_path / "home" / file).read_bytes()).hexdigest() for file in FILES)
+    monkeypatch.setitem(DATASETS, "little", little(home, right))
+    assert datasets.fetch("little", tmp_path / "cache")
+    monkeypatch.setitem(DATASETS, "little", little(home, ("0" * 64, *right[1:])))
+    with pytest.raises(ValueError, match="has changed since"):
+        datasets.fetch("little", tmp_path / "other")
+
+
+def test_a_proxy_that_requests_cannot_use_is_not_taken_for_another_checksum(
+    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(DATASETS, "little", little(home))
+    monkeypatch.setenv("HTTP_PROXY", "http:///nowhere")
+    monkeypatch.setenv("NO_PROXY", "")
+    with pytest.raises(ConnectionError, match="cannot be downloaded"):
+        datasets.fetch("little", tmp_path / "cache")
+
+
+def test_what_came_without_a_known_checksum_says_so_and_can_be_checked_later(
+    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(DATASETS, "little", little(home))
+    datasets.fetch("little", tmp_path)
+    assert "no sha256 is known yet" in capsys.readouterr().err
+    rows = [row.split("  ") for row in (tmp_path / "little" / ".raw" / "SHA256SUMS").read_text().splitlines()]
+    assert [name for _, name in rows] == list(FILES)
+    for checksum, name in rows:
+        assert hashlib.sha256((tmp_path / "home" / name).read_bytes()).hexdigest() == checksum
+    monkeypatch.setitem(DATASETS, "little", little(home, tuple(checksum for checksum, _ in rows)))
+    assert "checked: sha256 of each file" in DATASETS["little"].about()
+
+
+def test_a_download_that_broke_off_goes_on_where_it_was(
+    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(DATASETS, "little", little(home))
+    gone = tmp_path / "home" / FILES[2]
+    content = gone.read_text()
+    gone.unlink()
+    with pytest.raises(ConnectionError, match="resumes the download"):
+        datasets.fetch("little", tmp_path / "cache")
+    gone.write_text(content)
+    assert len(datasets.fetch("little", tmp_path / "cache")) == 2
+    assert sum(FILES[0] in path for path in Quiet.asked) == 1
+
+
+def test_without_network_the_message_says_what_else_can_be_done(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(DATASETS, "little", little("http://127.0.0.1:9"))
+    with pytest.raises(ConnectionError, match=r"little: http://127.0.0.1:9/.* cannot be downloaded .*PDR_DATA"):
+        datasets.fetch("little", tmp_path)
+
+
+def test_a_local_folder_is_used_in_place_of_the_network(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    walk = pdr.simulate.demo_walk().save(tmp_path / "humolire" / "walk.zip")
+    walk_of_mine = pdr.simulate.demo_walk().save(tmp_path / "mine" / "walk.zip")
+    monkeypatch.setenv("PDR_DATA", str(tmp_path))
+    assert datasets.fetch("humolire") == [walk]
+    assert datasets.fetch("mine") == [walk_of_mine]
+    with pytest.raises(ValueError, match="data set 'theirs' is unknown: give one of humolire, motionsense, ms_indoor"):
+        datasets.fetch("theirs")
+
+
+def test_a_zip_is_unpacked_beside_itself(tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    import zipfile
+
+    with zipfile.ZipFile(tmp_path / "home" / "all.zip", "w") as archive:
+        for file in FILES:
+            archive.write(tmp_path / "home" / file, file)
+        archive.writestr("notes.pdf", "no text")
+    monkeypatch.setitem(DATASETS, "little", Dataset("Zipped", "CC0", "Nobody", home, ("all.zip",)))
+    paths = datasets.fetch("little", tmp_path / "cache")
+    assert [path.name for path in paths] == ["walk_1.zip", "walk_2.zip"]
+    assert not list((tmp_path / "cache").rglob("notes.pdf"))
+
+
+def test_without_the_package_for_downloads_the_message_says_which(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pooch", None)
+    with pytest.raises(ValueError, match=r"pip install \"pdr_filter\[datasets\]\""):
+        datasets.fetch("humolire", tmp_path)
+
+
+def test_a_file_that_is_not_in_the_commit_is_taken_from_the_newest_state(
+    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    there = Dataset("Two little walks", "CC0", "Nobody", f"{home}/commit", FILES, or_home=home)
+    monkeypatch.setitem(DATASETS, "little", there)
+    assert len(datasets.fetch("little", tmp_path / "cache")) == 2
+
+
+# ---------------------------------------------------------------- as their owners publish them
+
+
+def at_home(tmp_path: Path, name: str, files: Mapping[str, str | bytes], home: str) -> Dataset:
+    """The data set with made-up files of its layout at a local home."""
+    for file, content in files.items():
+        place = tmp_path / "home" / file
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return replace(DATASETS[name], home=home, or_home="", files=tuple(files))
+
+
+def senslogs(rows: Iterable[str]) -> str:
+    head = "name.txt\n\nAll values are in something.\nhttp://\n\nelapsed-time-system elapsed-time-sensor x y z\n"
+    return head + "".join(f"{row}\n" for row in rows)
+
+
+def humolire_files() -> dict[str, str | bytes]:
+    """Walks along a corridor, round a corner and along another; the sensor's clock begins at 0.054 s."""
+    at_s = np.arange(0.054, 40.0, 0.02)
+    swing = np.where(at_s > 2.0, 3.0 * np.sin(12 * at_s), 0.0)
+    force = [f"{t + 0.004:.3f} {t:.3f} 0.1 0.2 {9.8 + s:.4f}" for t, s in zip(at_s, swing, strict=True)]
+    rate = [f"{t + 0.004:.3f} {t:.3f} 0.01 0.02 0.03" for t in at_s]
+    points = [(10.0, 0.1), (20.0, 0.0), (28.0, 6.0), (28.1, 12.0)]
+    keypoints = {"starting_position": {"x": 0.0, "y": 0.0}, "starting_heading": 2, "count": len(points)}
+    keypoints |= {str(i): {"x": x, "y": y} for i, (x, y) in enumerate(points)}
+    clicks = "references.txt\n\ntimestamp Reference timestamp when clicked.\nhttp://TODO\n\nelapsed-time-system\n"
+    clicks += "".join(f"{t:.3f} 0.0 0.0\n" for t in (9.054, 18.054, 27.054, 33.054))
+    files: dict[str, str | bytes] = {}
+    for walk in ("straight", "forward", "weinberg_sequences/1f"):
+        files |= {
+            f"imus/1/{walk}/accelerometer-calibrated.txt": senslogs(force),
+            f"imus/1/{walk}/gyroscope-calibrated.txt": senslogs(rate),
+            f"imus/1/{walk}/record.properties": "[Device]\nManufacturer = OnePlus\nModel = ONEPLUS A6010\n",
+            f"imus/1/{walk}/references.txt": clicks,
+        }
+        if walk != "straight":  # whose landmarks are those of 1f
+            files[f"imus/1/{walk}/keypoints.json"] = json.dumps(keypoints)
+    link = {"id": 0, "layer": 0, "node0": {"x": 100.0, "y": 915.0}, "node1": {"x": 100.0, "y": 15.0}}
+    return files | {"maps/map_data.json": json.dumps({"scale": 0.04, "links": [link]})}
+
+
+def test_humolire_comes_with_landmarks_legs_person_and_plan(
+    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(DATASETS, "humolire", at_home(tmp_path, "humolire", humolire_files(), home))
+    paths = datasets.fetch("humolire", tmp_path / "cache")
+    names = ["humolire_user1_1f", "humolire_user1_forward", "humolire_user1_straight"]
+    assert [path.stem for path in paths] == names
+    for walk in map(pdr.read, paths):
+        waypoints, segments, labels = walk.truth.waypoints, walk.truth.segments, walk.truth.labels
+        assert waypoints is not None
+        assert segments is not None
+        assert labels is not None
+        # on the clock of the sensors, which begins with the first sample; the start is where motion begins
+        np.testing.assert_allclose(waypoints["time_s"], [1.5, 9.0, 18.0, 27.0, 33.0], atol=0.1)
+        np.testing.assert_allclose(waypoints["time_s"][1:], [9.0, 18.0, 27.0, 33.0], atol=1e-6)
+        np.testing.assert_allclose(waypoints["east_m"], [0.0, 10.0, 20.0, 28.0, 28.1])
+        np.testing.assert_allclose(segments["start_s"], [9.0, 27.0])  # neither the first nor round the corner
+        np.testing.assert_allclose(segments["distance_m"], [10.0005, 6.000833], rtol=1e-6)
+        assert labels["carrying_mode"].tolist() == ["texting"]
+        assert walk.subject.height_m == 1.86
+        assert walk.accelerometer.time_s[0] == 0.0
+        assert pdr.read(paths[0]).notes == ()
+    content = json.loads((tmp_path / "cache" / "maps" / "humolire.geojson").read_text())
+    assert content["features"][0]["geometry"]["coordinates"] == [[4.0, 0.0], [4.0, 36.0]]
+
+
+def test_clicks_without_a_landmark_each_are_refused(tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = humolire_files()
+    files["imus/1/forward/references.txt"] = str(files["imus/1/forward/references.txt"]) + "35.0 0.0 0.0\n"
+    monkeypatch.setitem(DATASETS, "humolire", at_home(tmp_path, "humolire", files, home))
+    with pytest.raises(ValueError, match="5 clicks and 4 landmarks"):
+        datasets.fetch("humolire", tmp_path / "cache")
+
+
+def test_motionsense_comes_with_person_and_activity(tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    packed = BytesIO()
+    with ZipFile(packed, "w") as archive:
+        for trial, code in (("dws_1", 1), ("jog_9", 3), ("std_6", 3), ("wlk_7", 24)):
+            text = core_motion_text(simulated())
+            archive.writestr(f"A_DeviceMotion_data/{trial}/sub_{code}.csv", text)
+            archive.writestr(f"__MACOSX/A_DeviceMotion_data/{trial}/._sub_{code}.csv", "x")
+    people = "code,weight,height,age,gender\n1,102,188,46,1\n3,48,161,28,0\n24,74,173,18,0"
+    files = {"data_subjects_info.csv": people, "A_DeviceMotion_data.zip": packed.getvalue()}
+    monkeypatch.setitem(DATASETS, "motionsense", at_home(tmp_path, "motionsense", files, home))
+    found = {path.stem: pdr.read(path) for path in datasets.fetch("motionsense", tmp_path / "cache")}
+    assert sorted(found) == ["motionsense_s01_dws_1", "motionsense_s03_jog_9", "motionsense_s03_std_6"]
+    labels = {name: walk.truth.labels for name, walk in found.items()}
+    contexts = [rows["context"][0] for rows in labels.values() if rows is not None]
+    assert contexts == ["downstairs", "running", "stationary"]
+    subject = found["motionsense_s03_jog_9"].subject
+    assert (subject.id, subject.height_m, subject.weight_kg, subject.gender) == ("s03", 1.61, 48.0, "F")
+
+
+def test_ms_indoor_comes_with_points_of_the_map_storey_and_labels(
+    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = indoor_location_text(simulated(), ((0.5, 3.0, 4.0), (9.0, 13.0, 4.5)))
+    files = {"B1/path_data_files/5dda.txt": text.replace("FloorName:F2", "FloorName:B1")}
+    monkeypatch.setitem(DATASETS, "ms_indoor", at_home(tmp_path, "ms_indoor", files, home))
+    (path,) = datasets.fetch("ms_indoor", tmp_path / "cache")
+    assert path.stem == "ms_indoor_anon_site1_b1_5dda"
+    walk = pdr.read(path)
+    assert walk.truth.waypoints is not None
+    assert walk.truth.labels is not None
+    assert walk.truth.waypoints["floor"].tolist() == [-1.0, -1.0]
+    np.testing.assert_allclose(walk.truth.waypoints["east_m"], [3.0, 13.0])
+    np.testing.assert_allclose([walk.truth.labels["start_s"][0], walk.truth.labels["end_s"][0]], [0.5, 9.0])
+
+
+def simulated() -> pdr.Recording:
+    return on_one_clock(pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=12.0)], rate_hz=50.0))
+
+
+@pytest.mark.parametrize("name", ["humolire", "motionsense", "ms_indoor"])
+def test_every_data_set_says_its_terms_and_where_it_is_from(name: str) -> None:
+    dataset = DATASETS[name]
+    assert dataset.licence
+    assert dataset.attribution
+    assert dataset.home.startswith("https://")
+    assert len(set(dataset.files)) == len(dataset.files) > 0

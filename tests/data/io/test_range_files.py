@@ -1,0 +1,125 @@
+"""Ranges and anchors from files, and on the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import pdr_filter as pdr
+from pdr_filter.apps.cli.app import app
+from pdr_filter.data.io.fix_files import anchors_of_file, ranges_of_file
+
+ANCHORS = {"door": (-8.0, -6.0), "window": (45.0, -5.0, 1.5), "stairs": (5.0, 50.0)}
+
+
+def anchors_file(path: Path, places: dict[str, tuple[float, ...]]) -> Path:
+    features = [
+        {"type": "Feature", "properties": {"name": n}, "geometry": {"type": "Point", "coordinates": list(place)}}
+        for n, place in places.items()
+    ]
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
+    return path
+
+
+def ranges_file(path: Path, recording: pdr.Recording) -> Path:
+    truth, rows = recording.truth.position, ["anchor,time_s,range_m"]
+    assert truth is not None
+    for time_s in np.arange(6.0, 100.0, 2.0):
+        here_m = np.array([np.interp(time_s, truth.time_s, column) for column in (truth.east_m, truth.north_m)])
+        for name, place in ANCHORS.items():
+            away_m = np.append(here_m - place[:2], place[2:])
+            rows.append(f"{name},{time_s},{np.linalg.norm(away_m):.3f}")
+    path.write_text("\n".join(rows), encoding="utf-8")
+    return path
+
+
+def test_ranges_of_a_file_are_to_the_anchors_that_it_names(tmp_path: Path) -> None:
+    anchors = anchors_file(tmp_path / "anchors.geojson", ANCHORS)
+    (tmp_path / "ranges.csv").write_text("time_s,anchor,range_m,std_m\n1.5,window,7.25,0.2\n2.5,door,3,0.4\n")
+    first, second = ranges_of_file(tmp_path / "ranges.csv", anchors)
+    assert (first.time_s, first.range_m, first.std_m, first.up_m) == (1.5, 7.25, 0.2, 1.5)
+    np.testing.assert_array_equal(second.anchor_m, ANCHORS["door"])
+    (tmp_path / "own.csv").write_text("time_s,anchor_east_m,anchor_north_m,range_m\n1,3,4,5\n")
+    (only,) = ranges_of_file(tmp_path / "own.csv", std_m=0.7)
+    np.testing.assert_array_equal([*only.anchor_m, only.range_m, only.std_m], [3.0, 4.0, 5.0, 0.7])
+
+
+def test_named_anchors_without_their_file_are_refused_with_the_option_that_is_missing(tmp_path: Path) -> None:
+    (tmp_path / "ranges.csv").write_text("time_s,anchor,range_m\n1.5,window,7.25\n")
+    with pytest.raises(ValueError, match=r"ranges.csv: .* give the file of the anchors, --anchors"):
+        ranges_of_file(tmp_path / "ranges.csv")
+
+
+def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path) -> None:
+    anchors = anchors_file(tmp_path / "anchors.geojson", ANCHORS)
+    (tmp_path / "ranges.csv").write_text("time_s,anchor,range_m\n1.5,window,7.25\n2.5,do")
+    assert len(ranges_of_file(tmp_path / "ranges.csv", anchors)) == 1
+
+
+def test_anchors_in_degrees_become_metres_from_the_origin(tmp_path: Path) -> None:
+    path = anchors_file(tmp_path / "a.geojson", {"a": (-0.0015, 51.4779), "b": (-0.0015, 51.4781)})
+    found = anchors_of_file(path, origin=(51.4779, -0.0015))
+    np.testing.assert_allclose([found["a"], found["b"]], [[0.0, 0.0], [0.0, 22.25]], atol=0.05)
+    with pytest.raises(ValueError, match="--origin LAT,LON"):
+        anchors_of_file(path)
+
+
+def test_one_anchor_is_in_degrees_if_it_is_near_the_origin(tmp_path: Path) -> None:
+    path = anchors_file(tmp_path / "a.geojson", {"a": (-0.0015, 51.4781)})
+    np.testing.assert_allclose(anchors_of_file(path, origin=(51.4779, -0.0015))["a"], [0.0, 22.25], atol=0.05)
+    for origin in (None, (50.0, 8.0)):  # else nothing tells it from a place in metres
+        np.testing.assert_array_equal(anchors_of_file(path, origin=origin)["a"], [-0.0015, 51.4781])
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("time_s,range_m,anchor\n1,3,door\n2,3\n", "row 2: .*no anchor ''"),
+        ("time_s,range_m,anchor\n1,3,door\n\n2,3,roof\n", "row 2: .*no anchor 'roof'"),
+        ("time_s,anchor,range_m\n1,door,3\n2,door\n", "line 3: only 2 fields"),
+        ("time_s,anchor,range_m\n1,roof,3\n", "row 1: .*no anchor 'roof' .*door"),
+        ("time_s,range_m\n1,3\n", "no column anchor"),
+        ("time_s,anchor,range_m\n1,door,-3\n", "row 1: range_m must be a distance"),
+        ("time_s,anchor,range_m\n1,door,x\n", "x"),
+        ("time_s,anchor,range_m\n", "no ranges"),
+        ("", "no column 'time_s'"),
+    ],
+)
+def test_a_table_of_ranges_that_cannot_be_used_is_refused_with_its_row(
+    table: str, message: str, tmp_path: Path
+) -> None:
+    anchors = anchors_file(tmp_path / "anchors.geojson", ANCHORS)
+    (tmp_path / "ranges.csv").write_text(table)
+    with pytest.raises(ValueError, match=message):
+        ranges_of_file(tmp_path / "ranges.csv", anchors)
+
+
+@pytest.mark.parametrize("content", ["[]", "{}", '{"features": []}', '{"features": [{"properties": {}}]}', "x"])
+def test_anchors_that_cannot_be_read_are_refused(content: str, tmp_path: Path) -> None:
+    (tmp_path / "a.geojson").write_text(content)
+    with pytest.raises(ValueError, match=r"a\.geojson"):
+        anchors_of_file(tmp_path / "a.geojson")
+
+
+@pytest.mark.parametrize("command", ["track", "smooth"])
+def test_a_command_takes_ranges_and_anchors(command: str, tmp_path: Path) -> None:
+    walk = pdr.simulate.demo_walk()
+    walk.save(tmp_path / "walk.zip")
+    ranges, anchors = ranges_file(tmp_path / "r.csv", walk), anchors_file(tmp_path / "a.geojson", ANCHORS)
+    options = ["--online", "--json"] if command == "track" else []
+    asked = [command, str(tmp_path / "walk.zip"), "--ranges", str(ranges), "--anchors", str(anchors), *options]
+    done = CliRunner().invoke(app, asked)
+    assert done.exit_code == 0, done.output
+    if command == "track":
+        result, truth = json.loads(done.stdout), walk.truth.position
+        assert truth is not None
+        off_m = np.hypot(result["end_east_m"] - truth.east_m[-1], result["end_north_m"] - truth.north_m[-1])
+        assert off_m < 6.0  # of a walk whose last 14 s are without ranges
+    else:
+        assert "141 observations" in done.stdout
+    alone = CliRunner().invoke(app, [command, str(tmp_path / "walk.zip"), "--anchors", str(anchors)])
+    assert alone.exit_code == 2 and "without --ranges" in " ".join(alone.output.split())

@@ -1,0 +1,97 @@
+"""Times of tables: dates, clocks, units that nobody says, and what a spreadsheet makes of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from app_files import (
+    axes,
+    physics_toolbox_text,
+    refusal,
+    table_text,
+    wall_clock,
+)
+from table_cases import (
+    FORCE,
+    FORCE_G,
+    RATE,
+    TIME_S,
+    WALK,
+)
+
+from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.formats import read
+
+
+def test_a_digit_that_is_no_number_is_no_time(tmp_path: Path) -> None:
+    text = physics_toolbox_text(WALK)
+    header, first, rest = text.split("\n", 2)
+    damaged = "17879233041\u00b27456789" + first[first.index(",") :]
+    (tmp_path / "walk.csv").write_text("\n".join([header, damaged, rest]), encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"walk.csv: "):
+        read(tmp_path / "walk.csv")
+
+
+@pytest.mark.parametrize("style", ["{m:02d}:{s:04.1f}", "18:{m:02d}", "18:{m:02d}:{s:02.0f}", "8/12/2022 18:{m:02d}"])
+def test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened(tmp_path: Path, style: str) -> None:
+    times = [style.format(m=int(t // 60), s=t // 0.1 / 10 % 60) for t in TIME_S]
+    (tmp_path / "walk.csv").write_text(table_text({"time": times} | axes("gF%", FORCE_G) | axes("w%", RATE)))
+    assert "the times may be rounded, as a spreadsheet does" in refusal(tmp_path / "walk.csv")
+
+
+@pytest.mark.parametrize("up_s", [5.0, 172.0, 1_500.0, 172_029.0])
+def test_nanoseconds_since_the_phone_was_started_are_known_by_the_rate(tmp_path: Path, up_s: float) -> None:
+    times = [str(round((up_s + t) * 1e9)) for t in TIME_S]
+    at_s = read_text(tmp_path, {"event.timestamp": times} | axes("acc_%", FORCE))
+    np.testing.assert_allclose(at_s, TIME_S, atol=1e-8)
+
+
+def test_milliseconds_that_are_declared_are_believed_at_2_hz(tmp_path: Path) -> None:
+    columns = {k.upper(): v for k, v in axes("ACCE%", FORCE[:100]).items()}
+    text = table_text({**columns, "Time since start in ms ": 500.0 * np.arange(100)})
+    (tmp_path / "walk.csv").write_text(text)
+    message = refusal(tmp_path / "walk.csv")
+    assert "a rate of 2 Hz" in message
+    assert "look like" not in message
+    assert "AndroSensor" in message
+
+
+def test_a_table_without_times_is_asked_for_its_rate(tmp_path: Path) -> None:
+    (tmp_path / "walk.csv").write_text(table_text(axes("acc%", FORCE) | axes("gyro%", RATE)))
+    assert "rate_hz" in refusal(tmp_path / "walk.csv")
+
+
+def test_a_clock_goes_on_at_midnight(tmp_path: Path) -> None:
+    time_s = read_text(tmp_path, {"time": [d[12:] for d in wall_clock(TIME_S)]} | axes("gF%", FORCE_G))
+    assert time_s[0] == 0
+    assert time_s[-1] == pytest.approx(TIME_S[-1], abs=1e-6)
+    assert np.diff(time_s).min() > 0
+
+
+def read_text(folder: Path, columns: dict[str, np.ndarray | list[str]]) -> np.ndarray:
+    (folder / "walk.csv").write_text(table_text(columns))
+    return read(folder / "walk.csv").accelerometer.time_s
+
+
+@pytest.mark.parametrize(
+    "style", ["{d} {t}", "{d}T{t}Z", "{d} {t} +0530", "{d}T{t}+02:00", "{eu} {t}", "{d} {colon}", "{us} {t}"]
+)
+def test_dates_are_read_however_they_are_written(tmp_path: Path, style: str) -> None:
+    begin = np.datetime64("2024-02-27T22:59:50.000001", "us")
+    stamps = [str(begin + np.timedelta64(round(t * 1e6), "us")) for t in TIME_S.tolist()]
+    dates = []
+    for stamp in stamps:
+        d, t = stamp.split("T")
+        y, m, day = d.split("-")
+        dates.append(style.format(d=d, t=t, eu=f"{day}.{m}.{y}", us=f"{m}/{day}/{y}", colon=t.replace(".", ":")))
+    time_s = read_text(tmp_path, {"date": dates} | axes("gF%", FORCE_G))
+    np.testing.assert_allclose(time_s, TIME_S, atol=1e-6)
+
+
+def test_a_clock_of_twelve_hours_goes_on_at_noon(tmp_path: Path) -> None:
+    at = [np.datetime64("2024-02-27T11:59:58.000000", "us") + np.timedelta64(round(t * 1e6), "us") for t in TIME_S]
+    clock = [stamp.astype(object).strftime("%I:%M:%S.%f %p") for stamp in at]
+    assert {text[-2:] for text in clock} == {"AM", "PM"}
+    np.testing.assert_allclose(read_text(tmp_path, {"time": clock} | axes("gF%", FORCE_G)), TIME_S, atol=1e-6)
