@@ -130,7 +130,7 @@ def calibrate(
 
     See Also
     --------
-    pdr_filter.apps.batch.calibrate : Calibration of many recordings in parallel.
+    pdr_filter.batch.calibrate : Calibration of many recordings in parallel.
 
     Notes
     -----
