@@ -110,6 +110,7 @@ def online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> W
         return None
     if any(has_position(fix) for fix in fixes):
         config = config.in_world_frame()
+    config = replace(config, keeps_path=True)
     state = init(config)
     for new_state, _ in outputs(recording, config, fixes):
         state = new_state
