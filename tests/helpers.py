@@ -13,12 +13,12 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.apps.maps.floor_plan import FloorPlan
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.motion_model import Mode
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock

@@ -81,7 +81,7 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
         "n = len(online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps))\n"
         "assert n > 100, n"
     )
-    assert "pdr_filter.filter.imm.imm_tracker" in loaded_by(statement)
+    assert "pdr_filter.filter.chain.imm_tracker" in loaded_by(statement)
 
 
 # --- the packages -----------------------------------------------------------------------------------------------------
@@ -98,7 +98,7 @@ WHEN_CALLED = {
     ("values.recording", "data.io.files.own_format_writer"),  # Recording.save
     ("classifiers.model_files", "data.io.files.safe_files"),  # models and calibrations, saved and loaded
     ("sensing.device", "data.io.files.safe_files"),  # Device.save, Device.load
-    ("filter.step_length.person", "data.io.files.safe_files"),  # Person.save, Person.load
+    ("filter.pedestrian.person", "data.io.files.safe_files"),  # Person.save, Person.load
     ("recipes.config", "apps.maps.particle_filter"),  # Config.with_plan
     ("recipes.step_length_calibration", "apps.report.plot"),  # Calibration.plot
     ("tracking.track", "data.io.files.track_writers"),  # Track.to_csv, Track.to_geojson and others

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking.filtering import MAX_CLIMBS
 from pdr_filter.tracking.track import Track

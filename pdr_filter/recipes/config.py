@@ -13,20 +13,20 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.filter.chain.handler import Handler, TrackerHandler
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.tracker import Tracker
 from pdr_filter.filter.chain.two_hypotheses import TwoHypotheses
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.chain.with_height import WithHeight
 from pdr_filter.filter.chain.with_path import WithPath
 from pdr_filter.filter.chain.with_plan import PlanStage, WithPlan
-from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
 from pdr_filter.filter.imm.motion_model import Mode
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.tracker import Tracker
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, WC, WEIGHTINGS, Weighting
+from pdr_filter.filter.pedestrian.frame import UNKNOWN_FRAME
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.filter.step_length.models import StepLengthFit
-from pdr_filter.filter.step_length.person import Person
 from pdr_filter.sensing.contexts.context_stage import ContextStage
 from pdr_filter.sensing.contexts.learned_contexts import stage_of, with_carrying_models
 from pdr_filter.sensing.device import Device

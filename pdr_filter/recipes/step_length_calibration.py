@@ -14,9 +14,9 @@ import numpy as np
 
 from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
 from pdr_filter.filter.imm.motion_model import Mode
+from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.filter.step_length import models as step_length
 from pdr_filter.filter.step_length.models import TYPICAL_STEP, StepLengthFit, StepLengthModel, length_and_jacobian
-from pdr_filter.filter.step_length.person import Person
 from pdr_filter.recipes.config import Config
 from pdr_filter.values import (
     FloatArray,

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pdr_filter.filter.chain.handler import states_of
-from pdr_filter.filter.fixes.alignment import EYE, Place
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, stepless_var_m2
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate, present_position, track_place, within_reach
+from pdr_filter.filter.pedestrian.alignment import EYE, Place
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate, present_position, track_place, within_reach
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.stream_merging import SENSORS
 from pdr_filter.tracking.filtering import State, place_on_plan

@@ -15,15 +15,15 @@ import numpy as np
 from pdr_filter.filter.chain.handler import End, FixUse, HandlerState, NewestStep, Places, StepsEnd, Window, part_of
 from pdr_filter.filter.chain.handler import Event as ChainEvent
 from pdr_filter.filter.chain.two_hypotheses import Hypotheses
-from pdr_filter.filter.chain.with_height import HeightTrack
+from pdr_filter.filter.chain.with_height import HeightTrack, window_log_evidence
 from pdr_filter.filter.chain.with_plan import PlanTrack
 from pdr_filter.filter.fixes.gnss import LocationState, good_places, position_fixes
 from pdr_filter.filter.fixes.rides import Rides
-from pdr_filter.filter.height.height_filter import HeightState, window_log_evidence
-from pdr_filter.filter.imm import pedestrian_state as pedestrian
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, moved_by_heading_m
-from pdr_filter.filter.imm.step_history import TRAIL_TIME
-from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of
+from pdr_filter.filter.height.height_filter import HeightState
+from pdr_filter.filter.pedestrian import pedestrian_state as pedestrian
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate, moved_by_heading_m
+from pdr_filter.filter.pedestrian.person import LengthFixes, Person, session_of
+from pdr_filter.filter.pedestrian.step_history import TRAIL_TIME
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import with_climbs
 from pdr_filter.sensing.features.barometer import STAIRS_MPS, Climb, ClimbState

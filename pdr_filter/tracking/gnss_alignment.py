@@ -10,14 +10,14 @@ import numpy as np
 
 from pdr_filter.filter.chain.handler import part_of, with_part, with_pedestrian
 from pdr_filter.filter.chain.with_height import HeightTrack
-from pdr_filter.filter.fixes.alignment import walked_var_m2
-from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME, Frame
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, centre_weights, consistent_pairs
 from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, position_fixes
-from pdr_filter.filter.fixes.repeated_fixes import Repetition, repetitions
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height.height_filter import HeightState
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.alignment import walked_var_m2
+from pdr_filter.filter.pedestrian.frame import UNKNOWN_FRAME, Frame
+from pdr_filter.filter.pedestrian.frame_rotation import PairedPoint, align, centre_weights, consistent_pairs
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.repeated_fixes import Repetition, repetitions
 from pdr_filter.tracking.filtering import Output, State
 from pdr_filter.tracking.step_statistics import is_moving
 from pdr_filter.values import (

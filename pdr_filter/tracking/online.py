@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.filter.chain.handler import states_of
-from pdr_filter.filter.imm import pedestrian_state as pedestrian
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
-from pdr_filter.filter.step_length.person import Person
+from pdr_filter.filter.pedestrian import pedestrian_state as pedestrian
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.recipes.config import Config, check_config
 from pdr_filter.sensing.clock import on_track_clock
 from pdr_filter.sensing.device import Device

@@ -10,8 +10,8 @@ import numpy as np
 from pdr_filter.filter.chain.handler import part_of
 from pdr_filter.filter.chain.with_path import PathState
 from pdr_filter.filter.imm.motion_model import MotionNoise, bounded_position_cov, reach_m
-from pdr_filter.filter.imm.past_path import turned
-from pdr_filter.filter.imm.pedestrian_state import PAUSE_S, track_place, within_reach
+from pdr_filter.filter.pedestrian.past_path import turned
+from pdr_filter.filter.pedestrian.pedestrian_state import PAUSE_S, track_place, within_reach
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.extrapolation import present_place
 from pdr_filter.tracking.filtering import State

@@ -10,9 +10,9 @@ import numpy as np
 from pdr_filter.filter.chain.handler import part_of
 from pdr_filter.filter.chain.two_hypotheses import Hypotheses
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
-from pdr_filter.filter.fixes.frame_rotation import MAX_NORTH_STD_RAD
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height import height_filter as height
+from pdr_filter.filter.pedestrian.frame_rotation import MAX_NORTH_STD_RAD
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.clock import sorted_note
 from pdr_filter.sensing.stream_merging import SENSORS

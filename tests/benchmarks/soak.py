@@ -32,7 +32,7 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import BoolArray, FloatArray, ImuBlock, PositionFix
 from tests.benchmarks.common import Tables, run

@@ -40,10 +40,10 @@ from models.training import context_training as contexts
 from models.training.context_training import PLANS, labelled_windows
 from models.training.data_sets import DOUBTFUL, label_of, recordings_of
 from pdr_filter.classifiers.context_model import ContextModel, load_model
+from pdr_filter.filter.chain.tracker import Tracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
-from pdr_filter.filter.imm.tracker import Tracker
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.offline.training.context_sequences import UNKNOWN
 from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.offline.training.transition_training import contexts_at

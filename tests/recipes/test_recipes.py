@@ -11,7 +11,7 @@ from helpers import a_step
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
 from pdr_filter.values import CONTEXTS, WindowContext
 
 

@@ -21,8 +21,8 @@ from pdr_filter.apps.live.assembly import Assembly, LateError, SessionError
 from pdr_filter.apps.live.messages import FORCE, Message, parse
 from pdr_filter.apps.live.recorder import DEVICE, Recorder
 from pdr_filter.apps.live.settings import Event, FixError, Settings
-from pdr_filter.filter.fixes.alignment import Place
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.alignment import Place
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.stream_merging import Sensor

@@ -67,10 +67,10 @@ from pdr_filter.apps.maps.particle_motion import (
 from pdr_filter.apps.maps.start_area import ANYWHERE, Start, start_of
 from pdr_filter.filter.chain.handler import FixUse
 from pdr_filter.filter.chain.with_plan import PlanEvent as ChainPlanEvent
-from pdr_filter.filter.fixes.frame_rotation import Compass
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, stepless_var_m2
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.filter.pedestrian.frame_rotation import Compass
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.values import (
     FloatArray,
     FloorPassage,

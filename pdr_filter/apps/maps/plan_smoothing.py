@@ -30,8 +30,8 @@ from pdr_filter.apps.maps.particle_filter import ParticleFilter, ParticleState, 
 from pdr_filter.apps.maps.particle_motion import EAST, NORTH, OFFSET, SCALE, earlier_positions
 from pdr_filter.filter.chain.handler import FixUse
 from pdr_filter.filter.chain.with_plan import PlanEvent
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.step_statistics import UNKNOWN_HEADING_RAD

@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
-from pdr_filter.filter.imm.past_path import PastPath
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, over_stepless, without_changes
-from pdr_filter.filter.imm.tracker import Tracker, TrackerState
+from pdr_filter.filter.chain.tracker import Tracker, TrackerState
+from pdr_filter.filter.pedestrian.past_path import PastPath
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate, over_stepless, without_changes
 from pdr_filter.sensing.features.barometer import Climb
 from pdr_filter.sensing.front_end import Gap
 from pdr_filter.sensing.vehicle_vibration import Stepless

@@ -10,8 +10,8 @@ import numpy as np
 
 from pdr_filter.filter.chain.handler import Event, FixUse, Fork, Handler, Output
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
-from pdr_filter.filter.fixes.range_placement import MIN_LOG_ODDS
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, past_position, present_position
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate, past_position, present_position
+from pdr_filter.filter.pedestrian.range_placement import MIN_LOG_ODDS
 from pdr_filter.values import FloatArray, PositionFix, read_only, replace_unchecked
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,10 +12,13 @@ from pdr_filter.filter.chain.handler import End, Event, FixUse, Handler, Output,
 from pdr_filter.filter.fixes.gnss import place_at
 from pdr_filter.filter.height import height_filter
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.filter.height.vertical_modes import N_MODES
+from pdr_filter.filter.imm.weighting import context_log_evidence
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.sensing.contexts.context_stage import with_stairs_in_thirds
 from pdr_filter.sensing.features.barometer import Climb
-from pdr_filter.values import FloatArray, GridFix, PositionFix, replace_unchecked
+from pdr_filter.values import FloatArray, GridFix, PositionFix, WindowContext, replace_unchecked
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +45,22 @@ class HeightTrack:
         return self.inner.pedestrian
 
 
+def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:
+    """Return the log evidence (W, 7) of context windows for the vertical modes (`height_filter.mode_log_evidence`)."""
+    if not windows:
+        return np.zeros((0, N_MODES))
+    prob = np.array([with_stairs_in_thirds(w.prob, w.stairs_unknown_share, model.context_set) for w in windows])
+    prior, exponents = np.array([w.training_prior for w in windows]), (model.evidence_exponent, model.evidence_floor)
+    context_evidence = context_log_evidence(prob, prior, *exponents, model.prior_exponent)
+    return height_filter.mode_log_evidence(context_evidence, model.context_set)
+
+
 class WithHeight:
     """Handler around another one, with a height filter. `start_floor` is the storey of the start, if it is known."""
 
     def __init__(self, inner: Handler[Any], model: PedestrianModel, start_floor: int | None = None) -> None:
-        self.inner, self.model, self.start_floor = inner, model, start_floor
+        self.inner, self.on_stairs, self.start_floor = inner, model.on_stairs, start_floor
+        self.log_odds = model.step_log_odds_stationary
 
     def init(self) -> HeightTrack:
         """Return the state at the height of the start."""
@@ -58,7 +73,7 @@ class WithHeight:
         """Return the state after an event, and the outputs of the inner handler with heights and floor passages."""
         if isinstance(event, Climb):
             place = place_at(state.places, event.time_s)
-            height, passages = height_filter.on_pressure(state.height, event, self.model, place)
+            height, passages = height_filter.on_pressure(state.height, event, self.log_odds, place)
             return replace_unchecked(state, height=height), passages
         if isinstance(event, Places):
             recent = state.places[state.places[:, 0] >= event.since_s]
@@ -86,10 +101,10 @@ class WithHeight:
         """Return the state after a row, the floor passages that it completes, and the row with height and storey."""
         at_step, passages = state.height.known, ()
         if row.is_final:
-            up_prob, down_prob = self.model.on_stairs.dot(row.mode_prob).tolist()
+            up_prob, down_prob = self.on_stairs.dot(row.mode_prob).tolist()
             place = place_at(state.places, row.step.time_s)
             height, at_step, passages = height_filter.on_step(
-                state.height, known_s, row.step.time_s, up_prob, down_prob, self.model, place
+                state.height, known_s, row.step.time_s, up_prob, down_prob, self.log_odds, place
             )
             state = replace_unchecked(state, height=height)
         row = replace_unchecked(

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from pdr_filter.filter.chain.handler import Event, Fork, Handler, Output, PathChanges
-from pdr_filter.filter.imm.past_path import PastPath
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState
+from pdr_filter.filter.pedestrian.past_path import PastPath
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState
 from pdr_filter.values import replace_unchecked
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from pdr_filter.filter.chain.handler import Event, FixUse, Handler, Output
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.sensing.front_end import Gap
 from pdr_filter.values import FloatArray, FloorPassage, Note, OnPlan, Plan, replace_unchecked
 

@@ -19,15 +19,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Alignment, walked_var_m2
-from pdr_filter.filter.fixes.fix_history import UsedFix
-from pdr_filter.filter.fixes.frame_rotation import (
-    PairedPoint,
-    align,
-    degrees_of_freedom,
-    least_squares_error,
-    variance_factor,
-)
 from pdr_filter.filter.fixes.gating import (
     KalmanUpdate,
     Result,
@@ -38,12 +29,19 @@ from pdr_filter.filter.fixes.gating import (
 )
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.fixes.range_updates import on_range
-from pdr_filter.filter.fixes.relocation import RelocationEvidence
-from pdr_filter.filter.fixes.repeated_fixes import Repetition
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import (
+from pdr_filter.filter.imm.step_cycle import expect_first_direction
+from pdr_filter.filter.pedestrian.alignment import Alignment, walked_var_m2
+from pdr_filter.filter.pedestrian.fix_history import UsedFix
+from pdr_filter.filter.pedestrian.frame_rotation import (
+    PairedPoint,
+    align,
+    degrees_of_freedom,
+    least_squares_error,
+)
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     in_other_frame,
     present_position,
@@ -53,7 +51,8 @@ from pdr_filter.filter.imm.pedestrian_state import (
     with_joined_frame,
     with_reopened_rotation,
 )
-from pdr_filter.filter.imm.step_cycle import expect_first_direction
+from pdr_filter.filter.pedestrian.relocation import RelocationEvidence
+from pdr_filter.filter.pedestrian.repeated_fixes import Repetition
 from pdr_filter.values import (
     N_BEFORE,
     Fix,
@@ -71,6 +70,7 @@ from pdr_filter.values import (
     stated_fixes,
     wrap_angle,
 )
+from pdr_filter.values.uncertainty import variance_factor
 
 
 def use_fix(

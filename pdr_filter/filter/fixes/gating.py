@@ -11,9 +11,9 @@ import numpy as np
 
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import EAST, NORTH
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, with_change, with_moved_past
-from pdr_filter.filter.imm.step_history import TRAIL_TIME
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, with_change, with_moved_past
+from pdr_filter.filter.pedestrian.step_history import TRAIL_TIME
 from pdr_filter.values import FixOutcome, FloatArray
 
 Result = tuple[PedestrianState, FixOutcome, float]

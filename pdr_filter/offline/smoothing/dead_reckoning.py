@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_filter.filter.fixes.fix_history import StandstillSteps
-from pdr_filter.filter.fixes.frame import START_FRAME
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.filter.pedestrian.fix_history import StandstillSteps
+from pdr_filter.filter.pedestrian.frame import START_FRAME
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.offline.smoothing.storeys import with_arrivals
 from pdr_filter.recipes.config import Config

@@ -28,8 +28,8 @@ from pdr_filter.filter.imm.motion_model import (
     Directions,
     stepless_var_m2,
 )
-from pdr_filter.filter.imm.pedestrian_model import ModeLengths, PedestrianModel
 from pdr_filter.filter.imm.step_cycle import StepMotion, step_motion
+from pdr_filter.filter.pedestrian.pedestrian_model import ModeLengths, PedestrianModel
 from pdr_filter.values import BoolArray, FloatArray, IntArray, Step, Table, read_only, steps_of
 
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).

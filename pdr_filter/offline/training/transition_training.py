@@ -16,7 +16,7 @@ import numpy as np
 
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.classifiers.transition_files import Transitions
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.offline.training.context_sequences import (
     PRIOR_STEPS,
     UNKNOWN,

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, over_stepless
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, over_stepless
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.front_end import Event, Gap
 from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided

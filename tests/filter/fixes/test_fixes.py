@@ -12,11 +12,11 @@ from scipy.stats import chi2, invgamma, multivariate_normal
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.fixes.alignment import Alignment, Place
-from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squares_error, rotation_density
-from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
-from pdr_filter.filter.imm.pedestrian_state import present_position
+from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.pedestrian.alignment import Alignment, Place
+from pdr_filter.filter.pedestrian.frame import UNKNOWN_FRAME
+from pdr_filter.filter.pedestrian.frame_rotation import PairedPoint, align, least_squares_error, rotation_density
+from pdr_filter.filter.pedestrian.pedestrian_state import present_position
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking import filtering
 from pdr_filter.tracking.filtering import add_fixes, init

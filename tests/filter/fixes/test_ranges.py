@@ -13,9 +13,12 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter.filter.chain.handler import part_of
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
 from pdr_filter.filter.chain.two_hypotheses import Hypotheses
 from pdr_filter.filter.fixes import range_updates
-from pdr_filter.filter.fixes.range_placement import (
+from pdr_filter.filter.fixes.range_updates import _is_wide
+from pdr_filter.filter.pedestrian.pedestrian_state import initial_state
+from pdr_filter.filter.pedestrian.range_placement import (
     MAX_RANGES,
     PairedRange,
     PlacedTrack,
@@ -23,9 +26,6 @@ from pdr_filter.filter.fixes.range_placement import (
     recent,
     solutions,
 )
-from pdr_filter.filter.fixes.range_updates import _is_wide
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
-from pdr_filter.filter.imm.pedestrian_state import initial_state
 from pdr_filter.sensing.clock import on_track_clock
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, FloatArray, Measurement

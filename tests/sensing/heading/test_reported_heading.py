@@ -11,8 +11,8 @@ from helpers import a_step
 
 from pdr_filter import recipes
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, Directions
-from pdr_filter.filter.imm.pedestrian_state import initial_state, since_last_step
 from pdr_filter.filter.imm.step_cycle import step_cycle
+from pdr_filter.filter.pedestrian.pedestrian_state import initial_state, since_last_step
 from pdr_filter.sensing.heading.reported_heading import Reported, Shown
 
 BIAS_STD_RADPS = 0.002

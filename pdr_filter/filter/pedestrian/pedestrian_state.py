@@ -9,11 +9,6 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Alignment, Place, moved, walked_var_m2
-from pdr_filter.filter.fixes.fix_history import FixHistory
-from pdr_filter.filter.fixes.frame import Frame
-from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint
-from pdr_filter.filter.fixes.relocation import RelocationEvidence
 from pdr_filter.filter.imm.estimates import ALONG_AND_ACROSS, LENGTH_PARAMETERS, Estimates, position_cov
 from pdr_filter.filter.imm.motion_model import (
     EAST,
@@ -27,11 +22,16 @@ from pdr_filter.filter.imm.motion_model import (
     second_order_errors,
     stepless_var_m2,
 )
-from pdr_filter.filter.imm.past_path import PastPath, WalkedStep
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.step_cycle import Cycle, HeadingZero
-from pdr_filter.filter.imm.step_history import StepHistory, Walked
-from pdr_filter.filter.imm.walking_speed import WalkingSpeed
+from pdr_filter.filter.pedestrian.alignment import Alignment, Place, moved, walked_var_m2
+from pdr_filter.filter.pedestrian.fix_history import FixHistory
+from pdr_filter.filter.pedestrian.frame import Frame
+from pdr_filter.filter.pedestrian.frame_rotation import Compass, PairedPoint
+from pdr_filter.filter.pedestrian.past_path import PastPath, WalkedStep
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.relocation import RelocationEvidence
+from pdr_filter.filter.pedestrian.step_history import StepHistory, Walked
+from pdr_filter.filter.pedestrian.walking_speed import WalkingSpeed
 from pdr_filter.values import (
     Fix,
     FloatArray,

@@ -20,10 +20,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Alignment
 from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, N_STATES, NORTH
 from pdr_filter.filter.imm.step_cycle import Cycle
+from pdr_filter.filter.pedestrian.alignment import Alignment
 from pdr_filter.values import FloatArray, replace_unchecked
 
 # Number of events that are processed together.

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pdr_filter.filter.fixes.fix_history import STANDSTILL_LOG_EVIDENCE
+from pdr_filter.filter.chain.recent_windows import RecentWindows, n_after, window_before, with_window
 from pdr_filter.filter.fixes.fix_updates import use_fix
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import ImmArithmetic, NumpyImm, mixed_values
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
-from pdr_filter.filter.imm.pedestrian_model import ModeLengths, PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import (
+from pdr_filter.filter.imm.step_cycle import StepMotion, step_cycle
+from pdr_filter.filter.pedestrian.fix_history import STANDSTILL_LOG_EVIDENCE
+from pdr_filter.filter.pedestrian.pedestrian_model import ModeLengths, PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     StepEstimate,
     StepUpdate,
@@ -23,9 +25,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     with_withheld_length,
     without_changes,
 )
-from pdr_filter.filter.imm.recent_windows import RecentWindows, n_after, window_before, with_window
-from pdr_filter.filter.imm.step_cycle import StepMotion, step_cycle
-from pdr_filter.filter.imm.step_history import Walked
+from pdr_filter.filter.pedestrian.step_history import Walked
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, WindowContext, replace_unchecked
 
 
@@ -56,7 +56,7 @@ class ImmTracker:
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.imm.imm_tracker import ImmTracker
+    >>> from pdr_filter.filter.chain.imm_tracker import ImmTracker
     >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
     >>> tracker = ImmTracker(pdr.recipes.default().model)
     >>> state, updates = tracker.on_step(tracker.init(), TYPICAL_STEP)

@@ -12,11 +12,20 @@ from functools import cached_property
 
 import numpy as np
 
+from pdr_filter.filter.chain.recent_windows import (
+    WINDOW_MEMORY_S,
+    RecentWindows,
+    window_after,
+    window_around,
+    with_window,
+)
 from pdr_filter.filter.fixes.fix_updates import use_fix
 from pdr_filter.filter.imm.imm import NumpyImm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import (
+from pdr_filter.filter.imm.step_cycle import step_cycle
+from pdr_filter.filter.imm.weighting import HC, WC, Weighting, context_weights
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     StepEstimate,
     StepUpdate,
@@ -29,16 +38,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     with_withheld_length,
     without_changes,
 )
-from pdr_filter.filter.imm.recent_windows import (
-    WINDOW_MEMORY_S,
-    RecentWindows,
-    window_after,
-    window_around,
-    with_window,
-)
-from pdr_filter.filter.imm.step_cycle import step_cycle
-from pdr_filter.filter.imm.step_history import Walked
-from pdr_filter.filter.imm.weighting import HC, WC, Weighting, context_weights
+from pdr_filter.filter.pedestrian.step_history import Walked
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, WindowContext, check_numbers, replace_unchecked
 from pdr_filter.values.mixtures import posterior_prob
 
@@ -90,7 +90,7 @@ class WeightedTracker:
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+    >>> from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
     >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
     >>> tracker = WeightedTracker(pdr.recipes.default().model)
     >>> state, updates = tracker.on_step(tracker.init(), TYPICAL_STEP)
@@ -372,7 +372,7 @@ class DetectedStepTracker(WeightedTracker):
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker
+    >>> from pdr_filter.filter.chain.weighted_tracker import DetectedStepTracker
     >>> isinstance(pdr.recipes.zhou2019().tracker, DetectedStepTracker)
     True
     """
