@@ -91,6 +91,16 @@ class SensingState:
     carrying_mode: int
     processed_s: float
 
+    @property
+    def gate(self) -> object:
+        """State of the gate, or None without one."""
+        return self.of_steps.get("gate")
+
+    @property
+    def heading(self) -> object:
+        """State of the heading stage, or None without one."""
+        return self.of_steps.get("heading")
+
 
 @dataclass(frozen=True, eq=False)
 class Sensing:
@@ -311,7 +321,7 @@ class Sensing:
         Device
             Bias and covariance.
         """
-        error_rad, error_var = drift_in_time(self.heading, state.of_steps.get("heading"))
+        error_rad, error_var = drift_in_time(self.heading, state.heading)
         return self.attitude.bias.learnt(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:

@@ -140,7 +140,7 @@ def observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) -
     unknown angle. `sensing` is the state at the end of the recording. If its direction of the phone is unknown, or with
     fewer than two steps, the bias is that of the sensing alone.
     """
-    bias, heading = config.sensing.attitude.bias, sensing.of_steps.get("heading")
+    bias, heading = config.sensing.attitude.bias, sensing.heading
     steps, turned_rad = smoothed.track.steps, np.unwrap(smoothed.heading_offset_rad)
     if not isinstance(heading, WalkingHeadingState) or heading.place is None or len(steps) < 2:
         return config.sensing.device(sensing)
