@@ -152,4 +152,4 @@ def observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) -
     k = int(np.argmin((var + other_var) / lasted_s**2))
     error_rad = float(turned_rad[0] - turned_rad[1 + k])
     ago_s, up = sensing.processed_s - float(steps.time_s[1 + k]), np.array(heading.place.up)
-    return bias.learnt_from_smoothed(sensing.attitude.bias, error_rad, float(var[k]), float(other_var[k]), ago_s, up)
+    return bias.device_from_smoothed(sensing.attitude.bias, error_rad, float(var[k]), float(other_var[k]), ago_s, up)
