@@ -96,9 +96,6 @@ PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 # Convenience methods of the framework that import data or applications when they are called, never before.
 WHEN_CALLED = {
     ("values.recording", "data.io.files.own_format_writer"),  # Recording.save
-    ("classifiers.model_files", "data.io.files.safe_files"),  # models and calibrations, saved and loaded
-    ("sensing.device", "data.io.files.safe_files"),  # Device.save, Device.load
-    ("filter.step_length.person", "data.io.files.safe_files"),  # Person.save, Person.load
     ("recipes.config", "apps.maps.particle_filter"),  # Config.with_plan
     ("recipes.step_length_calibration", "apps.report.plot"),  # Calibration.plot
     ("tracking.track", "data.io.files.track_writers"),  # Track.to_csv, Track.to_geojson and others

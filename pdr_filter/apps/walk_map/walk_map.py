@@ -30,11 +30,11 @@ from pdr_filter.apps.walk_map.placing import (
     settle,
     turned,
 )
-from pdr_filter.data.io.files.safe_files import read_json, read_small, write_files
 from pdr_filter.offline.smoothing.observations import OUTSIDE_S
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, limits, read_only
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.safe_files import read_json, read_small, write_files
 from pdr_filter.values.serialisation import from_bytes, to_bytes
 from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.version import __version__

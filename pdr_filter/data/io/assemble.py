@@ -11,12 +11,12 @@ import numpy as np
 
 from pdr_filter.data.io.checks import checked_streams, up_cosine
 from pdr_filter.data.io.describe import READING_KEY
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.files.own_format_writer import RESTORED_GRAVITY_KEY, TIME_COLUMNS
 from pdr_filter.data.io.row_times import in_order, spread
 from pdr_filter.data.io.wifi_rows import wifi_of
 from pdr_filter.sensing.gravity import with_gravity
 from pdr_filter.values import FloatArray, Samples, limits, table
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording, Truth
 
 

@@ -21,8 +21,8 @@ from table_cases import (
     WALK,
 )
 
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.formats import read
+from pdr_filter.values.errors import RecordingError
 
 
 def test_a_digit_that_is_no_number_is_no_time(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from pathlib import Path, PurePosixPath
 from pdr_filter.data.io.apps.phyphox import read_experiment
 from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.files.archive import Members, open_members
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
 from pdr_filter.data.io.tables.column_groups import groups_of
 from pdr_filter.data.io.tables.column_guess import Guess, columns_by_content, guess
@@ -32,6 +31,7 @@ from pdr_filter.data.io.tables.table_streams import fill
 from pdr_filter.data.io.tables.text_sheets import TextRows, by_text, text_sheet, text_sheets
 from pdr_filter.data.io.tables.text_table import UNKNOWN
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.tables.column_names import (
     ACCELERATION,
     ANGLES,
@@ -27,6 +26,7 @@ from pdr_filter.data.io.tables.column_names import (
     time_unit_of,
 )
 from pdr_filter.data.io.tables.sheet import Sheet
+from pdr_filter.values.errors import RecordingError
 
 _AXES = ("x", "y", "z")
 _ANGLES = ("roll", "pitch", "yaw")

@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.data.io.describe import median_norm
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.tables.app_dialects import Dialect
 from pdr_filter.data.io.tables.column_groups import Group
 from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
@@ -34,6 +33,7 @@ from pdr_filter.data.io.tables.column_values import constant_part, turning
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.table_streams import is_new_place
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated, limits
+from pdr_filter.values.errors import RecordingError
 
 # Share of the constant part in the norm of an acceleration: gravity outweighs the motion of walking.
 _GRAVITY_SHARE = 0.6
