@@ -101,7 +101,6 @@ WHEN_CALLED = {
     ("tracking.track", "data.io.files.track_writers"),  # Track.to_csv, Track.to_geojson and others
     ("tracking.track", "apps.report.plot"),  # Track.plot
     ("offline.smoothing.smooth", "apps.maps.plan_smoothing"),  # pdr.smooth(plan=...)
-    ("offline.training.cross_validation", "data.io.formats"),  # recordings to train on
 }
 
 
