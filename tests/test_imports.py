@@ -96,11 +96,9 @@ PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 # Convenience methods of the framework that import data or applications when they are called, never before.
 WHEN_CALLED = {
     ("values.recording", "data.io.files.own_format_writer"),  # Recording.save
-    ("recipes.config", "apps.maps.particle_filter"),  # Config.with_plan
     ("recipes.step_length_calibration", "apps.report.plot"),  # Calibration.plot
     ("tracking.track", "data.io.files.track_writers"),  # Track.to_csv, Track.to_geojson and others
     ("tracking.track", "apps.report.plot"),  # Track.plot
-    ("offline.smoothing.smooth", "apps.maps.plan_smoothing"),  # pdr.smooth(plan=...)
 }
 
 

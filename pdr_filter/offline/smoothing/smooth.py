@@ -311,10 +311,7 @@ def smooth(
         config, _ = with_first_pass(recording, asked, first_pass)
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
             config = config.in_world_frame()
-        # imported late, because the package for maps depends on this one
-        from pdr_filter.apps.maps.plan_smoothing import smooth_on_plan
-
-        found = smooth_on_plan(recording, config, run.fixes, run.with_location, second_pass)
+        found = asked.on_plan.plan.smoothed(recording, config, run.fixes, run.with_location, second_pass)
         places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
         return with_given_place(run, _on_plan(found, Observations(places)))
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
