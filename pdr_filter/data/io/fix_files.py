@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.data.io.tables.text_table import TextTable, text_rows
+from pdr_filter.data.io.text_table import TextTable, text_rows
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.values import FloatArray, HeadingFix, Origin, PositionFix, RangeFix, limits
 from pdr_filter.values.safe_files import read_json, read_small

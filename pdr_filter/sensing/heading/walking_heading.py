@@ -35,8 +35,6 @@ from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
 from pdr_filter.sensing.heading.heading_offset import (
     AXIS_MEASUREMENT,
     STRIDE_MEASUREMENT,
-    UNKNOWN_STD_RAD,
-    UNKNOWN_VAR_RAD2,
     Offset,
 )
 from pdr_filter.sensing.heading.phone_placement import Placement, StrideAgreement
@@ -54,6 +52,7 @@ from pdr_filter.values import (
     replace_unchecked,
     wrap_angle,
 )
+from pdr_filter.values.angles import UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2
 
 _TEXTING = CARRYING_MODES.index("texting")
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.files.archive import json_object
-from pdr_filter.data.io.tables.text_table import finite
+from pdr_filter.data.io.text_table import finite
 from pdr_filter.values import FloatArray, limits
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording

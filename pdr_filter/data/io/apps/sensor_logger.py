@@ -26,7 +26,7 @@ from pdr_filter.data.io.files.archive import Members, open_members
 from pdr_filter.data.io.files.sqlite_file import SQLITE
 from pdr_filter.data.io.tables.app_dialects import said_platform
 from pdr_filter.data.io.tables.json_tables import ROWS_AT_ONCE, Row, objects_in, table_of_rows
-from pdr_filter.data.io.tables.text_table import (
+from pdr_filter.data.io.text_table import (
     NumberTable,
     TextTable,
     concatenated,

@@ -15,7 +15,7 @@ import numpy as np
 from pdr_filter.data.io.files.archive import Members
 from pdr_filter.data.io.files.sqlite_file import open_database
 from pdr_filter.data.io.tables.json_tables import objects_in, table_of_rows
-from pdr_filter.data.io.tables.text_table import NumberTable
+from pdr_filter.data.io.text_table import NumberTable
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
 

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, cast
 
-from pdr_filter.data.io.tables.column_names import ACCELERATION, LINEAR, quantity_of_file, trial_of
+from pdr_filter.data.io.column_names import ACCELERATION, LINEAR, quantity_of_file, trial_of
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.safe_files import inside, open_regular, read_small

@@ -20,7 +20,7 @@ from pdr_filter.data.io.files.own_format_writer import (
     WIFI_COLUMNS,
 )
 from pdr_filter.data.io.row_times import in_order
-from pdr_filter.data.io.tables.text_table import TextTable
+from pdr_filter.data.io.text_table import TextTable
 from pdr_filter.data.io.wifi_rows import wifi_of, with_whole_addresses
 from pdr_filter.values import CONTEXTS, FloatArray, Table, Wifi, check_walked, limits, table
 from pdr_filter.values.errors import RecordingError

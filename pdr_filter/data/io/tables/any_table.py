@@ -7,14 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
-from pdr_filter.data.io.apps.phyphox import read_experiment
 from pdr_filter.data.io.assemble import Parsed
-from pdr_filter.data.io.files.archive import Members, open_members
-from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
-from pdr_filter.data.io.tables.column_groups import groups_of
-from pdr_filter.data.io.tables.column_guess import Guess, columns_by_content, guess
-from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
-from pdr_filter.data.io.tables.column_names import (
+from pdr_filter.data.io.column_names import (
     ACCELERATION,
     LINEAR,
     SENSOR_CODES,
@@ -23,13 +17,19 @@ from pdr_filter.data.io.tables.column_names import (
     quantity_of_file,
     words_of,
 )
+from pdr_filter.data.io.files.archive import Members, open_members
+from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
+from pdr_filter.data.io.tables.column_groups import groups_of
+from pdr_filter.data.io.tables.column_guess import Guess, columns_by_content, guess
+from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
 from pdr_filter.data.io.tables.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
 from pdr_filter.data.io.tables.matlab import is_matlab, matlab_sheets
+from pdr_filter.data.io.tables.phyphox_experiment import read_experiment
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.spreadsheet import is_spreadsheet, spreadsheet_sheets
 from pdr_filter.data.io.tables.table_streams import fill
 from pdr_filter.data.io.tables.text_sheets import TextRows, by_text, text_sheet, text_sheets
-from pdr_filter.data.io.tables.text_table import UNKNOWN
+from pdr_filter.data.io.text_table import UNKNOWN
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pdr_filter.data.io.tables.column_names import (
+from pdr_filter.data.io.column_names import (
     ACCELERATION,
     ANGLES,
     LINEAR,

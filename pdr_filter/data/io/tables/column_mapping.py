@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from pdr_filter.data.io.column_names import ACCELERATION, ANGLES, GRAVITY, LINEAR, TIME_UNITS, UNITS, normal_unit
 from pdr_filter.data.io.files.archive import read_toml
-from pdr_filter.data.io.tables.column_names import ACCELERATION, ANGLES, GRAVITY, LINEAR, TIME_UNITS, UNITS, normal_unit
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.safe_files import beside
 

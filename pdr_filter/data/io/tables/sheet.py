@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pdr_filter.data.io.tables.column_names import nanoseconds_of
-from pdr_filter.data.io.tables.text_table import NumberTable, finite
+from pdr_filter.data.io.column_names import nanoseconds_of
+from pdr_filter.data.io.text_table import NumberTable, finite
 from pdr_filter.values import FloatArray, IntArray
 
 # Function that returns the columns with the given indices as floats, and one more column as integers (or none if its

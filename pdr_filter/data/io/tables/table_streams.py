@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
+from pdr_filter.data.io.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS
 from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
-from pdr_filter.data.io.tables.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.values import BoolArray, FloatArray, IntArray, interpolated_near, limits
 from pdr_filter.values.errors import RecordingError
