@@ -29,8 +29,8 @@ from pdr_filter.apps.walk_map.placing import (
     drop_doubtful_storeys,
     grow,
     log_evidence,
+    rotation_matrix,
     settle,
-    turned,
 )
 from pdr_filter.offline.smoothing.observations import OUTSIDE_S
 from pdr_filter.values import FloatArray, HeadingFix, PositionFix, limits, read_only
@@ -723,7 +723,7 @@ def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
         a, b = (own - own.mean(axis=0)) @ [1, 1j], (at - at.mean(axis=0)) @ [1, 1j]
         turn_rad = -float(np.angle(np.vdot(a, b)))
     floors = [f.floor - int(chain.floor[chain.step_at(f.time_s)]) for f in places if f.floor is not None]
-    return Pose(turn_rad, at.mean(axis=0) - own.mean(axis=0) @ turned(turn_rad), floors[0] if floors else 0)
+    return Pose(turn_rad, at.mean(axis=0) - own.mean(axis=0) @ rotation_matrix(turn_rad), floors[0] if floors else 0)
 
 
 def _result(

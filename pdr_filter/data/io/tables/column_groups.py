@@ -18,10 +18,10 @@ from pdr_filter.data.io.column_names import (
     VECTORS,
     Column,
     column_of,
+    column_of_nanoseconds,
     has_time_unit,
     is_time,
     letters,
-    nanoseconds_of,
     quantity_of_file,
     time_unit_of,
 )
@@ -110,7 +110,7 @@ def _times(sheet: Sheet, is_named: bool) -> list[int]:
     the first column with a unit of time in brackets is the only one.
     """
     times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
-    nanoseconds = {nanoseconds_of(sheet.fields, i) for i in times}
+    nanoseconds = {column_of_nanoseconds(sheet.fields, i) for i in times}
     times = [i for i in times if i not in nanoseconds]
     return times or [i for i, name in enumerate(sheet.fields) if has_time_unit(name)][:1]
 

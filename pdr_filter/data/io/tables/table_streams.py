@@ -33,7 +33,7 @@ class _Zero(NamedTuple):
     unit_s: float = 1.0
 
 
-def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
+def fill_streams(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
     """Fill `parsed` with the streams of a mapping, read from the tables, and with the properties of their times.
 
     If there is only an acceleration without gravity, `parsed.linear` gets the names of its columns. RecordingError
