@@ -25,8 +25,8 @@ from .offline.calibration.fit import calibrate as calibrate
 from .offline.smoothing.smooth import smooth as smooth
 from .offline.smoothing.smoothed import Smoothed as Smoothed
 from .offline.training.context_fitting import fit_contexts as fit_contexts
+from .recipes.calibration import Calibration as Calibration
 from .recipes.config import Config as Config
-from .recipes.step_length_calibration import Calibration as Calibration
 from .sensing.conditioning import merge_streams as merge_streams
 from .sensing.device import Device as Device
 from .tracking.extrapolation import Now as Now

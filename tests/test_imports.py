@@ -97,7 +97,7 @@ PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 # Convenience methods of the framework that import data or applications when they are called, never before.
 WHEN_CALLED = {
     ("values.recording", "data.io.files.own_format_writer"),  # Recording.save
-    ("recipes.step_length_calibration", "apps.report.plot"),  # Calibration.plot
+    ("recipes.calibration", "apps.report.plot"),  # Calibration.plot
     ("tracking.track", "data.io.files.track_writers"),  # Track.to_csv, Track.to_geojson and others
     ("tracking.track", "apps.report.plot"),  # Track.plot
 }

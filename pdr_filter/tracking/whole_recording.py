@@ -13,8 +13,8 @@ from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.filter.imm.past_path import NoPath
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.step_length.person import Person
+from pdr_filter.recipes.calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.recipes.config import Config, check_config
-from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs

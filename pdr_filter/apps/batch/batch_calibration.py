@@ -27,7 +27,7 @@ from pdr_filter.version import __version__
 if TYPE_CHECKING:
     from pdr_filter.filter.step_length.models import StepLengthModel
     from pdr_filter.offline.calibration.priors import StepLengthPrior
-    from pdr_filter.recipes.step_length_calibration import Calibration
+    from pdr_filter.recipes.calibration import Calibration
 
 
 @dataclass(frozen=True, slots=True, eq=False)

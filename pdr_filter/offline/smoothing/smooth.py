@@ -83,8 +83,8 @@ from pdr_filter.offline.smoothing.smoothed_place import aligned_walk, on_earth, 
 from pdr_filter.offline.smoothing.solve import Solution, response, solve, sum_of_squares
 from pdr_filter.offline.smoothing.usable import Used, start_end_closure, usable
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath
