@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
 from pdr_filter.values.fixes import Fix, PositionFix
@@ -27,13 +26,6 @@ class Plan(Protocol):
         """Return the stage of the filter that keeps a track on the plan."""
         ...
 
-    def smoothed(
-        self,
-        recording: Any,
-        config: Any,
-        fixes: tuple[Fix, ...],
-        with_location: bool,
-        progress: Callable[[float], None] | None,
-    ) -> Any:
+    def smoothed(self, recording: Any, config: Any, fixes: tuple[Fix, ...], with_location: bool, progress: Any) -> Any:
         """Return the smoothed track of a recording on the plan."""
         ...

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pdr_filter.apps.batch.worker_process import LostError, dask_errors
-from pdr_filter.apps.live.parts import Part, Request, Response, SaveSessions
+from pdr_filter.apps.live.parts import Command, Part, Request, Response
 from pdr_filter.apps.live.settings import Settings
 
 _CONNECT_S = 20.0
@@ -105,5 +105,5 @@ class Actor:
 
     async def close(self) -> None:
         """Save all sessions and end the actor."""
-        await self.ask([SaveSessions()])
+        await self.ask([Command.SAVE])
         self._future.release()

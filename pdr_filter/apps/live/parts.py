@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import Enum, auto
 from pathlib import Path
 from typing import Any
 
@@ -25,22 +26,15 @@ class MessageBatch:
     received_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class ListSessions:
-    """Request for all sessions, with their paths and present estimates."""
+class Command(Enum):
+    """Request about all sessions of a worker."""
+
+    LIST = auto()  # return all sessions, with their paths and present estimates
+    MAINTAIN = auto()  # about once per second: filter what waits, save changed sessions and forget silent phones
+    SAVE = auto()  # the last request: save all sessions
 
 
-@dataclass(frozen=True, slots=True)
-class Maintain:
-    """Request, about once per second, to filter what waits, to save changed sessions and to forget silent phones."""
-
-
-@dataclass(frozen=True, slots=True)
-class SaveSessions:
-    """Last request to a worker: save all sessions."""
-
-
-Request = MessageBatch | ListSessions | Maintain | SaveSessions
+Request = MessageBatch | Command
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,11 +111,11 @@ class Part:
         events, self._events = self._events, []
         return events
 
-    def _answer(self, request: ListSessions | Maintain | SaveSessions) -> Answer:
+    def _answer(self, command: Command) -> Answer:
         sessions = self._sessions
-        if isinstance(request, ListSessions):
+        if command is Command.LIST:
             return Answer(200, sessions.snapshots())
-        if isinstance(request, Maintain):
+        if command is Command.MAINTAIN:
             sessions.maintain()
         else:
             sessions.close()

@@ -20,16 +20,7 @@ from pathlib import Path
 from typing import Protocol
 
 from pdr_filter.apps.batch.worker_process import LostError, WorkerProcess
-from pdr_filter.apps.live.parts import (
-    Answer,
-    ListSessions,
-    Maintain,
-    MessageBatch,
-    Request,
-    Response,
-    SaveSessions,
-    answers_of_part,
-)
+from pdr_filter.apps.live.parts import Answer, Command, MessageBatch, Request, Response, answers_of_part
 from pdr_filter.apps.live.settings import Event, Settings, part_of
 
 # Requests that wait for one worker at most: a second of 200 phones that send five times a second.
@@ -84,7 +75,7 @@ class Process:
 
     async def close(self) -> None:
         """Save all sessions and end the process."""
-        await self.ask([SaveSessions()])
+        await self.ask([Command.SAVE])
         self._process.close()
 
 
@@ -146,7 +137,7 @@ class _Worker:
             batch = list(islice(self._waiting, 1 if self._n_alone else _AT_ONCE))
             requests = [waiting.request for waiting in batch]
             if time.monotonic() - ticked_at > _TICK_S:
-                requests.append(Maintain())
+                requests.append(Command.MAINTAIN)
                 ticked_at = time.monotonic()
             if not requests:
                 self._filled.clear()
@@ -227,7 +218,7 @@ class Workers:
 
     async def snapshots(self) -> list[Event]:
         """Return the events with the path and the present estimate of each session."""
-        answers = await asyncio.gather(*(worker.ask(ListSessions()) for worker in self._workers))
+        answers = await asyncio.gather(*(worker.ask(Command.LIST) for worker in self._workers))
         return [event for answer in answers if answer.status == 200 for event in answer.content]
 
     async def close(self) -> None:

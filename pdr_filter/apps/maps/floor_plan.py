@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +11,7 @@ from pdr_filter.apps.maps.particle_filter import ParticleFilter
 from pdr_filter.apps.maps.plan_smoothing import smooth_on_plan
 from pdr_filter.apps.maps.start_area import start_of
 from pdr_filter.apps.maps.storey import Storey
-from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
-from pdr_filter.recipes.config import Config
-from pdr_filter.values import Fix, Origin, PositionFix, TrackRows
-from pdr_filter.values.recording import Recording
+from pdr_filter.values import Origin, PositionFix, TrackRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,40 +121,7 @@ class FloorPlan:
         """
         return ParticleFilter(self, None if start is None else start_of(self, start), seed=seed)
 
-    def smoothed(
-        self,
-        recording: Recording,
-        config: Config,
-        fixes: tuple[Fix, ...],
-        with_location: bool = False,
-        progress: Callable[[float], None] | None = None,
-    ) -> SmoothedOnPlan:
-        """Return the track on the plan, smoothed over a whole recording. `pdr_filter.smooth` uses it.
-
-        Parameters
-        ----------
-        recording : Recording
-            Recording of the walk.
-        config : Config
-            Configuration with the particle filter of this plan.
-        fixes : tuple of fixes
-            Measurements from outside, in the frame of the plan.
-        with_location : bool, default False
-            Whether the locations of the recording are used too.
-        progress : callable, optional
-            Called with the fraction done, 0 to 1.
-
-        Returns
-        -------
-        SmoothedOnPlan
-            Smoothed track with heading offsets and step scales.
-
-        Raises
-        ------
-        ValueError
-            If the configuration has no particle filter, the recording has no steps, or nothing places it on the plan.
-        """
-        return smooth_on_plan(recording, config, fixes, with_location, progress)
+    smoothed = staticmethod(smooth_on_plan)
 
     def __repr__(self) -> str:
         floors = ", ".join(str(s.floor) for s in self.storeys)

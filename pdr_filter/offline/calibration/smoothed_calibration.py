@@ -13,12 +13,7 @@ from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jac
 from pdr_filter.offline.calibration.assembly import assembled
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
 from pdr_filter.offline.calibration.priors import StepLengthPrior
-from pdr_filter.offline.calibration.segments import (
-    MIN_WAYPOINT_DISTANCE_M,
-    has_known_lengths,
-    segments_of,
-    truth_fixes,
-)
+from pdr_filter.offline.calibration.segments import MIN_WAYPOINT_DISTANCE_M, has_known_lengths, segments_of, truth_fixes
 from pdr_filter.offline.robust_loss import LOSSES
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.offline.smoothing.smooth import reckoned_walk

@@ -11,9 +11,7 @@ from pdr_filter.filter.fixes.alignment import Place
 from pdr_filter.filter.fixes.gnss import LocationState
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height.height_filter import Altitude
-from pdr_filter.offline.smoothing.observations import (
-    Observations,
-)
+from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import scaled_rotation
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.offline.smoothing.storeys import with_named_floors
@@ -21,13 +19,7 @@ from pdr_filter.tracking.gnss_alignment import DeadReckoning, align_dead_reckoni
 from pdr_filter.tracking.step_statistics import is_moving
 from pdr_filter.tracking.warnings import notes_of_rides
 from pdr_filter.tracking.whole_recording import Run
-from pdr_filter.values import (
-    FloatArray,
-    PositionFix,
-    Samples,
-    read_only,
-    wrap_angle,
-)
+from pdr_filter.values import FloatArray, PositionFix, Samples, read_only, wrap_angle
 
 
 def aligned_walk(

@@ -27,13 +27,7 @@ from pdr_filter.offline.training.context_sequences import (
     fit_tempering,
     log_loss_by_person,
 )
-from pdr_filter.offline.training.cross_validation import (
-    Progress,
-    TextArray,
-    provenance,
-    silent,
-    source_of,
-)
+from pdr_filter.offline.training.cross_validation import Progress, TextArray, provenance, silent, source_of
 from pdr_filter.recipes import default, with_context_model
 from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.front_end import Gap, Sensing

@@ -32,11 +32,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
-from pdr_filter.sensing.heading.heading_offset import (
-    AXIS_MEASUREMENT,
-    STRIDE_MEASUREMENT,
-    Offset,
-)
+from pdr_filter.sensing.heading.heading_offset import AXIS_MEASUREMENT, STRIDE_MEASUREMENT, Offset
 from pdr_filter.sensing.heading.phone_placement import Placement, StrideAgreement
 from pdr_filter.sensing.heading.reported_heading import Reported, Shown
 from pdr_filter.sensing.heading.stride_harmonics import Phases, Stride, StrideSamples, carry_axis, strides_of

@@ -6,20 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import (
-    axes,
-    physics_toolbox_text,
-    refusal,
-    table_text,
-    wall_clock,
-)
-from table_cases import (
-    FORCE,
-    FORCE_G,
-    RATE,
-    TIME_S,
-    WALK,
-)
+from app_files import axes, physics_toolbox_text, refusal, table_text, wall_clock
+from table_cases import FORCE, FORCE_G, RATE, TIME_S, WALK
 
 from pdr_filter.data.io.formats import read
 from pdr_filter.values.errors import RecordingError

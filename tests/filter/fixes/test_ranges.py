@@ -13,14 +13,7 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter.filter.fixes import range_updates
-from pdr_filter.filter.fixes.range_placement import (
-    MAX_RANGES,
-    PairedRange,
-    PlacedTrack,
-    PriorPose,
-    recent,
-    solutions,
-)
+from pdr_filter.filter.fixes.range_placement import MAX_RANGES, PairedRange, PlacedTrack, PriorPose, recent, solutions
 from pdr_filter.filter.fixes.range_updates import _is_wide
 from pdr_filter.filter.imm.imm_tracker import ImmTracker
 from pdr_filter.filter.imm.pedestrian_state import initial_state
