@@ -39,8 +39,8 @@ from functools import cached_property
 import numpy as np
 
 from pdr_filter.sensing.device import Device
-from pdr_filter.sensing.heading.heading_offset import UNKNOWN_VAR_RAD2
 from pdr_filter.values import FloatArray, check_numbers, read_only, replace_unchecked
+from pdr_filter.values.angles import UNKNOWN_VAR_RAD2
 from pdr_filter.values.mixtures import combine, possible_outlier
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s, direction of the magnetic field in the

@@ -12,8 +12,8 @@ from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.filter.pedestrian.alignment import Place
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.pedestrian.person import Person
+from pdr_filter.recipes.calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.recipes.config import Config, check_config
-from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.context_stage import with_climbs

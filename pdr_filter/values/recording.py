@@ -9,17 +9,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from pdr_filter.values import (
-    Samples,
-    Table,
-    Wifi,
-    check_array,
-    check_step_length,
-    check_walked,
-    limits,
-    pickled,
-    table,
-)
+from pdr_filter.values import Samples, Table, Wifi, check_array, check_step_length, check_walked, limits, pickled, table
 from pdr_filter.values.sanitise import printable
 
 

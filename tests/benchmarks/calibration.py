@@ -42,7 +42,7 @@ from pdr_filter.offline.calibration.segments import (
 )
 from pdr_filter.offline.calibration.smoothed_calibration import calibration_walk, scale_std_of
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
-from pdr_filter.recipes.step_length_calibration import Calibration
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS, table
 from pdr_filter.values.recording import Recording, Truth

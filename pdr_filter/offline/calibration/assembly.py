@@ -11,7 +11,7 @@ import numpy as np
 
 from pdr_filter.offline.calibration.model_forms import models_of
 from pdr_filter.offline.calibration.priors import StepLengthPrior
-from pdr_filter.recipes.step_length_calibration import Calibration
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.values import Table
 from pdr_filter.version import __version__
 

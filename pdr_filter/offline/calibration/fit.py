@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pdr_filter.filter.step_length.calibration_result import UNNAMED
 from pdr_filter.offline.calibration.assembly import assembled
 from pdr_filter.offline.calibration.estimation import ParameterEstimate
 from pdr_filter.offline.calibration.model_forms import (
@@ -33,8 +34,8 @@ from pdr_filter.offline.calibration.segments import (
 )
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.offline.smoothing.observations import LoopClosure
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.step_length_calibration import UNNAMED, Calibration
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, Fix, FloatArray, Table, check_array, check_number, table
@@ -130,7 +131,7 @@ def calibrate(
 
     See Also
     --------
-    pdr_filter.batch.calibrate : Calibration of many recordings in parallel.
+    pdr_filter.apps.batch.calibrate : Calibration of many recordings in parallel.
 
     Notes
     -----

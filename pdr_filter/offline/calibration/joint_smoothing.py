@@ -16,6 +16,7 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.step_length.calibration_result import of_height, slices_of
 from pdr_filter.filter.step_length.models import StepLengthFit, length_and_jacobian
 from pdr_filter.offline.calibration.model_forms import hierarchy_of
 from pdr_filter.offline.calibration.priors import StepLengthPrior
@@ -34,7 +35,6 @@ from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increment
 from pdr_filter.offline.smoothing.smooth import ReckonedWalk
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.step_length_calibration import of_height, slices_of
 from pdr_filter.values import FloatArray, IntArray, TrackRows, reference_headings, steps_of
 
 # The step lengths are linearised again until no parameter changes by more than this share of its standard deviation.

@@ -8,21 +8,17 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
+from pdr_filter.filter.step_length.calibration_result import of_height, slices_of, typical_step_m
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
 from pdr_filter.offline.calibration.assembly import assembled
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
 from pdr_filter.offline.calibration.priors import StepLengthPrior
-from pdr_filter.offline.calibration.segments import (
-    MIN_WAYPOINT_DISTANCE_M,
-    has_known_lengths,
-    segments_of,
-    truth_fixes,
-)
+from pdr_filter.offline.calibration.segments import MIN_WAYPOINT_DISTANCE_M, has_known_lengths, segments_of, truth_fixes
 from pdr_filter.offline.robust_loss import LOSSES
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.offline.smoothing.smooth import reckoned_walk
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.step_length_calibration import Calibration, of_height, slices_of, typical_step_m
 from pdr_filter.values import Fix, FloatArray, SpeedFix, Step, Table, steps_of, table
 from pdr_filter.values.recording import Recording
 

@@ -83,8 +83,8 @@ from pdr_filter.offline.smoothing.smoothed_place import aligned_walk, on_earth, 
 from pdr_filter.offline.smoothing.solve import Solution, response, solve, sum_of_squares
 from pdr_filter.offline.smoothing.usable import Used, start_end_closure, usable
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath
@@ -311,10 +311,7 @@ def smooth(
         config, _ = with_first_pass(recording, asked, first_pass)
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
             config = config.in_world_frame()
-        # imported late, because the package for maps depends on this one
-        from pdr_filter.apps.maps.plan_smoothing import smooth_on_plan
-
-        found = smooth_on_plan(recording, config, run.fixes, run.with_location, second_pass)
+        found = asked.on_plan.plan.smoothed(recording, config, run.fixes, run.with_location, second_pass)
         places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
         return with_given_place(run, _on_plan(found, Observations(places)))
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]

@@ -21,13 +21,7 @@ from pdr_filter.tracking.gnss_alignment import DeadReckoning, align_dead_reckoni
 from pdr_filter.tracking.step_statistics import is_moving
 from pdr_filter.tracking.warnings import notes_of_rides
 from pdr_filter.tracking.whole_recording import Run
-from pdr_filter.values import (
-    FloatArray,
-    PositionFix,
-    Samples,
-    read_only,
-    wrap_angle,
-)
+from pdr_filter.values import FloatArray, PositionFix, Samples, read_only, wrap_angle
 
 
 def aligned_walk(

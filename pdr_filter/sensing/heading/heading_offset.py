@@ -22,12 +22,10 @@ import math
 from dataclasses import dataclass
 
 from pdr_filter.sensing.heading.vectors import Vector
+from pdr_filter.values.angles import UNKNOWN_VAR_RAD2
 
 # Coefficient of the systematic error s in a measurement by strides and in one by the axis of the phone.
 STRIDE_MEASUREMENT, AXIS_MEASUREMENT = 1.0, 0.0
-# Standard deviation of an unknown angle, which is uniform on the circle.
-UNKNOWN_STD_RAD = math.pi / math.sqrt(3.0)
-UNKNOWN_VAR_RAD2 = UNKNOWN_STD_RAD**2
 # Prior variance of g, which is unknown at first: large against the variance of a stride, small enough for rounding.
 _NO_IDEA_RAD2 = 1e4
 # Variance of the first offset, (1 degree)^2. It is 0 by definition, but the filter needs a positive variance.

@@ -32,13 +32,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
-from pdr_filter.sensing.heading.heading_offset import (
-    AXIS_MEASUREMENT,
-    STRIDE_MEASUREMENT,
-    UNKNOWN_STD_RAD,
-    UNKNOWN_VAR_RAD2,
-    Offset,
-)
+from pdr_filter.sensing.heading.heading_offset import AXIS_MEASUREMENT, STRIDE_MEASUREMENT, Offset
 from pdr_filter.sensing.heading.phone_placement import Placement, StrideAgreement
 from pdr_filter.sensing.heading.reported_heading import Reported, Shown
 from pdr_filter.sensing.heading.stride_harmonics import Phases, Stride, StrideSamples, carry_axis, strides_of
@@ -54,6 +48,7 @@ from pdr_filter.values import (
     replace_unchecked,
     wrap_angle,
 )
+from pdr_filter.values.angles import UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2
 
 _TEXTING = CARRYING_MODES.index("texting")
 

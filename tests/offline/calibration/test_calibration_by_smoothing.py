@@ -9,12 +9,12 @@ import pytest
 from own_parts import HeadingRule
 
 import pdr_filter as pdr
+from pdr_filter.filter.step_length.calibration_result import slices_of
 from pdr_filter.offline.calibration.joint_smoothing import displacement_by_theta, mode_names, with_parameters
 from pdr_filter.offline.calibration.model_forms import forms_of
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.offline.smoothing.preintegration import increments
-from pdr_filter.recipes.step_length_calibration import slices_of
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording, Truth
 

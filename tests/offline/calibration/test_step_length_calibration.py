@@ -11,6 +11,7 @@ import pytest
 from made_up_segments import INF, WALKING, design, flat, segment, step
 
 from pdr_filter.filter.step_length.models import (
+    TYPICAL_STEP,
     BounceStepLength,
     ChenStepLength,
     FrequencyVarianceStepLength,
@@ -31,7 +32,6 @@ from pdr_filter.offline.calibration.priors import (
     weak_prior,
 )
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate
-from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
 from pdr_filter.values import CONTEXTS
 
 EQ16 = Hierarchy(
