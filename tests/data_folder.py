@@ -9,7 +9,7 @@ _BESIDE = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 def _data() -> Path:
-    """One folder for each data set, as `pdr_filter.data.datasets.fetch` writes them."""
+    """One folder for each data set, as `pdr_filter.datasets.fetch` writes them."""
     if folder := os.environ.get("PDR_DATA"):
         return Path(folder)
     if not _BESIDE.is_dir():

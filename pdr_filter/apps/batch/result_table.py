@@ -145,7 +145,7 @@ def read_table(path: str | Path) -> list[Row]:
     Parameters
     ----------
     path : str or Path
-        CSV file that `pdr_filter.apps.batch.track` has written.
+        CSV file that `pdr_filter.batch.track` has written.
 
     Returns
     -------

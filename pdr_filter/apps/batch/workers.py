@@ -31,7 +31,7 @@ def each(
 ) -> Iterator[tuple[int, R | Failure]]:
     """Apply a function to many items in parallel, and yield each result when it is finished.
 
-    `pdr_filter.apps.batch.track` and `pdr_filter.apps.batch.calibrate` use this function.
+    `pdr_filter.batch.track` and `pdr_filter.batch.calibrate` use this function.
 
     Parameters
     ----------

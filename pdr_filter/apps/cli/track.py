@@ -206,7 +206,6 @@ def track(
     """
     import pdr_filter as pdr
     from pdr_filter.filter.pedestrian.person import MAX_SESSION_STD
-        from pdr_filter.filter.pedestrian.person import MAX_SESSION_STD
     from pdr_filter.recipes.calibration import Calibration, read_person
 
     with console.one_line_errors():

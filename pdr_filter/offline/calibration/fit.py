@@ -131,7 +131,7 @@ def calibrate(
 
     See Also
     --------
-    pdr_filter.apps.batch.calibrate : Calibration of many recordings in parallel.
+    pdr_filter.batch.calibrate : Calibration of many recordings in parallel.
 
     Notes
     -----
