@@ -19,6 +19,7 @@ from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording, Truth
 
 TWO_FIXES = [pdr.PositionFix(t, np.array([0.0, t]), np.eye(2)) for t in (15.0, 25.0)]
+AT_ONCE = [TWO_FIXES[0], pdr.PositionFix(15.01, np.array([5.0, 15.0]), np.eye(2))]
 CONTRADICTED = [pdr.PositionFix(t, np.array([90.0 * t % 400.0, 70.0 * t % 300.0]), np.eye(2)) for t in range(10, 34, 3)]
 STAND = pdr.simulate.Leg("stationary", duration_s=2.0)
 
@@ -106,6 +107,22 @@ def test_the_notes_of_a_calibration_name_rejected_fixes_and_ranges_to_one_anchor
     assert any("ranges to one anchor fit the walk in any direction" in note for note in notes)
 
 
+def test_fixes_of_a_wrong_scale_are_named_and_impossible_steps_do_not_change_the_parameters() -> None:
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=d, turn_rad=1.6) for d in (12.0, 10.0)])
+    true, blind, times_s = walk.truth.position, replace(walk, truth=Truth()), np.arange(1.0, 16.0, 2.0)
+    places = np.column_stack([np.interp(times_s, true.time_s, true[axis]) for axis in ("east_m", "north_m")])
+    right, half, three = (
+        [pdr.PositionFix(float(t), factor * place, 0.1 * np.eye(2)) for t, place in zip(times_s, places, strict=True)]
+        for factor in (1.0, 0.5, 3.0)
+    )
+    found = pdr.calibrate([blind, blind], smooth=True, fixes=[right, three])
+    (note,) = found.notes
+    assert note.startswith("WARNING: not used: simulated_walk: its steps would be")
+    assert [t.distance_m for t in found.tracks] == pytest.approx([22.0, 22.0], rel=0.05)
+    (note,) = pdr.calibrate(blind, smooth=True, fixes=[half]).notes
+    assert "shorter than usual" in note
+
+
 def test_recordings_of_one_name_are_different_people_and_the_progress_reaches_the_estimate() -> None:
     walk, shares = replace(rectangle(), truth=Truth(), meta={}), list[float]()
     found = pdr.calibrate([walk, walk], smooth=True, fixes=[TWO_FIXES] * 2, each_a_person=True, progress=shares.append)
@@ -132,6 +149,7 @@ def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
         ({"smooth": True, "fixes": [pdr.Standstill(1.0, 2.0)]}, "fixes must have one list for each recording"),
         ({"smooth": True}, "nothing to calibrate with"),
         ({"smooth": True, "fixes": [TWO_FIXES[:1]]}, "nothing to calibrate with"),
+        ({"smooth": True, "fixes": [AT_ONCE]}, "no two positions .* that are 4 m apart with steps between"),
         ({"smooth": True, "loop_closures": [[LoopClosure(1.0, 37.0)]]}, "loop closures alone have no scale"),
         ({"smooth": True, "fixes": [CONTRADICTED]}, "contradicts 7 of its 8 observations: their clock, units or axes"),
         ({"smooth": True, "loss": "l1"}, "loss must be one of"),
