@@ -33,7 +33,7 @@ from pdr_filter.offline.smoothing.linear_graph import cov_of
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, preintegrate
 from pdr_filter.offline.smoothing.smooth import ReckonedWalk
 from pdr_filter.offline.smoothing.smoothed import Smoothed
-from pdr_filter.offline.smoothing.solve import solve
+from pdr_filter.offline.smoothing.solve import solved_from
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.step_length_calibration import of_height, slices_of
 from pdr_filter.values import FloatArray, IntArray, TrackRows, reference_headings, steps_of
@@ -282,8 +282,11 @@ def estimate_jointly(
             ]
         converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS and outliers == before_outliers
         if converged and not is_tested:
-            # each walk has been tested with the step lengths of its own fixes alone
-            tested = [solve(of_one.graph.problem) for of_one in linearised]
+            # outliers were found with the step lengths of each walk alone
+            tested = [
+                solved_from(of_one.graph.problem, guess.states, guess.frame_rad, guess.weight)
+                for of_one, guess in zip(linearised, guesses, strict=True)
+            ]
             converged = all(np.array_equal(a.weight, b.weight) for a, b in zip(tested, guesses, strict=True))
             guesses, is_tested = tested, True
         if not converged:

@@ -103,11 +103,11 @@ def solve(problem: Problem, least_gain: float = -np.inf) -> Solution:
     guesses = [_initial_guess(problem, with_path=True)]
     if len(problem.measurements) and len(_with_stated_fixes(problem)[0].positions):
         guesses.append(_initial_guess(problem, with_path=False))
-    return min((_solved_from(problem, *guess, least_gain) for guess in guesses), key=partial(sum_of_squares, problem))
+    return min((solved_from(problem, *guess, least_gain) for guess in guesses), key=partial(sum_of_squares, problem))
 
 
-def _solved_from(
-    problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray, least_gain: float
+def solved_from(
+    problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray, least_gain: float = -np.inf
 ) -> Solution:
     """Return the `Solution` of a problem from an initial guess: states, rotation of the frame, and weights."""
     limit, possible, has_frame = problem.limit_nis, problem.possible, len(problem.offsets) > 0

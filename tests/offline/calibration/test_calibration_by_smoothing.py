@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -107,20 +108,38 @@ def test_the_notes_of_a_calibration_name_rejected_fixes_and_ranges_to_one_anchor
     assert any("ranges to one anchor fit the walk in any direction" in note for note in notes)
 
 
-def test_fixes_of_a_wrong_scale_are_named_and_impossible_steps_do_not_change_the_parameters() -> None:
+def straight_and_turn() -> tuple[Recording, Callable[..., pdr.PositionFix]]:
+    """A walk of 22 m without truth, and a function that returns a fix at a time, with the true place times a factor."""
     walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=d, turn_rad=1.6) for d in (12.0, 10.0)])
-    true, blind, times_s = walk.truth.position, replace(walk, truth=Truth()), np.arange(1.0, 16.0, 2.0)
-    places = np.column_stack([np.interp(times_s, true.time_s, true[axis]) for axis in ("east_m", "north_m")])
-    right, half, three = (
-        [pdr.PositionFix(float(t), factor * place, 0.1 * np.eye(2)) for t, place in zip(times_s, places, strict=True)]
-        for factor in (1.0, 0.5, 3.0)
-    )
+    true = walk.truth.position
+
+    def fix(t: float, factor: float = 1.0, var_m2: float = 0.1) -> pdr.PositionFix:
+        place = [float(np.interp(t, true.time_s, true[axis])) for axis in ("east_m", "north_m")]
+        return pdr.PositionFix(t, factor * np.array(place), var_m2 * np.eye(2))
+
+    return replace(walk, truth=Truth()), fix
+
+
+def test_fixes_of_a_wrong_scale_are_named_and_impossible_steps_do_not_change_the_parameters() -> None:
+    blind, fix = straight_and_turn()
+    right, half, three = ([fix(t, factor) for t in np.arange(1.0, 16.0, 2.0)] for factor in (1.0, 0.5, 3.0))
     found = pdr.calibrate([blind, blind], smooth=True, fixes=[right, three])
     (note,) = found.notes
     assert note.startswith("WARNING: not used: simulated_walk: its steps would be")
     assert [t.distance_m for t in found.tracks] == pytest.approx([22.0, 22.0], rel=0.05)
     (note,) = pdr.calibrate(blind, smooth=True, fixes=[half]).notes
     assert "shorter than usual" in note
+
+
+def test_a_fix_that_fits_its_own_walk_is_tested_with_the_step_lengths_of_all_walks() -> None:
+    blind, fix = straight_and_turn()
+    right = [fix(t, var_m2=0.01) for t in (1.0, 5.0, 9.0, 13.0)]
+    too_far = [fix(0.5, var_m2=0.01), fix(4.0, var_m2=0.01), fix(8.5, 1.18, 0.01)]
+    (alone,) = pdr.calibrate(blind, smooth=True, fixes=[too_far]).tracks
+    assert all(result.accepted for result in alone.fixes)
+    found = pdr.calibrate([blind] * 3, smooth=True, fixes=[right, right, too_far])
+    assert [result.outcome for result in found.tracks[2].fixes] == ["used", "used", "rejected"]
+    assert found.tracks[2].distance_m == pytest.approx(22.0, rel=0.04)
 
 
 def test_recordings_of_one_name_are_different_people_and_the_progress_reaches_the_estimate() -> None:
