@@ -263,7 +263,12 @@ def _position_anchors(problem: Problem) -> IntArray:
 
 
 def _gauss_newton(
-    problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray, least_gain: float, most_steps: int
+    problem: Problem,
+    mean: FloatArray,
+    frame_rad: float,
+    weight: FloatArray,
+    least_gain: float,
+    most_steps: int = _MOST_STEPS,
 ) -> tuple[FloatArray, float, bool]:
     """Return the states (N, 6), the rotation of the frame, and True if the Gauss-Newton iteration converged.
 
