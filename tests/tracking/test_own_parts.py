@@ -74,9 +74,7 @@ def test_steps_lead_along_the_directions_that_a_stage_states(recording: pdr.Reco
 def test_a_direction_that_the_user_states_is_refused_with_a_stage_that_knows_north(recording: pdr.Recording) -> None:
     config = pdr.recipes.default().with_heading(HeadingRule())
     for given in ({"heading_rad": 1.0}, {"origin": Origin(48.0, 11.0, turn_rad=0.3)}):
-        with pytest.raises(
-            ValueError, match="stage HeadingRule knows already: omit it, or set knows_north"
-        ):
+        with pytest.raises(ValueError, match="stage HeadingRule knows already: omit it, or set knows_north"):
             pdr.smooth(recording, config=config, **given)
 
 
