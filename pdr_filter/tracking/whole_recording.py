@@ -20,6 +20,7 @@ from pdr_filter.sensing.contexts.context_stage import with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Sensing, SensingState
+from pdr_filter.sensing.heading.heading_stage import knows_north
 from pdr_filter.sensing.stream_merging import absences_in
 from pdr_filter.tracking.filtering import (
     Output,
@@ -209,6 +210,12 @@ def prepared_run(
     ValueError if arguments contradict each other.
     """
     config = given_or_default(recording, config).placed(placement)
+    if placement.states_north and knows_north(config.sensing.heading):
+        raise ValueError(
+            f"heading_rad, or turn_rad of origin, states north, which the heading stage "
+            f"{type(config.sensing.heading).__name__} knows already: omit it, or set knows_north of the stage to False "
+            "if its directions are not clockwise from north"
+        )
     fixes = all_fixes(fixes)
     for fix in fixes:
         check_fix(fix, config.on_plan is not None)

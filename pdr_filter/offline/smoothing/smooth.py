@@ -7,6 +7,7 @@ States are estimated at anchors only. The steps between two anchors are summed i
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -323,7 +324,7 @@ def smooth(
     if memory is None:
         config, track, sensing, stood_steps = reckoned()
     else:
-        key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
+        key = _key_of((asked.with_model(frame=START_FRAME), stood, placement.north, run.with_location))
         config, track, sensing, stood_steps = memory.of(given, key, reckoned)
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
@@ -357,6 +358,21 @@ def smooth(
         observed = _on_clock(observed, clocks)
         locations = observed.locations
     return with_given_place(run, on_earth(smoothed, where, locations, observed))
+
+
+def _key_of(value: object) -> bytes:
+    """Return the content of a value as bytes. Only a value with parts of other classes is pickled, which is slower."""
+    try:
+        return to_bytes(value)
+    except TypeError:  # classes of other packages
+        pass
+    try:
+        return pickle.dumps(value)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ValueError(
+            f"memory cannot compare configurations with a part that cannot be pickled ({error}): define its class in a "
+            "module, without lambda functions, or omit memory"
+        ) from error
 
 
 def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track, FloatArray, Problem]:

@@ -344,6 +344,20 @@ def test_a_calibration_whose_segments_all_contradict_the_steps_says_that_nothing
     assert not any("those of the prior" in note for note in calibrate_segments([good]).notes)
 
 
+def test_known_lengths_of_a_wrong_scale_are_named_and_impossible_steps_are_not_used() -> None:
+    rng, model = np.random.default_rng(15), BounceStepLength()
+    many = [segment(rng, model, np.array([0.33]), recording=f"r{i}") for i in range(12)]
+    half, three = ([replace(s, distance_m=factor * s.distance_m) for s in many] for factor in (0.5, 3.0))
+    (note,) = (note for note in calibrate_segments(half).notes if "than usual" in note)
+    assert "(and 11 more) are 0.3" in note
+    assert "shorter" in note
+    mixed = calibrate_segments([*many, *(replace(s, subject="ben", recording=f"b{i}") for i, s in enumerate(three))])
+    assert mixed.subject_ids == ("anna",)
+    assert sum("nobody walks" in note for note in mixed.notes) == 12
+    with pytest.raises(ValueError, match="nothing to calibrate with: r0: its steps would be"):
+        calibrate_segments(three)
+
+
 def test_segments_of_one_recording_count_less_than_independent_segments() -> None:
     rng, model, k = np.random.default_rng(15), BounceStepLength(), np.array([0.3])
     many = [segment(rng, model, k, error_m=float(rng.normal(0, 0.4)), recording=f"r{i}") for i in range(40)]
