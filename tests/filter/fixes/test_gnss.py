@@ -412,7 +412,7 @@ def test_a_position_without_another_one_does_not_give_north() -> None:
 
 def test_locations_that_determine_the_rotation_give_north_without_a_note(bare: Recording) -> None:
     time_s = np.array([1.0, 31.0, 45.0])
-    track = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s), 1.0)))
+    track = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s), 9.0)))
     assert track.knows_north
     assert track.origin.turn_std_rad < 0.26
     assert not any("rotation of the track" in note for note in track.notes)
