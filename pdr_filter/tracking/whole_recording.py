@@ -146,7 +146,10 @@ def track(
     results = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
     return run.placed(
         collected(
-            recording, config, aligned(recording, results, config.model.context_set) if gnss == "align" else results
+            recording,
+            config,
+            aligned(recording, results, config.model.context_set) if gnss == "align" else results,
+            placement.place,
         )
     )
 
@@ -297,8 +300,13 @@ def outputs(
     yield finish(config, state)
 
 
-def collected(recording: Recording, config: Config, results: Iterable[tuple[State, Output]]) -> Track:
-    """Return the track of a recording from its `outputs`. Only final steps are rows of the track."""
+def collected(
+    recording: Recording, config: Config, results: Iterable[tuple[State, Output]], place: Origin | None = None
+) -> Track:
+    """Return the track of a recording from its `outputs`. Only final steps are rows of the track.
+
+    `place` is the given origin of the frame of the fixes. Locations define their own.
+    """
     state, whole = init(config), Output()
     for new_state, output in results:
         state = new_state
@@ -314,9 +322,9 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
     if config.on_foot or not recording.is_on_foot:
         misplaced = ()
     frame = state.pedestrian.frame
-    origin = state.locations.origin if frame.is_known else None
+    origin = (state.locations.origin or place) if frame.is_known else None
     if origin is not None:
-        frame = frame.at_most_probable_rotation()
+        frame = frame.at_most_probable_rotation() if state.locations.origin is not None else frame
         origin = state.height.start_altitude.of(frame.origin(origin))
     updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows, config.model.context_set))

@@ -90,7 +90,7 @@ from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.schema import check_declared, check_members, check_whole
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, reference_headings, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
-from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
+from pdr_filter.values.uncertainty import MAX_NORTH_STD_RAD, RADIUS_68, RADIUS_95
 from pdr_filter.values.wifi import Wifi, WifiScan, address_text, loudness
 from pdr_filter.values.windows import WindowContext, Windows, known_context
 
@@ -101,6 +101,7 @@ __all__ = [
     "DEFAULT_CONTEXTS",
     "HARDLY_AGREE",
     "INDEPENDENT_SHARE",
+    "MAX_NORTH_STD_RAD",
     "N_BEFORE",
     "RADIUS_68",
     "RADIUS_95",
