@@ -17,10 +17,10 @@ from .classifiers.rvm import RelevanceVectorClassifier as RelevanceVectorClassif
 from .data import datasets as datasets
 from .data.io.formats import read as read
 from .filter.imm.motion_model import Mode as Mode
-from .filter.imm.pedestrian_state import StepUpdate as StepUpdate
+from .filter.pedestrian.pedestrian_state import StepUpdate as StepUpdate
+from .filter.pedestrian.person import Person as Person
 from .filter.step_length.models import StepLengthFit as StepLengthFit
 from .filter.step_length.models import known_length as known_length
-from .filter.step_length.person import Person as Person
 from .offline.calibration.fit import calibrate as calibrate
 from .offline.smoothing.smooth import smooth as smooth
 from .offline.smoothing.smoothed import Smoothed as Smoothed

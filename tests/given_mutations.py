@@ -21,7 +21,7 @@ from pdr_filter.apps.live import assembly, messages
 from pdr_filter.apps.maps.radio.radio_map import RadioMap
 from pdr_filter.apps.maps.storey import LIFT
 from pdr_filter.data.io.tables.column_mapping import read_mapping
-from pdr_filter.filter.step_length.person import Session
+from pdr_filter.filter.pedestrian.person import Session
 
 sys.path.insert(0, str(Path(__file__).parent / "data" / "io"))
 sys.path.insert(0, str(Path(__file__).parent / "apps" / "maps"))

@@ -13,12 +13,12 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.apps.maps.floor_plan import FloorPlan
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.motion_model import Mode
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
@@ -69,10 +69,7 @@ def resumed(online: pdr.OnlineFilter) -> pdr.OnlineFilter:
     The default configuration has 14 MB of models: to save and load it as well takes half a second, 15 times as long.
     `test_saved.py` and `test_online_equals_offline.py` do.
     """
-    state = online.state  # which may complete a held window, whose steps are late
-    late = {"late": tuple(online._late)} if online._late else {}
-    blob = to_bytes({"config": None, "state": state, **late})
-    return pdr.OnlineFilter.load(blob, config=online.config)
+    return pdr.OnlineFilter.load(to_bytes({"config": None, "state": online.state}), config=online.config)
 
 
 def pushed(

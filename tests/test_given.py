@@ -17,7 +17,7 @@ import pdr_filter as pdr
 from pdr_filter.apps.live.messages import MessageError
 from pdr_filter.apps.maps.radio.radio_map import RadioMap
 from pdr_filter.classifiers.model_files import file_pair
-from pdr_filter.filter.step_length.person import Session
+from pdr_filter.filter.pedestrian.person import Session
 from pdr_filter.values import limits
 
 SLOW_S = 2.0  # a second on a machine that is not busy

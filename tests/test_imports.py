@@ -82,7 +82,7 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
         "n = len(online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps))\n"
         "assert n > 100, n"
     )
-    assert "pdr_filter.filter.imm.imm_tracker" in loaded_by(statement)
+    assert "pdr_filter.filter.chain.imm_tracker" in loaded_by(statement)
 
 
 # --- the packages -----------------------------------------------------------------------------------------------------

@@ -17,9 +17,8 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.tracking import filtering
 from pdr_filter.tracking.filtering import MAX_CLIMBS
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import ImuBlock, PositionFix, Samples, step_table, wrap_angle
@@ -125,23 +124,6 @@ def test_every_division_into_blocks_reports_the_same_provisional_steps(short_wal
     provisional = [[u for u in updates if not u.is_final] for updates in (several, single)]
     assert_same_updates(provisional[0], provisional[1])
     assert len(provisional[0]) > 20
-
-
-def test_a_filter_is_the_same_after_each_short_block_and_returns_steps_at_most_one_block_late(
-    short_walk: Recording,
-) -> None:
-    online, at_once = online_filter("imm"), online_filter("imm")
-    state, returned, known = at_once.state, list[pdr.StepUpdate](), list[pdr.StepUpdate]()
-    for i, block in enumerate(cut(pdr.merge_streams(short_walk), list(range(0, 9999, 10)))):
-        returned += push(online, block)
-        assert_same_updates(returned[: len(known)], known)
-        state, output = filtering.update(at_once.config, state, block, provisional=True)
-        known += output.updates
-        if i % 11 == 0:  # in between, windows wait for the next block
-            assert to_bytes(online.state) == to_bytes(state)
-    assert len(known) > 20
-    at_once.state = state
-    assert_same_updates([*returned, *online.finish()], [*known, *at_once.finish()])
 
 
 def test_a_whole_recording_computes_no_provisional_steps(
@@ -346,7 +328,6 @@ def test_a_fresh_filter_can_be_saved(short_walk: Recording) -> None:
 
 @pytest.mark.parametrize("blob", [b"", b"something else", pytest.param(None, id="another value")])
 def test_what_is_no_filter_is_refused(blob: bytes | None) -> None:
-    from pdr_filter.values.serialisation import to_bytes
 
     with pytest.raises(ValueError, match="filter"):
         pdr.OnlineFilter.load(to_bytes({"config": 1}) if blob is None else blob)
@@ -554,7 +535,7 @@ def test_pressure_pushed_before_the_other_samples_gives_the_same_bits(short_walk
         updates += push(online, block)
     updates += online.finish()
     assert_updates_are_the_track(updates, tracked(recording, weighting=weighting))
-    assert len(online.state.climbs) < 5
+    assert len(online.state.waiting_climbs.climbs) < 5
 
 
 def test_a_barometer_whose_clock_is_ahead_is_told_of_and_does_not_pile_up(short_walk: Recording) -> None:
@@ -564,7 +545,7 @@ def test_a_barometer_whose_clock_is_ahead_is_told_of_and_does_not_pile_up(short_
     assert not any("barometer" in note for note in online.notes)
     for part in np.array_split(time_s[100:], 7):
         online.push_pressure(part + 1e6, np.full(len(part), 1000.0))
-    assert len(online.state.climbs) == MAX_CLIMBS
+    assert len(online.state.waiting_climbs.climbs) == MAX_CLIMBS
     assert any("climb rates of the barometer not used, because its times are ahead" in note for note in online.notes)
     assert len(online.save()) < len(pdr.OnlineFilter().save()) + 50_000
 

@@ -150,7 +150,7 @@ def test_a_saved_filter_has_own_models_and_refers_to_shipped_ones_of_equal_conte
 
 @pytest.mark.parametrize("part", [b"[],", b"{},", b"1.5,", b'{"a":[]},'], ids=str)
 def test_a_small_file_of_many_values_does_not_fill_the_memory(part: bytes) -> None:
-    content = b'{"format":7,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
+    content = b'{"format":8,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
     blob = zlib.compress(content)
     assert len(blob) < 60_000
     tracemalloc.start()

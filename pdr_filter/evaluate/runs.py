@@ -9,9 +9,9 @@ from typing import Any, cast
 import numpy as np
 
 from pdr_filter.evaluate.distance import percent_error, walked_m
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.imm.motion_model import Mode
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.track import Track

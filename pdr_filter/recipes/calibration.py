@@ -12,11 +12,11 @@ import numpy as np
 
 from pdr_filter.classifiers.model_files import Arrays
 from pdr_filter.filter.imm.motion_model import Mode
+from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.filter.step_length import calibration_files
 from pdr_filter.filter.step_length.calibration_files import FORMAT
 from pdr_filter.filter.step_length.calibration_report import report_tables, report_text
 from pdr_filter.filter.step_length.calibration_result import CalibrationResult, typical_step_m
-from pdr_filter.filter.step_length.person import Person
 from pdr_filter.recipes.config import Config
 from pdr_filter.values import Note, Table, how_many
 from pdr_filter.values.recording import Subject

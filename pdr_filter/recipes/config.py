@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -12,17 +12,21 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.handler import Handler, TrackerHandler
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.tracker import Tracker
+from pdr_filter.filter.chain.two_hypotheses import TwoHypotheses
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
+from pdr_filter.filter.chain.with_height import WithHeight
+from pdr_filter.filter.chain.with_path import WithPath
+from pdr_filter.filter.chain.with_plan import PlanStage, WithPlan
 from pdr_filter.filter.imm.motion_model import Mode
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.tracker import Tracker
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, WC, WEIGHTINGS, Weighting
-from pdr_filter.filter.plan_stage import PlanStage
+from pdr_filter.filter.pedestrian.frame import UNKNOWN_FRAME
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.filter.step_length.models import StepLengthFit
-from pdr_filter.filter.step_length.person import Person
 from pdr_filter.sensing.contexts.context_stage import ContextStage
 from pdr_filter.sensing.contexts.learned_contexts import stage_of, with_carrying_models
 from pdr_filter.sensing.device import Device
@@ -71,6 +75,10 @@ class Config:
         Stage that constrains the track to a floor plan; see `with_plan`.
     merger : StreamMerger
         Merges sensor streams that arrive separately.
+    keeps_path : bool, default True
+        Whether the filter keeps past steps for `OnlineFilter.path`. Whole recordings do not.
+    handlers : tuple of callable
+        Additional handlers; see `with_handler`.
 
     Raises
     ------
@@ -95,6 +103,8 @@ class Config:
     person: Person | None = None
     on_plan: PlanStage | None = None
     merger: StreamMerger = field(default_factory=StreamMerger)
+    keeps_path: bool = True
+    handlers: tuple[Callable[[Handler[Any]], Handler[Any]], ...] = ()
 
     def __post_init__(self) -> None:
         of_heading, drift = drift_of(self.sensing.heading), self.model.noise.heading_drift
@@ -111,6 +121,37 @@ class Config:
     def model(self) -> PedestrianModel:
         """Pedestrian model of the tracker: modes, transition probabilities, noise and evidence parameters."""
         return self.tracker.model
+
+    @cached_property
+    def chain(self) -> Handler[Any]:
+        """Chain of handlers that turn steps, windows and fixes into rows, from the tracker outwards."""
+        handler: Handler[Any] = TrackerHandler(self.tracker)
+        if self.keeps_path:
+            handler = WithPath(handler)
+        start = None if self.on_plan is None else self.on_plan.start
+        handler = TwoHypotheses(handler, self.model.fix_gate_nis)
+        handler = WithHeight(handler, self.model, None if start is None else start.floor)
+        if self.on_plan is not None:
+            handler = WithPlan(handler, self.on_plan, self.model)
+        for add in self.handlers:
+            handler = add(handler)
+        return handler
+
+    def with_handler(self, add: Callable[[Handler[Any]], Handler[Any]]) -> Config:
+        """Return a copy with one more handler around the filter.
+
+        Parameters
+        ----------
+        add : callable
+            Function or class that takes the present chain and returns a handler around it
+            (`pdr_filter.filter.chain.handler.Handler`).
+
+        Returns
+        -------
+        Config
+            Changed copy. This configuration is not modified.
+        """
+        return replace(self, handlers=(*self.handlers, add))
 
     @property
     def learns_directions(self) -> bool:

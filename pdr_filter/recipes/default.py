@@ -16,16 +16,16 @@ import numpy as np
 
 from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.classifiers.transition_files import Transitions, load_transitions
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
-from pdr_filter.filter.imm.modes import context_modes, height_notes
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
 from pdr_filter.filter.imm.motion_model import MotionNoise
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import bounce_fit, scale_std
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.guo2018.recipe import guo2018 as guo2018
 from pdr_filter.recipes.martinelli2018.recipe import magnitude_contexts
 from pdr_filter.recipes.martinelli2018.recipe import martinelli2018 as martinelli2018
+from pdr_filter.recipes.modes import context_modes, height_notes
 from pdr_filter.recipes.susi2013.recipe import susi2013 as susi2013
 from pdr_filter.recipes.tian2016.recipe import tian2016 as tian2016
 from pdr_filter.recipes.zhou2019.recipe import zhou2019 as zhou2019

@@ -2,27 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
-from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, AttitudeState
+from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
-from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext, WindowStage, with_cadence
+from pdr_filter.sensing.contexts.context_stage import ContextStage, with_cadence
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
-from pdr_filter.sensing.heading.heading_stage import HeadingStage, drift_in_time, with_shown_offsets
+from pdr_filter.sensing.heading.heading_stage import HeadingStage, ShownOffsets, drift_in_time
 from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_gate import StepGate
+from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided, VehicleVibration, VehicleVibrationState
-from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, ImuBlock, IntArray, Step, replace_unchecked
+from pdr_filter.values import (
+    DEFAULT_CONTEXTS,
+    ContextSet,
+    FloatArray,
+    ImuBlock,
+    IntArray,
+    Step,
+    WindowContext,
+    replace_unchecked,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +59,10 @@ class SensingState:
         State of the conditioner.
     attitude : AttitudeState
         State of the attitude estimator.
-    contexts, steps, heading, gate, contact_smoothing, north : object
-        States of the stages with these names in `Sensing`. None for a missing stage.
+    contexts, steps : object
+        States of the context stage, None without one, and of the step detector.
+    of_steps : mapping of str to object
+        States of the stages that receive the steps, by the name of the stage in `Sensing`.
     vibration : VehicleVibrationState
         State of the detection of motion without steps.
     cadence : tuple of (float, float)
@@ -69,41 +81,15 @@ class SensingState:
 
     conditioner: ConditionerState
     attitude: AttitudeState
-    contexts: Any
-    steps: Any
-    heading: Any
-    gate: Any
-    contact_smoothing: Any
-    north: Any
+    contexts: object
+    steps: object
+    of_steps: Mapping[str, object]
     vibration: VehicleVibrationState
     cadence: tuple[tuple[float, float], ...]
     n_samples: int
     context: int
     carrying_mode: int
     processed_s: float
-
-
-# New state of the context stage, and the windows with the number of the last sample of each.
-_Classified = tuple[Any, list[tuple[int, WindowContext]]]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class HeldSample:
-    """Uniform sample that completes a window, taken in by `Sensing.update_early` and not processed yet.
-
-    Attributes
-    ----------
-    sample : UniformBlock
-        The sample, a block of length one.
-    attitude : AttitudeBlock
-        Its attitude.
-    described : object
-        Result of `WindowStage.describe`, or None if the window has not been described.
-    """
-
-    sample: UniformBlock
-    attitude: AttitudeBlock
-    described: Any
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,9 +161,8 @@ class Sensing:
                 )
             if getattr(stage, "context_set", self.context_set) != self.context_set:
                 object.__setattr__(self, "contexts", replace(stage, context_set=self.context_set))
-        optional = [stage for stage in (self.contexts, self.north) if stage]
-        stages = [self.conditioner, self.attitude, self.steps, *optional]
-        rates = {stage.rate_hz for stage in stages}
+        stages = self.conditioner, self.attitude, self.steps, self.contexts, self.north
+        rates = {stage.rate_hz for stage in stages if stage is not None}
         if len(rates) > 1:
             raise ValueError(
                 f"all stages must have one rate_hz, got {sorted(rates)}: build every stage with the rate_hz of the "
@@ -188,6 +173,19 @@ class Sensing:
     def _vibration(self) -> VehicleVibration:
         """Detection of motion without steps at the rate of the front end."""
         return VehicleVibration(self.conditioner.rate_hz)
+
+    @cached_property
+    def _step_stages(self) -> dict[str, StepStage]:
+        """Stages that receive the steps of the detector one after the other, by name."""
+        sets_offsets = self.heading is None or hasattr(self.heading, "learns_directions")
+        stages: dict[str, StepStage | None] = {
+            "gate": self.gate,
+            "heading": self.heading,
+            "shown_offsets": None if sets_offsets else ShownOffsets(),
+            "north": self.north,
+            "contact_smoothing": self.contact_smoothing,
+        }
+        return {name: stage for name, stage in stages.items() if stage is not None}
 
     @property
     def steps_only(self) -> Sensing:
@@ -218,10 +216,7 @@ class Sensing:
             attitude=self.attitude.init(),
             contexts=self.contexts.init() if self.contexts else None,
             steps=self.steps.init(),
-            heading=self.heading.init() if self.heading else None,
-            gate=self.gate.init() if self.gate else None,
-            contact_smoothing=self.contact_smoothing.init() if self.contact_smoothing else None,
-            north=self.north.init() if self.north else None,
+            of_steps={name: stage.init() for name, stage in self._step_stages.items()},
             vibration=self._vibration.init(),
             cadence=(),
             n_samples=0,
@@ -249,79 +244,6 @@ class Sensing:
         """
         conditioner, uniform = self.conditioner.update(state.conditioner, block)
         return self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
-
-    def update_early(
-        self, state: SensingState, block: ImuBlock
-    ) -> tuple[SensingState, list[tuple[float, Event]], HeldSample | None]:
-        """Return the results of `update` without the sample that completes a window, and this sample for `update_held`.
-
-        A window costs more than all other work of its hop. A caller that processes the held sample later shortens the
-        longest call. Only single hops are divided, because the events of a longer block would come too late.
-
-        Parameters
-        ----------
-        state : SensingState
-            State after the previous block.
-        block : ImuBlock
-            Raw samples of any number.
-
-        Returns
-        -------
-        state : SensingState
-            New state.
-        events : list of (float, Event)
-            Events as in `update`.
-        held : HeldSample or None
-            Last uniform sample if it completes a window. Pass it to `update_held` before any other update.
-        """
-        conditioner, uniform = self.conditioner.update(state.conditioner, block)
-        state = replace_unchecked(state, conditioner=conditioner)
-        if len(uniform) != 1 or not self._completes_window(state, uniform[0]):
-            return *self._process_blocks(state, uniform), None
-        state, attitude = self._with_attitude(state, uniform[0])
-        first, last = (_rows(uniform[0], part) for part in (_BUT_LAST, _LAST))
-        of_first, of_last = (_rows(attitude, part) for part in (_BUT_LAST, _LAST))
-        state, events = self._detect(state, first, of_first, self._classify(state, first, of_first))
-        # A step costs as much as the description of a window, so that a call does one of them.
-        halves = self._window_stage
-        described = None if events or halves is None else halves.describe(state.contexts, last, of_last)
-        return state, events, HeldSample(last, of_last, described)
-
-    def update_held(self, state: SensingState, held: HeldSample) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the new state and the events of the sample that `update_early` has held.
-
-        Parameters
-        ----------
-        state : SensingState
-            State of `update_early`.
-        held : HeldSample
-            The sample.
-
-        Returns
-        -------
-        state : SensingState
-            New state, equal to that of `update`.
-        events : list of (float, Event)
-            Remaining events of `update`.
-        """
-        if held.described is None or self._window_stage is None:
-            classified = self._classify(state, held.sample, held.attitude)
-        else:
-            classified = self._window_stage.classify_described(state.contexts, held.described)
-        return self._detect(state, held.sample, held.attitude, classified)
-
-    @property
-    def _window_stage(self) -> WindowStage[Any, Any, Any] | None:
-        """Context stage whose `update` has two halves, or None for other stages."""
-        stage: Any = self.contexts
-        has_halves = isinstance(stage, WindowStage) and type(stage).update is WindowStage.update
-        return stage if has_halves else None
-
-    def _completes_window(self, state: SensingState, part: UniformBlock) -> bool:
-        """Return True if a block is one hop without a gap whose last sample completes a window."""
-        n, window_hop = len(part.time_s), round(self.window_hop_s * self.conditioner.rate_hz)
-        is_hop = 1 < n <= self.conditioner.hop_samples and part.gap_before_s == 0
-        return is_hop and window_hop > 0 and (state.n_samples + n) % window_hop == 0
 
     def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the remaining events when the recording has ended.
@@ -389,7 +311,7 @@ class Sensing:
         Device
             Bias and covariance.
         """
-        error_rad, error_var = drift_in_time(self.heading, state.heading)
+        error_rad, error_var = drift_in_time(self.heading, state.of_steps.get("heading"))
         return self.attitude.bias.learnt(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
@@ -397,38 +319,18 @@ class Sensing:
 
         Events are steps and classified windows, each with the time at which it became known.
         """
-        state, attitude = self._with_attitude(state, part)
-        return self._detect(state, part, attitude, self._classify(state, part, attitude))
-
-    def _with_attitude(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, AttitudeBlock]:
-        """Return the state with the attitude stage advanced by one uniform block, and the attitudes of the block."""
         attitude_state, attitude = self.attitude.update(state.attitude, part)
-        return replace_unchecked(state, attitude=attitude_state), attitude
-
-    def _classify(self, state: SensingState, part: UniformBlock, attitude: AttitudeBlock) -> _Classified:
-        """Return the new state of the context stage and the windows that one uniform block completes."""
-        return self.contexts.update(state.contexts, part, attitude) if self.contexts else (None, [])
-
-    def _detect(
-        self, state: SensingState, part: UniformBlock, attitude: AttitudeBlock, classified: _Classified
-    ) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the new state and the events of one uniform block with known attitudes and windows."""
         n_before, n = state.n_samples, len(part.time_s)
-        context_state, windows = classified
+        context_state, windows = None, list[tuple[int, WindowContext]]()
+        if self.contexts:
+            context_state, windows = self.contexts.update(state.contexts, part, attitude)
         context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
         step_state, steps = self.steps.update(state.steps, part, attitude, contexts)
-        heading_state, gate_state, smoothing_state, north_state = None, None, None, None
-        if self.gate:
-            gate_state, steps = self.gate.update(state.gate, part, attitude, steps)
-        if self.heading:
-            heading_state, steps = self.heading.update(state.heading, part, attitude, contexts, steps)
-            steps = with_shown_offsets(self.heading, steps)
-        if self.north:
-            north_state, steps = self.north.update(state.north, part, attitude, steps)
-        if self.contact_smoothing:
-            smoothing_state, steps = self.contact_smoothing.update(state.contact_smoothing, steps)
+        of_steps = dict[str, object]()
+        for name, stage in self._step_stages.items():
+            of_steps[name], steps = stage.update(state.of_steps[name], part, attitude, contexts, steps)
         vibration, moved = self._vibration.update(state.vibration, part, steps)
         # A window comes before a step revealed by the same sample, because its evidence also applies to that step.
         in_order, cadence = _with_cadences(
@@ -436,13 +338,10 @@ class Sensing:
         )
         state = SensingState(
             conditioner=state.conditioner,
-            attitude=state.attitude,
+            attitude=attitude_state,
             contexts=context_state,
             steps=step_state,
-            heading=heading_state,
-            gate=gate_state,
-            contact_smoothing=smoothing_state,
-            north=north_state,
+            of_steps=of_steps,
             vibration=vibration,
             cadence=cadence,
             n_samples=n_before + n,
@@ -458,21 +357,11 @@ class Sensing:
         Each step comes with the time of the last processed sample.
         """
         steps = self.steps.finish(state.steps)
-        if self.gate:
-            gate, steps = self.gate.close(state.gate, steps)
-            state = replace_unchecked(state, gate=gate)
-        if self.heading:
-            heading, steps = self.heading.finish(state.heading, steps)
-            steps = with_shown_offsets(self.heading, steps)
-            state = replace_unchecked(state, heading=heading)
-        if self.north:
-            north, steps = self.north.finish(state.north, steps)
-            state = replace_unchecked(state, north=north)
-        if self.contact_smoothing:
-            smoothing_state, steps = self.contact_smoothing.update(state.contact_smoothing, steps)
-            state = replace_unchecked(state, contact_smoothing=smoothing_state)
+        of_steps = dict[str, object]()
+        for name, stage in self._step_stages.items():
+            of_steps[name], steps = stage.finish(state.of_steps[name], steps)
         vibration, steps = self._vibration.finish(state.vibration, steps)
-        state = replace_unchecked(state, vibration=vibration)
+        state = replace_unchecked(state, of_steps=of_steps, vibration=vibration)
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:
@@ -487,8 +376,7 @@ class Sensing:
             contexts=self.contexts.after_gap(state.contexts) if self.contexts else None,
             steps=self.steps.init(),
             vibration=self._vibration.after_gap(state.vibration),
-            heading=self.heading.after_gap(state.heading) if self.heading else None,
-            north=self.north.init() if self.north else None,
+            of_steps={name: stage.after_gap(state.of_steps[name]) for name, stage in self._step_stages.items()},
             cadence=(),
             n_samples=0,
         )
@@ -533,17 +421,6 @@ def _with_cadences(
 def _is_recent(cadence: tuple[tuple[float, float], ...], time_s: float) -> bool:
     """Return True if there are enough steps for a step frequency at a time, and the first of them is recent."""
     return len(cadence) == _CADENCE_STEPS and time_s - cadence[0][0] < _CADENCE_S
-
-
-_BUT_LAST, _LAST = slice(None, -1), slice(-1, None)
-_B = TypeVar("_B", UniformBlock, AttitudeBlock)
-
-
-def _rows(block: _B, part: slice) -> _B:
-    """Return a block with a part of the samples. The block must follow the one before it without a gap."""
-    values = (getattr(block, name) for name in block.__dataclass_fields__)
-    rows: list[Any] = [value[part] if isinstance(value, np.ndarray) else value for value in values]
-    return type(block)(*rows)
 
 
 def _likely(prob: FloatArray) -> int:

@@ -9,12 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import EYE, Place
+from pdr_filter.filter.chain.handler import states_of
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, stepless_var_m2
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate, present_position, track_place, within_reach
+from pdr_filter.filter.pedestrian.alignment import EYE, Place
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate, present_position, track_place, within_reach
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.stream_merging import SENSORS
-from pdr_filter.tracking.filtering import State
+from pdr_filter.tracking.filtering import State, place_on_plan
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import CARRYING_MODES, FixResult, FloatArray, OnPlan, Step, as_plain, read_only
 from pdr_filter.values.uncertainty import floor_prob, worst_std_m
@@ -203,7 +204,7 @@ def present_place(config: Config, state: State) -> Present:
     """
     last, steps = _with_candidates(config, state)
     place = _place_after(state, last, bool(steps))
-    reach_m = state.tracker.pedestrian.reach_m if last is None or not steps else last.reach_m
+    reach_m = state.pedestrian.reach_m if last is None or not steps else last.reach_m
     speed_mps, speed_std_mps, extrapolated_m, silent_s = 0.0, math.nan, 0.0, _silent_s(config, state)
     if last is not None and not state.finished and not silent_s and _is_walking(config, state, last, bool(steps)):
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
@@ -213,7 +214,7 @@ def present_place(config: Config, state: State) -> Present:
     else:
         var_m2 = config.model.noise.gap_var_m2(_stepless_s(config, state, last) + silent_s)
         # the tracker already has the part of this motion that is certain to have no step
-        var_m2 = max(float(var_m2 - stepless_var_m2(state.tracker.pedestrian.steps.stepless_s)), 0.0)
+        var_m2 = max(float(var_m2 - stepless_var_m2(state.pedestrian.steps.stepless_s)), 0.0)
         place = replace(place, cov_m2=place.cov_m2 + var_m2 * EYE)
         reach_m += math.sqrt(var_m2)
     return Present(_newest_s(state), place, steps, extrapolated_m, speed_mps, speed_std_mps, reach_m)
@@ -225,8 +226,8 @@ def _with_candidates(config: Config, state: State) -> tuple[StepUpdate | None, t
     The last step is None if there has been no step since the start or the last gap. The positions are in the frame of
     the filter's states.
     """
-    tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
-    for step in () if state.finished else _candidates(state.sensing.gate):
+    (*_, tracker), last, steps = states_of(state.chain), state.last.update, list[ProvisionalStep]()
+    for step in () if state.finished else _candidates(state.sensing.of_steps.get("gate")):
         tracker, updates = config.tracker.on_step(tracker, step)
         last = config.tracker.provisional(tracker) or updates[-1]
         steps.append(ProvisionalStep(step.time_s, (last.of_start or last).position_m))
@@ -238,7 +239,7 @@ def _place_after(state: State, last: StepUpdate | None, is_candidate: bool) -> P
 
     It is the present estimate of the tracker, unless the step is a candidate or provisional.
     """
-    pedestrian = state.tracker.pedestrian
+    pedestrian = state.pedestrian
     if last is None or (last.is_final and not is_candidate):
         mean, _ = pedestrian.estimates.combined
         stated_rad = 0.0 if last is None else last.step.reference_heading_rad - last.step.device_heading_rad
@@ -257,10 +258,10 @@ def _turned_since(state: State, last: StepUpdate) -> float:
 
 def now(config: Config, state: State) -> Now:
     """Return the estimate at the time of the newest sample, in the frame of the fixes or of the floor plan."""
-    sensing, pedestrian = state.sensing, state.tracker.pedestrian
+    sensing, pedestrian = state.sensing, state.pedestrian
     present = _in_output_frame(config, state, present_place(config, state))
     _, cov = pedestrian.estimates.combined
-    window, report, height = state.window, sensing.conditioner.report, state.height.known
+    window, report, height = state.last.window, sensing.conditioner.report, state.height.known
     contexts = config.model.contexts
     unknown = np.full(len(contexts), np.nan), np.full(len(CARRYING_MODES), np.nan)
     context_prob, carrying_prob = (window.prob, window.carrying_prob) if window else unknown
@@ -284,7 +285,7 @@ def now(config: Config, state: State) -> Now:
         height_m=height.height_m,
         height_std_m=height.height_std_m,
         floor=height.floors.floor,
-        fixes=state.last_fixes,
+        fixes=state.last.fixes,
         rates_hz=_rates_hz(state),
         n_gaps=report.n_gaps,
         lost_s=report.lost_s,
@@ -294,16 +295,16 @@ def now(config: Config, state: State) -> Now:
 
 def _in_output_frame(config: Config, state: State, present: Present) -> Present:
     """Return a position of the tracker in the frame of the fixes, or of the floor plan if there are particles."""
-    pedestrian, stage = state.tracker.pedestrian, config.on_plan
+    pedestrian = state.pedestrian
     frame = pedestrian.frame
-    particles = None if stage is None else stage.place(state.particles, present_position(pedestrian))
+    particles = place_on_plan(config, state, present_position(pedestrian))
 
     def in_world(place: Place) -> Place:
         place = place if frame.is_joined else frame.world(place)
         return replace(place, cov_m2=within_reach(place.cov_m2, frame, present.reach_m))
 
     def converted(place: Place) -> Place:
-        if particles is None or state.particles is None:
+        if particles is None:
             return in_world(place)
         mean, _ = pedestrian.estimates.combined
         heading_rad = state.particles.heading_rad + float(mean[HEADING_OFFSET])
@@ -350,7 +351,7 @@ def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
     )
 
 
-def _candidates(gate: Any) -> list[Step]:
+def _candidates(gate: object) -> list[Step]:
     """Return the candidate steps of the gate, if walking is more probable than not.
 
     A gate without the attribute `candidates` has none.
@@ -360,7 +361,7 @@ def _candidates(gate: Any) -> list[Step]:
 
 def _is_walking(config: Config, state: State, last: StepUpdate, is_candidate: bool) -> bool:
     """True if the pedestrian still walks after the last step: the next step is not overdue, and the phone moves."""
-    sensing, gate = config.sensing, state.sensing.gate
+    sensing, gate = config.sensing, state.sensing.of_steps.get("gate")
     latency_s = sensing.steps.latency_s if is_candidate else sensing.step_latency_s
     if not state.sensing.processed_s - last.step.time_s <= latency_s + last.step.duration_s:
         return False

@@ -4,47 +4,47 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right, insort
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from itertools import repeat
 from operator import attrgetter
 from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.fixes.fix_conflict import FixConflict
-from pdr_filter.filter.fixes.gnss import LocationState, good_places, place_at, position_fixes
-from pdr_filter.filter.fixes.range_placement import MIN_LOG_ODDS
+from pdr_filter.filter.chain.handler import End, FixUse, HandlerState, NewestStep, Places, StepsEnd, Window, part_of
+from pdr_filter.filter.chain.handler import Event as ChainEvent
+from pdr_filter.filter.chain.two_hypotheses import Hypotheses
+from pdr_filter.filter.chain.with_height import HeightTrack, window_log_evidence
+from pdr_filter.filter.chain.with_plan import PlanTrack
+from pdr_filter.filter.fixes.gnss import LocationState, good_places, position_fixes
 from pdr_filter.filter.fixes.rides import Rides
-from pdr_filter.filter.height import height_filter as height
-from pdr_filter.filter.height.height_filter import HeightState, initial_height
-from pdr_filter.filter.imm import pedestrian_state as pedestrian
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate, moved_by_heading_m
-from pdr_filter.filter.imm.step_history import TRAIL_TIME
-from pdr_filter.filter.imm.tracker import TrackerState
-from pdr_filter.filter.plan_stage import PlanState
-from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of
+from pdr_filter.filter.height.height_filter import HeightState
+from pdr_filter.filter.pedestrian import pedestrian_state as pedestrian
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate, moved_by_heading_m
+from pdr_filter.filter.pedestrian.person import LengthFixes, Person, session_of
+from pdr_filter.filter.pedestrian.step_history import TRAIL_TIME
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
+from pdr_filter.sensing.contexts.context_stage import with_climbs
 from pdr_filter.sensing.features.barometer import STAIRS_MPS, Climb, ClimbState
-from pdr_filter.sensing.front_end import Event, Gap, HeldSample, SensingState
+from pdr_filter.sensing.front_end import Event, Gap, SensingState
 from pdr_filter.sensing.heading.heading_stage import knows_north
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
-from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided
+from pdr_filter.sensing.vehicle_vibration import Undecided
 from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing, is_moving
 from pdr_filter.values import (
+    ContextSet,
     Fix,
     FixResult,
     FloatArray,
     FloorPassage,
-    GridFix,
     ImuBlock,
     OnPlan,
     Origin,
     PositionFix,
     Standstill,
     Step,
-    read_only,
+    WindowContext,
     received_s,
     replace_unchecked,
 )
@@ -60,16 +60,72 @@ _N_LAST_FIXES = 16
 
 
 @dataclass(frozen=True, eq=False)
-class RivalTracker:
-    """Tracker of the less probable of two position hypotheses, with its log odds against the more probable one."""
+class WaitingClimbs:
+    """Barometer, and the climb rates that wait for the windows and steps of their times.
 
-    tracker: TrackerState
-    log_odds: float
+    Attributes
+    ----------
+    barometer : ClimbState
+        State of the climb-rate estimator.
+    climbs : tuple of Climb
+        Climb rates whose windows have not been classified yet.
+    n_used : int
+        Number of leading elements of `climbs` that the height filter has used.
+    n_lost : int
+        Number of climb rates dropped because their windows did not come.
+    """
 
-    @property
-    def prob(self) -> float:
-        """Probability of this hypothesis, at most one half."""
-        return 1.0 / (1.0 + math.exp(-self.log_odds))
+    barometer: ClimbState
+    climbs: tuple[Climb, ...] = ()
+    n_used: int = 0
+    n_lost: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Statistics:
+    """Numbers and events of the walk so far, for its notes.
+
+    Attributes
+    ----------
+    seen : WindowCounts
+        Numbers of all windows and of unreliable ones.
+    walked : StepCounts
+        Numbers of all steps and of unreliable ones.
+    rides : Rides
+        Vehicle rides found in the position fixes.
+    length_fixes : LengthFixes
+        Number and area of the accepted fixes from which the filter learns the step length.
+    n_rejected_fixes : int
+        Number of rejected fixes.
+    """
+
+    seen: WindowCounts = field(default_factory=WindowCounts)
+    walked: StepCounts = field(default_factory=StepCounts)
+    rides: Rides = field(default_factory=Rides)
+    length_fixes: LengthFixes = field(default_factory=LengthFixes)
+    n_rejected_fixes: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class LastResults:
+    """Last results of the filter.
+
+    Attributes
+    ----------
+    window : WindowContext or None
+        Last classified window.
+    fixes : tuple of FixResult
+        Outcomes of the last fixes.
+    update : StepUpdate or None
+        Last step since the last gap, or None if there is none.
+    undecided_s : float
+        Begin of the motion whose steps are not known yet, s, or infinity. Fixes of later times wait for them.
+    """
+
+    window: WindowContext | None = None
+    fixes: tuple[FixResult, ...] = ()
+    update: StepUpdate | None = None
+    undecided_s: float = math.inf
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,78 +136,48 @@ class State:
     ----------
     sensing : SensingState
         State of the stages from samples to steps and windows.
-    tracker : TrackerState
-        State of the tracker.
-    barometer : ClimbState
-        State of the climb-rate estimator.
-    seen : WindowCounts
-        Numbers of all windows and of unreliable ones, for the warnings.
-    walked : StepCounts
-        Numbers of all steps and of unreliable ones, for the warnings.
-    height : HeightState
-        State of the height filter.
-    climbs : tuple of Climb
-        Climb rates from the barometer whose windows have not been classified yet.
-    n_lost_climbs : int
-        Number of climb rates dropped because their windows did not come.
-    n_climbs_used : int
-        Number of leading elements of `climbs` that the height filter has used.
-    locations : LocationState
-        State of the conversion from geographic locations to position fixes.
-    places : ndarray, shape (N, 3)
-        Recent accurate locations (`gnss.good_places`), which distinguish hills from storeys.
-    rides : Rides
-        Vehicle rides found in the position fixes.
+    chain : HandlerState
+        State of the chain of handlers (`Config.chain`): tracker, second hypothesis, path, height, floor plan.
+    waiting_climbs : WaitingClimbs
+        Climb rates that are not due yet.
     waiting_fixes : tuple of Fix
         Fixes that have not been received yet, or whose steps are not known yet, ordered by due time.
-    n_rejected_fixes : int
-        Number of rejected fixes.
-    length_fixes : LengthFixes
-        Number and area of the accepted fixes from which the filter learns the step length.
-    particles : PlanState or None
-        Particles on the floor plan. None without a plan.
     merger : MergerState
         State of the merging of sensors that arrive separately.
-    window : WindowContext or None
-        Last classified window.
-    last_fixes : tuple of FixResult
-        Outcomes of the last fixes.
-    last_update : StepUpdate or None
-        Last step since the last gap, or None if there is none.
-    rival : RivalTracker or None
-        Second hypothesis while ranges fit two positions.
-    conflict : FixConflict
-        Position fixes that contradict the track.
-    undecided_s : float
-        Begin of the motion whose steps are not known yet, s, or infinity. Fixes of later times wait for them.
+    locations : LocationState
+        State of the conversion from geographic locations to position fixes.
+    statistics : Statistics
+        Numbers and events so far, for the notes.
+    last : LastResults
+        Last results.
     finished : bool
         True after `finish`.
     """
 
     sensing: SensingState
-    tracker: TrackerState
-    barometer: ClimbState
-    seen: WindowCounts = field(default_factory=WindowCounts)
-    walked: StepCounts = field(default_factory=StepCounts)
-    height: HeightState = field(default_factory=initial_height)
-    climbs: tuple[Climb, ...] = ()
-    n_lost_climbs: int = 0
-    n_climbs_used: int = 0
-    locations: LocationState = field(default_factory=LocationState)
-    places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-    rides: Rides = field(default_factory=Rides)
+    chain: HandlerState
+    waiting_climbs: WaitingClimbs
     waiting_fixes: tuple[Fix, ...] = ()
-    n_rejected_fixes: int = 0
-    length_fixes: LengthFixes = field(default_factory=LengthFixes)
-    particles: PlanState | None = None
     merger: MergerState = field(default_factory=StreamMerger().init)
-    window: WindowContext | None = None
-    last_fixes: tuple[FixResult, ...] = ()
-    last_update: StepUpdate | None = None
-    rival: RivalTracker | None = None
-    conflict: FixConflict = field(default_factory=FixConflict)
-    undecided_s: float = math.inf
+    locations: LocationState = field(default_factory=LocationState)
+    statistics: Statistics = field(default_factory=Statistics)
+    last: LastResults = field(default_factory=LastResults)
     finished: bool = False
+
+    @property
+    def pedestrian(self) -> PedestrianState:
+        """Estimates of the tracker after the last event."""
+        return self.chain.pedestrian
+
+    @property
+    def height(self) -> HeightState:
+        """State of the height filter."""
+        return part_of(self.chain, HeightTrack).height
+
+    @property
+    def particles(self) -> Any:
+        """State of the stage on the floor plan. The configuration must have one."""
+        return part_of(self.chain, PlanTrack).particles
 
     @property
     def clock_offset_s(self) -> float:
@@ -180,14 +206,14 @@ def init(config: Config) -> State:
     With a floor plan, the storey is the storey of the start on the plan, and the plan gives the origin of the
     locations.
     """
-    state = State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
-    on_plan = config.on_plan
-    if on_plan is None:
-        return state
-    if on_plan.start is not None:
-        state = replace_unchecked(state, height=height.with_floor(state.height, on_plan.start.floor))
-    # With a plan in degrees, the origin of the plan is the origin of the locations.
-    return replace_unchecked(state, locations=LocationState(origin=on_plan.plan.origin), particles=on_plan.init())
+    plan = None if config.on_plan is None else config.on_plan.plan
+    return State(
+        sensing=config.sensing.init(),
+        chain=config.chain.init(),
+        waiting_climbs=WaitingClimbs(config.climb_rate.init()),
+        # With a plan in degrees, the origin of the plan is the origin of the locations.
+        locations=LocationState() if plan is None else LocationState(origin=plan.origin),
+    )
 
 
 def update(config: Config, state: State, block: ImuBlock, provisional: bool = False) -> tuple[State, Output]:
@@ -204,27 +230,6 @@ def update(config: Config, state: State, block: ImuBlock, provisional: bool = Fa
         state, output = _process(config, replace_unchecked(state, sensing=sensing), events, provisional)
         whole.extend(output)
     return state, whole
-
-
-def update_early(
-    config: Config, state: State, block: ImuBlock, provisional: bool = False
-) -> tuple[State, Output, HeldSample | None]:
-    """Return the results of `update` without the sample that completes a window, and this sample for `update_held`.
-
-    The held sample is None if the block is longer than a hop or completes no window. ValueError after `finish`.
-    """
-    if len(block.time_s) > config.sensing.conditioner.hop_samples:
-        return *update(config, state, block, provisional), None
-    if state.finished:
-        raise ValueError("the filter is finished: start a new one for further samples")
-    sensing, events, held = config.sensing.update_early(state.sensing, block)
-    return *_process(config, replace_unchecked(state, sensing=sensing), events, provisional), held
-
-
-def update_held(config: Config, state: State, held: HeldSample, provisional: bool = False) -> tuple[State, Output]:
-    """Return the new state and the output after the sample that `update_early` has held."""
-    sensing, events = config.sensing.update_held(state.sensing, held)
-    return _process(config, replace_unchecked(state, sensing=sensing), events, provisional)
 
 
 def update_streams(
@@ -270,16 +275,12 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
     Windows that end after the samples use the climb rate. Give the pressure of a time before the other samples of that
     time, because each window is classified only once. Only the last `MAX_CLIMBS` climb rates wait for their windows.
     """
-    barometer, climbs = config.climb_rate.update(state.barometer, time_s + state.clock_offset_s, pressure_hpa)
-    all_climbs = (*state.climbs, *climbs)
-    n_lost = max(len(all_climbs) - MAX_CLIMBS, 0)
-    return replace_unchecked(
-        state,
-        barometer=barometer,
-        climbs=all_climbs[n_lost:],
-        n_lost_climbs=state.n_lost_climbs + n_lost,
-        n_climbs_used=max(state.n_climbs_used - n_lost, 0),
-    )
+    waiting = state.waiting_climbs
+    barometer, new = config.climb_rate.update(waiting.barometer, time_s + state.clock_offset_s, pressure_hpa)
+    climbs = (*waiting.climbs, *new)
+    n_lost = max(len(climbs) - MAX_CLIMBS, 0)
+    waiting = WaitingClimbs(barometer, climbs[n_lost:], max(waiting.n_used - n_lost, 0), waiting.n_lost + n_lost)
+    return replace_unchecked(state, waiting_climbs=waiting)
 
 
 def add_location(
@@ -300,7 +301,7 @@ def add_location(
         state.locations, time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
     )
     if locations.origin is not None:
-        state = add_terrain_locations(state, locations.origin, time_s, latitude_deg, longitude_deg, accuracy_m)
+        state = add_terrain_locations(config, state, locations.origin, time_s, latitude_deg, longitude_deg, accuracy_m)
     return add_fixes(config, replace_unchecked(state, locations=locations), fixes)
 
 
@@ -310,6 +311,7 @@ _PLACES_S = 20.0
 
 
 def add_terrain_locations(
+    config: Config,
     state: State,
     origin: Origin,
     time_s: FloatArray,
@@ -318,10 +320,11 @@ def add_terrain_locations(
     accuracy_m: FloatArray,
 ) -> State:
     """Return the state with locations (N,), on the track clock, that only distinguish hills from storeys."""
-    last: list[tuple[float, float, float]] = [tuple(row) for row in state.places[-1:].tolist()]
-    new = good_places(origin, time_s, latitude_deg, longitude_deg, accuracy_m, *last)
-    is_old = state.places[:, 0] < state.sensing.processed_s - _PLACES_S
-    return replace_unchecked(state, places=np.concatenate([state.places[~is_old], new]))
+    last = part_of(state.chain, HeightTrack).places[-1:].tolist()
+    new = good_places(origin, time_s, latitude_deg, longitude_deg, accuracy_m, *map(tuple, last))
+    now_s = state.sensing.processed_s
+    chain, _ = config.chain.on(state.chain, Places(new, now_s - _PLACES_S), now_s)
+    return replace_unchecked(state, chain=chain)
 
 
 def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
@@ -355,57 +358,17 @@ def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArr
 
     With a floor plan they are the estimate of the particle filter, once it has started.
     """
-    position_m, cov_m2 = pedestrian.present_position(state.tracker.pedestrian)
-    reckoned = position_m, _with_spread(state, position_m, cov_m2)
-    place = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
+    position_m, cov_m2 = pedestrian.present_position(state.pedestrian)
+    reckoned = position_m, part_of(state.chain, Hypotheses).with_spread(position_m, cov_m2)
+    place = place_on_plan(config, state, reckoned)
     return reckoned if place is None else (place.position_m, place.position_cov_m2)
 
 
-def _with_spread(state: State, position_m: FloatArray, cov_m2: FloatArray) -> FloatArray:
-    """Return the covariance (2, 2) of a position, including the possibility that another hypothesis is true.
-
-    The other hypothesis is the rival, or that rejected position fixes are right and the track is wrong.
-    """
-    if state.conflict.is_doubtful:
-        cov_m2 = read_only(cov_m2 + state.conflict.cov_m2)
-    if state.rival is None:
-        return cov_m2
-    away_m = pedestrian.present_position(state.rival.tracker.pedestrian)[0] - position_m
-    return read_only(cov_m2 + state.rival.prob * np.outer(away_m, away_m))
-
-
-def _with_rival(state: State, event: Callable[[Any], tuple[Any, Any]]) -> State:
-    """Return the state after an event that is also applied to the rival hypothesis, if there is one."""
-    if state.rival is None:
-        return state
-    tracker, _ = event(state.rival.tracker)
-    return replace_unchecked(state, rival=replace_unchecked(state.rival, tracker=tracker))
-
-
-def _after_fix_of_rival(config: Config, state: State, fix: Fix, nis: float) -> State:
-    """Return the state after a fix that both hypotheses have processed.
-
-    The more probable hypothesis becomes the track. A rival below `MIN_LOG_ODDS` is dropped. `nis` is the normalised
-    innovation squared of the fix for the track. The log-likelihood of a rejected fix is bounded by its value at the
-    gate. If the tracker has just found two positions, the second one becomes the rival.
-    """
-    tracker, rival = state.tracker, state.rival
-    if tracker.pedestrian.rival is not None:
-        other = replace(tracker, pedestrian=tracker.pedestrian.rival.pedestrian)
-        rival = RivalTracker(other, tracker.pedestrian.rival.log_odds)
-        tracker = replace(tracker, pedestrian=replace_unchecked(tracker.pedestrian, rival=None))
-        return replace_unchecked(state, tracker=tracker, rival=rival)
-    if rival is None:
-        return state
-    of_rival, _, rival_nis = config.tracker.on_fix(rival.tracker, fix)
-    of_rival = replace(of_rival, pedestrian=replace_unchecked(of_rival.pedestrian, rival=None))
-    gate, log_odds = config.model.fix_gate_nis, rival.log_odds
-    if not (math.isnan(nis) or math.isnan(rival_nis)):
-        log_odds += 0.5 * (min(nis, gate) - min(rival_nis, gate))
-    if log_odds > 0.0:
-        tracker, of_rival, log_odds = of_rival, tracker, -log_odds
-    rival = None if log_odds < MIN_LOG_ODDS else RivalTracker(of_rival, log_odds)
-    return replace_unchecked(state, tracker=tracker, rival=rival)
+def place_on_plan(config: Config, state: State, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
+    """Return the estimate on the floor plan, or None without one, for a position (2,) and covariance (2, 2)."""
+    if config.on_plan is None:
+        return None
+    return config.on_plan.place(state.particles, reckoned)
 
 
 def person_of(config: Config, state: State) -> Person | None:
@@ -413,7 +376,7 @@ def person_of(config: Config, state: State) -> Person | None:
 
     If the fixes tell nothing, the result is `config.person`, which may be None.
     """
-    session = session_of(config.model, state.tracker.pedestrian.estimates, state.length_fixes)
+    session = session_of(config.model, state.pedestrian.estimates, state.statistics.length_fixes)
     if session is None:
         return config.person
     return (config.person or Person()).pooled(Person((session,)))
@@ -447,13 +410,10 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     sensing, events = config.sensing.finish(state.sensing)
     state, late = _process(config, replace_unchecked(state, sensing=sensing), events)
     output.extend(late)
-    tracker, last = config.tracker.finish(state.tracker)
-    state = _with_rival(replace_unchecked(state, tracker=tracker), config.tracker.finish)
     end_s = state.sensing.processed_s
-    state = _with_steps(config, state, end_s, last, output)
-    state = _with_pressure(config, state, np.inf, output)
-    height_state, passages = height.finish(state.height)
-    state = _with_passages(config, replace_unchecked(state, height=height_state), passages, output)
+    state = _after(config, state, StepsEnd(), end_s, output)
+    state = _with_climbs(config, state, np.inf, output)
+    state = _after(config, state, End(), end_s, output)
     due_fixes = [f for f in state.waiting_fixes if received_s(f) <= end_s]
     later_fixes = [f for f in state.waiting_fixes if received_s(f) > end_s]
     state = replace_unchecked(state, waiting_fixes=tuple(later_fixes), finished=True)
@@ -467,149 +427,94 @@ def _process(
     config: Config, state: State, events: list[tuple[float, Event]], provisional: bool = False
 ) -> tuple[State, Output]:
     output = Output()
-    if not (events or state.waiting_fixes or state.climbs):  # most blocks of a phone are shorter than a hop
+    if not (events or state.waiting_fixes or state.waiting_climbs.climbs):  # most blocks are shorter than a hop
         return state, output
-    tracker: TrackerState
-    windows = [event for _, event in events if isinstance(event, WindowContext)]
-    climbs, context_set = [climb_at(state.climbs, window.time_s) for window in windows], config.model.context_set
-    contexts = iter(with_climbs(windows, climbs, context_set))
-    of_height = iter(height.window_log_evidence(windows, config.model)) if state.climbs else repeat(None)
+    model, contexts = config.model, [event for _, event in events if isinstance(event, WindowContext)]
+    climbs = state.waiting_climbs.climbs
+    evidence = iter(window_log_evidence(contexts, model)) if climbs else repeat(None)
+    contexts = iter(with_climbs(contexts, [climb_at(climbs, w.time_s) for w in contexts], model.context_set))
     for known_s, event in events:
         if isinstance(event, Step):  # all steps before it are known
-            begin_s = event.time_s - event.duration_s
-            state = replace_unchecked(state, undecided_s=max(state.undecided_s, begin_s))
+            state = _with_last(state, undecided_s=max(state.last.undecided_s, event.time_s - event.duration_s))
         state, used = _use_due_fixes(config, state, known_s)
         output.fixes.extend(used)
-        state = _with_pressure(config, state, known_s, output)
-        if isinstance(event, WindowContext):
-            height_state = height.on_window(state.height, event, next(of_height))
+        state = _with_climbs(config, state, known_s, output)
+        if isinstance(event, Undecided):
+            state = _with_last(state, undecided_s=event.since_s)
+        elif isinstance(event, WindowContext):
             context = next(contexts)
             output.windows.append(context)
-            moves = bool(is_moving(context.prob[context_set.standing].sum()))
-            rides = state.rides.with_windows(context.hop_s, moves * context.hop_s)
-            state = replace_unchecked(state, rides=rides)
-            tracker, updates = config.tracker.on_window(state.tracker, context)
-            state = _with_rival(state, lambda rival, at=context: config.tracker.on_window(rival, at))
-            state = replace_unchecked(
-                state, tracker=tracker, height=height_state, seen=state.seen.plus(context, context_set), window=context
-            )
-        elif isinstance(event, Stepless):
-            tracker, updates = _over_stepless(state.tracker, event.duration_s)
-            state = _with_rival(state, lambda rival, at=event: _over_stepless(rival, at.duration_s))
-            state = replace_unchecked(state, tracker=tracker)
-        elif isinstance(event, Undecided):
-            state, updates = replace_unchecked(state, undecided_s=event.since_s), ()
-        elif isinstance(event, Gap):
-            tracker, updates = config.tracker.on_gap(state.tracker, event.duration_s)
-            state = _with_rival(state, lambda rival, at=event: config.tracker.on_gap(rival, at.duration_s))
-            if config.on_plan is not None:
-                particles = config.on_plan.on_gap(state.particles, event.duration_s, config.model)
-                state = replace_unchecked(state, particles=particles)
-            state = replace_unchecked(state, tracker=tracker, last_update=None, undecided_s=math.inf)
+            state = _with_statistics(state, **_after_window(state.statistics, context, model.context_set))
+            state = _after(config, _with_last(state, window=context), Window(context, next(evidence)), known_s, output)
+        elif isinstance(event, Step):
+            state = _after_step(config, state, event, known_s, output, provisional)
         else:
-            tracker, updates = config.tracker.on_step(state.tracker, event)
-            state = _with_rival(state, lambda rival, at=event: config.tracker.on_step(rival, at))
-            walked_m = sum(u.step_length_m for u in updates)
-            moved_m = moved_by_heading_m(state.tracker.pedestrian, tracker.pedestrian, walked_m)
-            heading_std_rad = math.sqrt(pedestrian.heading_var_rad2(tracker.pedestrian))
-            walked = state.walked.plus(event, heading_std_rad, moved_m)
-            state = replace_unchecked(state, tracker=tracker, walked=walked)
-            if provisional and (newest := config.tracker.provisional(tracker)) is not None:
-                updates = (*updates, newest)
-        state = _with_steps(config, state, known_s, updates, output)
+            if isinstance(event, Gap):
+                state = _with_last(state, update=None, undecided_s=math.inf)
+            state = _after(config, state, event, known_s, output)
     state, used = _use_due_fixes(config, state, state.sensing.processed_s)
     output.fixes.extend(used)
-    state = _with_pressure(config, state, state.sensing.processed_s, output)
-    n_past = max(bisect_right(state.climbs, state.sensing.processed_s, key=attrgetter("time_s")) - 1, 0)
-    n_past = min(n_past, state.n_climbs_used)
-    return replace_unchecked(state, climbs=state.climbs[n_past:], n_climbs_used=state.n_climbs_used - n_past), output
+    state = _with_climbs(config, state, state.sensing.processed_s, output)
+    waiting = state.waiting_climbs
+    n_past = max(bisect_right(waiting.climbs, state.sensing.processed_s, key=attrgetter("time_s")) - 1, 0)
+    n_past = min(n_past, waiting.n_used)
+    waiting = replace_unchecked(waiting, climbs=waiting.climbs[n_past:], n_used=waiting.n_used - n_past)
+    return replace_unchecked(state, waiting_climbs=waiting), output
 
 
-def _over_stepless(tracker: Any, stepless_s: float) -> tuple[Any, tuple[()]]:
-    """Return the state of a tracker after a time of motion without a step, and no track rows."""
-    return replace_unchecked(tracker, pedestrian=pedestrian.over_stepless(tracker.pedestrian, stepless_s)), ()
+def _with_last(state: State, **changes: Any) -> State:
+    return replace_unchecked(state, last=replace_unchecked(state.last, **changes))
 
 
-def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
-    """Return the state whose height filter has used the climb rates up to a time, less the latency of steps.
+def _with_statistics(state: State, **changes: Any) -> State:
+    return replace_unchecked(state, statistics=replace_unchecked(state.statistics, **changes))
 
-    All steps before that time are known, except the first step of a bout, which is detected later. Completed floor
-    passages are appended to the output.
-    """
-    if state.n_climbs_used == len(state.climbs):
+
+def _after(config: Config, state: State, event: ChainEvent, known_s: float, output: Output) -> State:
+    """Return the state after an event of the chain, whose rows and floor passages are appended to the output."""
+    chain, results = config.chain.on(state.chain, event, known_s)
+    walked, n_before, standing = state.statistics.walked, len(output.updates), config.model.context_set.standing
+    for result in results:
+        if isinstance(result, StepUpdate):
+            output.updates.append(result)
+            if result.is_final:
+                walked = walked.plus_context(bool(is_in_standing(result.context_prob, standing)))
+        elif isinstance(result, FloorPassage):
+            output.floor_passages.append(result)
+    state = replace_unchecked(state, chain=chain)
+    if len(output.updates) == n_before:
         return state
-    until_s -= config.sensing.step_latency_s
-    while state.n_climbs_used < len(state.climbs) and state.climbs[state.n_climbs_used].time_s <= until_s:
-        climb = state.climbs[state.n_climbs_used]
-        place = place_at(state.places, climb.time_s)
-        height_state, passages = height.on_pressure(state.height, climb, config.model, place)
-        state = replace_unchecked(state, height=height_state, n_climbs_used=state.n_climbs_used + 1)
-        state = _with_passages(config, state, passages, output)
-    return state
+    return _with_last(_with_statistics(state, walked=walked), update=output.updates[-1])
 
 
-def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage], output: Output) -> State:
-    """Return the state after completed floor passages, which move the particles to their storeys.
+def _after_step(config: Config, state: State, step: Step, known_s: float, output: Output, provisional: bool) -> State:
+    """Return the state after a step, with a provisional row if the step is not final and `provisional` is True."""
+    before, n_before = state.pedestrian, len(output.updates)
+    state = _after(config, state, step, known_s, output)
+    walked_m = sum(update.step_length_m for update in output.updates[n_before:])
+    moved_m = moved_by_heading_m(before, state.pedestrian, walked_m)
+    heading_std_rad = math.sqrt(pedestrian.heading_var_rad2(state.pedestrian))
+    state = _with_statistics(state, walked=state.statistics.walked.plus(step, heading_std_rad, moved_m))
+    return _after(config, state, NewestStep(), known_s, output) if provisional else state
 
-    The passages are appended to the output.
+
+def _after_window(statistics: Statistics, context: WindowContext, context_set: ContextSet) -> dict[str, Any]:
+    moving_s = context.hop_s * bool(is_moving(context.prob[context_set.standing].sum()))
+    rides = statistics.rides.with_windows(context.hop_s, moving_s)
+    return {"rides": rides, "seen": statistics.seen.plus(context, context_set)}
+
+
+def _with_climbs(config: Config, state: State, until_s: float, output: Output) -> State:
+    """Return the state whose chain has received the climb rates up to a time, less the latency of steps.
+
+    All steps before that time are known, except the first step of a bout, which is detected later.
     """
-    output.floor_passages.extend(passages)
-    if config.on_plan is not None:
-        for passage in passages:
-            particles = config.on_plan.on_passage(state.particles, passage, state.tracker.pedestrian, config.model)
-            state = replace_unchecked(state, particles=particles)
-    return state
-
-
-def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[StepUpdate], output: Output) -> State:
-    """Return the state after steps, and append the steps to the output.
-
-    Final steps update the height filter and the particles. Each appended step has the height and the storey. With a
-    floor plan, final steps have the position of the particles.
-    """
-    height_state, standing = state.height, config.model.context_set.standing
-    for update in updates:
-        if update.is_final:
-            walked = state.walked.plus_context(bool(is_in_standing(update.context_prob, standing)))
-            state = replace_unchecked(state, walked=walked)
-            up_prob, down_prob = config.model.on_stairs.dot(update.mode_prob).tolist()
-            step_s, model = update.step.time_s, config.model
-            height_state, height_at_step, passages = height.on_step(
-                height_state, known_s, step_s, up_prob, down_prob, model, place_at(state.places, step_s)
-            )
-            state = _with_passages(config, state, passages, output)
-        else:
-            height_at_step = height_state.known
-        if state.rival is not None or state.conflict.is_doubtful:
-            spread = _with_spread(state, update.position_m, update.position_cov_m2)
-            update = replace_unchecked(update, position_cov_m2=spread)
-        update = replace_unchecked(
-            update,
-            height_m=height_at_step.height_m,
-            height_std_m=height_at_step.height_std_m,
-            floor=height_at_step.floors.floor,
-        )
-        if config.on_plan is not None and update.is_final:
-            particles = config.on_plan.on_step(state.particles, update, state.tracker.pedestrian, config.model)
-            state = replace_unchecked(state, particles=particles)
-            reckoned = update.position_m, update.position_cov_m2
-            update = _on_plan(update, config.on_plan.place(state.particles, reckoned))
-        output.updates.append(update)
-    return replace_unchecked(state, height=height_state, last_update=output.updates[-1]) if updates else state
-
-
-def _on_plan(update: StepUpdate, place: OnPlan | None) -> StepUpdate:
-    """Return a step with position, covariance and heading of the particles, or unchanged if there are none."""
-    if place is None:
-        return update
-    return replace_unchecked(
-        update,
-        on_plan=place,
-        position_m=place.position_m,
-        position_cov_m2=place.position_cov_m2,
-        walking_heading_rad=place.walking_heading_rad,
-        of_start=None,
-    )
+    waiting, until_s = state.waiting_climbs, until_s - config.sensing.step_latency_s
+    n_used = waiting.n_used
+    while n_used < len(waiting.climbs) and waiting.climbs[n_used].time_s <= until_s:
+        state = _after(config, state, waiting.climbs[n_used], until_s, output)
+        n_used += 1
+    return replace_unchecked(state, waiting_climbs=replace_unchecked(waiting, n_used=n_used))
 
 
 def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
@@ -619,7 +524,7 @@ def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State,
     used, waiting = list[FixResult](), list[Fix]()
     for fix in state.waiting_fixes[:n_due]:
         # the steps before it may still become known, as in the first seconds of a walk
-        if fix.time_s >= state.undecided_s and not isinstance(fix, Standstill):
+        if fix.time_s >= state.last.undecided_s and not isinstance(fix, Standstill):
             waiting.append(fix)
             continue
         state, result = _use_fix(config, state, fix, until_s)
@@ -640,38 +545,23 @@ def due_s(config: Config, fix: Fix) -> float:
 
 
 def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[State, FixResult]:
-    tracker: TrackerState
-    if timing_error(fix, state.sensing.conditioner.report.first_time_s, received_s(fix)):
-        outcome, nis = "rejected", np.inf
-    else:
-        tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
-        state = _after_fix_of_rival(config, replace_unchecked(state, tracker=tracker), fix, nis)
+    use, rides = FixUse(fix, "rejected", math.inf), state.statistics.rides
+    if not timing_error(fix, state.sensing.conditioner.report.first_time_s, received_s(fix)):
+        chain, results = config.chain.on(state.chain, fix, now_s)
+        use = next(result for result in results if isinstance(result, FixUse))
+        state = replace_unchecked(state, chain=chain)
         if isinstance(fix, PositionFix):
-            rides = state.rides.plus(fix, tracker.pedestrian.steps.trail[:, TRAIL_TIME])
-            track_m = pedestrian.past_position(tracker.pedestrian, fix.time_s)
-            conflict = state.conflict.plus(outcome, None if track_m is None else fix.position_m - track_m)
-            state = replace_unchecked(state, rides=rides, conflict=conflict)
-        if config.on_plan is not None:
-            floor = state.height.known.floors.floor
-            particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)
-            if outcome in ("nothing to compare", "waiting") and particles is not state.particles:
-                outcome = "used"
-            state = replace_unchecked(state, particles=particles)
-    if isinstance(fix, PositionFix | GridFix) and outcome not in ("rejected", "frozen", "repeated"):
-        state = replace_unchecked(state, height=height.with_fix(state.height, fix))
-    result = FixResult.of(fix, now_s, outcome, nis)
-    state = replace_unchecked(
-        state,
-        last_fixes=(*state.last_fixes, result)[-_N_LAST_FIXES:],
-        n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),
-        length_fixes=state.length_fixes.plus(fix) if result.accepted else state.length_fixes,
-    )
-    return state, result
+            rides = rides.plus(fix, state.pedestrian.steps.trail[:, TRAIL_TIME])
+    result, lengths = FixResult.of(fix, now_s, use.outcome, use.nis), state.statistics.length_fixes
+    n_rejected = state.statistics.n_rejected_fixes + (use.outcome == "rejected")
+    lengths = lengths.plus(fix) if result.accepted else lengths
+    state = _with_statistics(state, rides=rides, length_fixes=lengths, n_rejected_fixes=n_rejected)
+    return _with_last(state, fixes=(*state.last.fixes, result)[-_N_LAST_FIXES:]), result
 
 
 def frame_name(config: Config, state: State) -> str:
     """Return the name of the frame of the track (`Track.frame`) without a floor plan."""
-    name = state.tracker.pedestrian.frame.name
+    name = state.pedestrian.frame.name
     return "north" if name == "start" and knows_north(config.sensing.heading) else name
 
 

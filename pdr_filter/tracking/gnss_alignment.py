@@ -8,14 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import walked_var_m2
-from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME, Frame
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, centre_weights, consistent_pairs
+from pdr_filter.filter.chain.handler import part_of, with_part, with_pedestrian
+from pdr_filter.filter.chain.with_height import HeightTrack
 from pdr_filter.filter.fixes.gnss import INTERVAL_S, LocationState, position_fixes
-from pdr_filter.filter.fixes.repeated_fixes import Repetition, repetitions
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height.height_filter import HeightState
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.alignment import walked_var_m2
+from pdr_filter.filter.pedestrian.frame import UNKNOWN_FRAME, Frame
+from pdr_filter.filter.pedestrian.frame_rotation import PairedPoint, align, centre_weights, consistent_pairs
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.repeated_fixes import Repetition, repetitions
 from pdr_filter.tracking.filtering import Output, State
 from pdr_filter.tracking.step_statistics import is_moving
 from pdr_filter.values import (
@@ -157,12 +159,12 @@ def aligned(
         last = state
         whole.extend(output)
         if any(update.is_final for update in output.updates):
-            pedestrian = state.tracker.pedestrian
+            pedestrian = state.pedestrian
             walked = walked_var_m2(pedestrian.estimates.combined[1])
             var_m2 += [walked] * sum(update.is_final for update in output.updates)
     if last is None or recording.location is None:
         return
-    report, pedestrian = last.sensing.conditioner.report, last.tracker.pedestrian
+    report, pedestrian = last.sensing.conditioner.report, last.pedestrian
     finals = [update for update in whole.updates if update.is_final]
     reckoning = DeadReckoning.of(report.first_time_s, finals, var_m2)
     alignment = align_dead_reckoning(
@@ -181,15 +183,16 @@ def aligned(
         whole.fixes.extend(alignment.results(last.sensing.processed_s))
         if pedestrian.frame.alignment is not None:
             whole.updates[:] = _with_own_errors(finals, reckoning.own_var_m2(alignment.frame.agreeing))
-    tracker = replace(last.tracker, pedestrian=pedestrian)
     step_time_s = np.array([update.step.time_s for update in finals])
     window_time_s = np.array([window.time_s for window in whole.windows])
     moves = is_moving(np.array([window.prob[contexts.standing].sum() for window in whole.windows]))
     rides = Rides.of(alignment.fixes, step_time_s, window_time_s, moves)
     n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
-    height = _with_altitudes(last.height, alignment.fixes, finals)
-    last = replace(last, tracker=tracker, height=height, locations=alignment.locations, rides=rides)
-    yield replace(last, n_rejected_fixes=n_rejected), whole
+    height = part_of(last.chain, HeightTrack)
+    height = replace(height, height=_with_altitudes(height.height, alignment.fixes, finals))
+    chain = with_pedestrian(with_part(last.chain, height), pedestrian)
+    statistics = replace(last.statistics, rides=rides, n_rejected_fixes=n_rejected)
+    yield replace(last, chain=chain, locations=alignment.locations, statistics=statistics), whole
 
 
 def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[LocationState, tuple[PositionFix, ...]]:

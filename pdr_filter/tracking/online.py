@@ -9,14 +9,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.filter.imm import pedestrian_state as pedestrian
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
-from pdr_filter.filter.step_length.person import Person
+from pdr_filter.filter.chain.handler import states_of
+from pdr_filter.filter.pedestrian import pedestrian_state as pedestrian
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.recipes.config import Config, check_config
 from pdr_filter.sensing.clock import on_track_clock
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import checked_pressure
-from pdr_filter.sensing.front_end import HeldSample
 from pdr_filter.sensing.stream_merging import SENSORS, Sensor
 from pdr_filter.tracking.extrapolation import Now, now
 from pdr_filter.tracking.filtering import (
@@ -29,10 +29,10 @@ from pdr_filter.tracking.filtering import (
     init,
     outcome_now,
     person_of,
+    place_on_plan,
     present_position,
     timing_error,
-    update_early,
-    update_held,
+    update,
     update_streams,
 )
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
@@ -130,33 +130,7 @@ class OnlineFilter:
         check_config(config)
         config = config.placed(TrackPlacement(plan=plan, start=start))
         self.config = config if weighting is None else config.with_weighting(weighting)
-        self._state = init(self.config)
-        # A sample that completes a window waits for the next call, because the window would double the longest call.
-        # `state` processes the sample first, so that no result depends on it.
-        self._held: HeldSample | None = None
-        self._late = list[StepUpdate]()  # steps of a held sample that no call has returned yet
-
-    @property
-    def state(self) -> State:
-        """State of the filter after all samples so far, replaced by every method that takes data."""
-        if self._held is not None:
-            held, self._held = self._held, None
-            self._state, output = update_held(self.config, self._state, held, provisional=True)
-            self._late += output.updates
-        return self._state
-
-    @state.setter
-    def state(self, state: State) -> None:
-        self._state, self._held = state, None
-
-    def _with_late(self, updates: list[StepUpdate]) -> list[StepUpdate]:
-        """Return the late steps followed by the given steps, and clear the late steps.
-
-        Reading `state` processes a held sample. The steps that it completes are late, because no call has returned them
-        yet.
-        """
-        late, self._late = self._late, []
-        return late + updates
+        self.state = init(self.config)
 
     def push(
         self,
@@ -190,12 +164,6 @@ class OnlineFilter:
         ------
         ValueError
             If shapes or units are wrong, if the filter is finished, or if it has received samples of single sensors.
-
-        Notes
-        -----
-        A block that completes a context window, one each second, takes the longest. If the block has at most one hop
-        (20 samples, 0.2 s), the next call processes the sample that completes the window, and returns the steps that
-        become known with it. Every method that shows the filter, such as `now` and `save`, processes this sample first.
         """
         if self.state.merger.has_received:
             raise ValueError(
@@ -204,10 +172,7 @@ class OnlineFilter:
             )
         block = imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)
         _check_times(block.time_s, np.empty(0), self.state)
-        state, output, held = update_early(self.config, self.state, block, provisional=True)
-        updates = self._commit(state, output)
-        self._held = held
-        return updates
+        return self._commit(*update(self.config, self.state, block, provisional=True))
 
     def push_accelerometer(self, time_s: ArrayLike, specific_force_mps2: ArrayLike) -> list[StepUpdate]:
         """Process accelerometer samples and return the steps that they complete.
@@ -385,7 +350,7 @@ class OnlineFilter:
             self.state = replace(self.state, sensing=sensing)
             raise ValueError(f"{units.wrong_force}; then start a new filter, because this one has refused the samples")
         self.state = state
-        return self._with_late(output.updates)
+        return output.updates
 
     def push_location(
         self,
@@ -465,7 +430,7 @@ class OnlineFilter:
             Steps that became known, in order of time.
         """
         self.state, output = finish(self.config, self.state)
-        return self._with_late(output.updates)
+        return output.updates
 
     def add_fix(self, fix: Fix) -> FixResult:
         """Add a fix: a position, heading, range or speed, or a standstill, and return its outcome.
@@ -545,8 +510,7 @@ class OnlineFilter:
         """Position estimate of the particle filter on the floor plan, or None without a plan or before its start."""
         if self.config.on_plan is None:
             return None
-        reckoned = pedestrian.present_position(self.state.tracker.pedestrian)
-        return self.config.on_plan.place(self.state.particles, reckoned)
+        return place_on_plan(self.config, self.state, pedestrian.present_position(self.state.pedestrian))
 
     @property
     def height_m(self) -> float:
@@ -571,7 +535,7 @@ class OnlineFilter:
         """
         if self.config.on_plan is not None:
             return None if self.on_plan is None else self.config.on_plan.plan.origin
-        frame, place = self.state.tracker.pedestrian.frame, self.state.locations.origin
+        frame, place = self.state.pedestrian.frame, self.state.locations.origin
         if place is None or not frame.is_known:
             return None
         return self.state.height.start_altitude.of(frame.origin(place))
@@ -618,15 +582,13 @@ class OnlineFilter:
             text = f"{n_waiting - len(own)} waiting measurements are not saved, because their classes are not of"
             warnings.warn(f"{text} pdr_filter: add these measurements to the loaded filter again", stacklevel=2)
             state = replace(state, waiting_fixes=own)
-        # Steps of a held sample, which the next push of the loaded filter returns.
-        late = {"late": tuple(self._late)} if self._late else {}
         try:
-            return serialise.to_bytes({"config": self.config, "state": state, **late})
+            return serialise.to_bytes({"config": self.config, "state": state})
         except TypeError:  # classes of other packages in the configuration or in the state of a part
             pass
         try:
             first = init(self.config)
-            blob = serialise.to_bytes({"config": None, "state": state, **late}, first)
+            blob = serialise.to_bytes({"config": None, "state": state}, first)
             serialise.from_bytes(blob, first)
         except (TypeError, ValueError) as error:  # found when it is saved, not when it is loaded
             raise ValueError(
@@ -659,9 +621,7 @@ class OnlineFilter:
         """
         content = serialise.from_bytes(blob, None if config is None else init(config))
         whole = isinstance(content, dict) and {"config", "state"} <= content.keys()
-        late = content.get("late", ()) if whole else ()
-        is_late = isinstance(late, tuple) and all(isinstance(update, StepUpdate) for update in late)
-        known = whole and is_late and isinstance(content["config"], Config | None)
+        known = whole and isinstance(content["config"], Config | None)
         if not (known and isinstance(content["state"], State)):
             raise ValueError("the bytes do not contain a filter: give bytes that OnlineFilter.save returned")
         if config is None and content["config"] is None:
@@ -673,7 +633,6 @@ class OnlineFilter:
         if config is not None:
             _check_state(config, content["state"], loaded.state)
         loaded.state = content["state"]
-        loaded._late = list(late)
         return loaded
 
 
@@ -681,9 +640,11 @@ def _check_state(config: Config, state: State, first: State) -> None:
     """Raise ValueError if a loaded state does not fit the configuration, whose initial state is `first`."""
     try:
         saved, expected = (
-            f"{type(s.tracker).__name__} with {len(s.tracker.pedestrian.estimates.prob)} modes" for s in (state, first)
+            f"{', '.join(type(part).__name__ for part in states_of(s.chain))} with {len(s.pedestrian.estimates.prob)} "
+            "modes"
+            for s in (state, first)
         )
-        if type(state.tracker) is not type(first.tracker) or saved != expected:
+        if saved != expected:
             raise ValueError(f"it has {saved} instead of {expected}")
     except Exception as error:  # a forged state can have any parts
         raise ValueError(

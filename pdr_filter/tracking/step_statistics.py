@@ -12,8 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import HARDLY_AGREE, BoolArray, ContextSet, FloatArray, IntArray, Step, replace_unchecked
+from pdr_filter.values import (
+    HARDLY_AGREE,
+    BoolArray,
+    ContextSet,
+    FloatArray,
+    IntArray,
+    Step,
+    WindowContext,
+    replace_unchecked,
+)
 
 # Standard deviation of the heading above which it counts as unknown. At an error of 0.5 rad a step advances by 12 %
 # less along the estimated direction than a linear filter assumes.

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pdr_filter.filter.step_length.person import Person
+from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.sensing.device import Device
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.values import Origin, TrackRows

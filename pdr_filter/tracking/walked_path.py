@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_filter.filter.chain.handler import part_of
+from pdr_filter.filter.chain.with_path import PathState
 from pdr_filter.filter.imm.motion_model import MotionNoise, bounded_position_cov, reach_m
-from pdr_filter.filter.imm.past_path import turned
-from pdr_filter.filter.imm.pedestrian_state import PAUSE_S, track_place, within_reach
+from pdr_filter.filter.pedestrian.past_path import turned
+from pdr_filter.filter.pedestrian.pedestrian_state import PAUSE_S, track_place, within_reach
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.extrapolation import present_place
 from pdr_filter.tracking.filtering import State
@@ -76,10 +78,11 @@ def walked_path(config: Config, state: State) -> WalkedPath:
             "path is not available with a floor plan, because each particle has its own path: draw the positions of "
             "the updates, and smooth the finished walk with pdr_filter.smooth"
         )
-    pedestrian = state.tracker.pedestrian
+    pedestrian = state.pedestrian
     estimates = pedestrian.estimates
     P, present_m = estimates.combined[1], track_place(pedestrian).position_m
-    time_s, place_m, cov_m2 = pedestrian.path.places(P, estimates.consider_cov_m2, present_m)
+    path = part_of(state.chain, PathState).path
+    time_s, place_m, cov_m2 = path.places(P, estimates.consider_cov_m2, present_m)
     n_steps, present = len(time_s), present_place(config, state)
     ahead = [(step.time_s, step.position_m) for step in present.steps]
     last_s = ahead[-1][0] if ahead else float(time_s[-1]) if len(time_s) else -np.inf
@@ -91,7 +94,7 @@ def walked_path(config: Config, state: State) -> WalkedPath:
     cov_m2 = np.concatenate([cov_m2, np.tile([[ee], [en], [nn]], len(ahead))], axis=1)
     turn = pedestrian.frame.present_alignment
     if turn is not None:
-        first = int(np.searchsorted(time_s, pedestrian.path.since_s, side="right"))
+        first = int(np.searchsorted(time_s, path.since_s, side="right"))
         place_m[:, first:], cov_m2[:, first:] = turned(turn, place_m[:, first:], cov_m2[:, first:])
     cov_m2 = cov_m2[[0, 1, 1, 2]].T.reshape(-1, 2, 2)
     start_std_m = np.inf if pedestrian.frame.is_known else math.sqrt(pedestrian.unstepped_var_m2)

@@ -7,10 +7,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from pdr_filter.filter.chain.handler import part_of
+from pdr_filter.filter.chain.two_hypotheses import Hypotheses
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
-from pdr_filter.filter.fixes.frame_rotation import MAX_NORTH_STD_RAD
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height import height_filter as height
+from pdr_filter.filter.pedestrian.frame_rotation import MAX_NORTH_STD_RAD
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.clock import sorted_note
 from pdr_filter.sensing.stream_merging import SENSORS
@@ -43,15 +45,19 @@ def notes_of(
     """
     absent = [*absent, *config.merger.absences(state.merger)]
     notes = [*absent, *(Note("samples", text) for text in _sample_notes(state))]
-    if state.finished and state.tracker.pedestrian.steps.n_final == 0:
+    if state.finished and state.pedestrian.steps.n_final == 0:
         notes.append(Note("steps", criteria.NO_STEPS))
     has_gyroscope = state.sensing.conditioner.report.has_gyroscope
-    notes += [*_sensor_notes(config, state), *_window_notes(state.seen), *_step_notes(state.walked, has_gyroscope)]
+    notes += [
+        *_sensor_notes(config, state),
+        *_window_notes(state.statistics.seen),
+        *_step_notes(state.statistics.walked, has_gyroscope),
+    ]
     is_pressure_named = any(note.text.startswith("barometer") for note in absent)
-    notes += [*config.notes, *height.notes(state.height, state.barometer, is_pressure_named)]
+    notes += [*config.notes, *height.notes(state.height, state.waiting_climbs.barometer, is_pressure_named)]
     if config.on_plan is not None:
         notes += config.on_plan.notes(state.particles)
-    return [*notes, *_frame_notes(config, state), *notes_of_rides(state.rides, vertices), *_fix_notes(state)]
+    return [*notes, *_frame_notes(config, state), *notes_of_rides(state.statistics.rides, vertices), *_fix_notes(state)]
 
 
 def _sample_notes(state: State) -> Iterator[str]:
@@ -86,8 +92,9 @@ def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
         if stream.n_late:
             words = f"{sensor}: {stream.n_late} of {stream.n_received} samples were dropped, because they are "
             yield Note("samples", words + "repeated or behind later ones: send the samples of a sensor in order")
-    if state.n_lost_climbs:
-        words = f"{how_many(state.n_lost_climbs, 'climb rate')} of the barometer not used, because its times are ahead "
+    if state.waiting_climbs.n_lost:
+        lost = how_many(state.waiting_climbs.n_lost, "climb rate")
+        words = f"{lost} of the barometer not used, because its times are ahead "
         yield Note("sensors", words + "of the other samples: put both on one clock")
 
 
@@ -134,7 +141,7 @@ def heading_notes(walked: StepCounts) -> Iterator[Note]:
 
 
 def _frame_notes(config: Config, state: State) -> Iterator[Note]:
-    frame, where = state.tracker.pedestrian.frame, state.locations
+    frame, where = state.pedestrian.frame, state.locations
     if where.n_unusable:
         yield Note("fixes", where.unusable())
     if state.finished and where.origin is not None and frame.alignment is None:
@@ -201,11 +208,11 @@ def conflict_notes(conflict: FixConflict) -> Iterator[Note]:
 
 
 def _fix_notes(state: State) -> Iterator[Note]:
-    yield from conflict_notes(state.conflict)
-    if state.n_rejected_fixes:
-        words = f"fixes that do {criteria.REJECTED} were not used: {state.n_rejected_fixes}; check their accuracy, and "
+    yield from conflict_notes(part_of(state.chain, Hypotheses).conflict)
+    if n_rejected := state.statistics.n_rejected_fixes:
+        words = f"fixes that do {criteria.REJECTED} were not used: {n_rejected}; check their accuracy, and "
         yield Note("fixes", words + "that fixes and samples have one clock (pdr_filter.smooth estimates a shift)")
-    fixes = state.tracker.pedestrian.fixes
+    fixes = state.pedestrian.fixes
     stood = fixes.standstill_steps
     if n_walked := round(stood.n_contradicting):
         words = (
@@ -231,8 +238,8 @@ def _fix_notes(state: State) -> Iterator[Note]:
             f"{how_many(n_late, 'fix', 'fixes')} not used, because they arrived after the last sample at {last_s:.1f} "
         )
         yield Note("fixes", words + "s: smooth the recording (pdr_filter.smooth), which uses late fixes")
-    ranges = state.tracker.pedestrian.fixes.ranges
-    if ranges and next(fix for fix in reversed(state.last_fixes) if fix.anchor_m is not None).outcome == "waiting":
+    ranges = state.pedestrian.fixes.ranges
+    if ranges and next(fix for fix in reversed(state.last.fixes) if fix.anchor_m is not None).outcome == "waiting":
         n_anchors = len({tuple(pair.fix.anchor_m.tolist()) for pair in ranges})
         words = (
             f"the last {how_many(len(ranges), 'range')}, to {how_many(n_anchors, 'anchor')}, fit more than one "

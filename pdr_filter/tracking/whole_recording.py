@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Place
 from pdr_filter.filter.fixes.gnss import origin_of
-from pdr_filter.filter.imm.past_path import NoPath
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
-from pdr_filter.filter.step_length.person import Person
+from pdr_filter.filter.pedestrian.alignment import Place
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.recipes.calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.recipes.config import Config, check_config
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
-from pdr_filter.sensing.contexts.context_stage import WindowContext, with_climbs
+from pdr_filter.sensing.contexts.context_stage import with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Sensing, SensingState
@@ -25,6 +24,7 @@ from pdr_filter.sensing.stream_merging import absences_in
 from pdr_filter.tracking.filtering import (
     Output,
     State,
+    WaitingClimbs,
     add_fixes,
     add_location,
     add_terrain_locations,
@@ -53,12 +53,12 @@ from pdr_filter.values import (
     PositionFix,
     Step,
     Table,
+    WindowContext,
     Windows,
     all_fixes,
     check_fix,
     how_many,
     read_only,
-    replace_unchecked,
     step_table,
     wrap_angle,
 )
@@ -140,7 +140,7 @@ def track(
     """
     placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
     run = prepared_run(recording, config, fixes, placement, weighting, calibration, device, person)
-    recording, config = run.recording, run.config
+    recording, config = run.recording, replace(run.config, keeps_path=False)
     with_fixes = run.with_location and gnss != "align"
     results = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
     return run.placed(
@@ -274,18 +274,16 @@ def outputs(
             f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
             'needs for a track: use recipe "default", which does not need it'
         )
-    state = init(config)
-    pedestrian = replace_unchecked(state.tracker.pedestrian, path=NoPath())
-    tracker = replace_unchecked(state.tracker, pedestrian=pedestrian)
     barometer, climbs = _climbs(config, recording)
-    state = add_fixes(config, replace(state, tracker=tracker, barometer=barometer, climbs=tuple(climbs)), fixes)
+    waiting_climbs = WaitingClimbs(barometer, tuple(climbs))
+    state = add_fixes(config, replace(init(config), waiting_climbs=waiting_climbs), fixes)
     if (with_location or with_hills) and (location := recording.location) is not None:
         latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
         where = latitude_deg, longitude_deg, accuracy_m
         if with_location:
             state = add_location(config, state, location.time_s, *where, altitude_m)
         elif (origin := origin_of(location)) is not None:
-            state = add_terrain_locations(state, origin, location.time_s, *where)
+            state = add_terrain_locations(config, state, origin, location.time_s, *where)
     for part in _parts(merge_streams(recording), progress):
         state, output = update(config, state, part)
         yield state, output
@@ -308,7 +306,7 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
     )
     if config.on_foot or not recording.is_on_foot:
         misplaced = ()
-    frame = state.tracker.pedestrian.frame
+    frame = state.pedestrian.frame
     origin = state.locations.origin if frame.is_known else None
     if origin is not None:
         frame = frame.at_most_probable_rotation()

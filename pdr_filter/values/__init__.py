@@ -92,7 +92,7 @@ from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, reference_headin
 from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
 from pdr_filter.values.wifi import Wifi, WifiScan, address_text, loudness
-from pdr_filter.values.windows import Windows
+from pdr_filter.values.windows import WindowContext, Windows, known_context
 
 __all__ = [
     "CARRYING_MODES",
@@ -144,6 +144,7 @@ __all__ = [
     "TrackRows",
     "Wifi",
     "WifiScan",
+    "WindowContext",
     "Windows",
     "address_text",
     "all_fixes",
@@ -175,6 +176,7 @@ __all__ = [
     "how_often",
     "interpolated",
     "interpolated_near",
+    "known_context",
     "loudness",
     "measured",
     "median",

@@ -31,6 +31,10 @@ INDEPENDENT_SHARE = 0.01
 # Number of earlier fixes whose errors are correlated with the next one. At intervals of a fiftieth of the time
 # constant, where the independent share matters most, older fixes would change the result by less than a thousandth.
 N_BEFORE = 8
+# Shrinkage: locations are too close to their mean, because phones smooth them. Its standard deviation is this share of
+# the distance from the mean, and at most this number of standard deviations of a location (chosen on ipin2023, see
+# `offline.smoothing.location_errors`).
+SHRINKAGE_STD, MAX_SHRINKAGE = 0.5, 1.5
 # Maximum factor on the variance of a fix that contains no information beyond the previous fixes.
 _MAX_REPETITION = 1e6
 

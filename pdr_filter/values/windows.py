@@ -1,11 +1,17 @@
-"""Context windows of a recording."""
+"""Context windows: the classification of one window, and all windows of a recording."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
-from pdr_filter.values.arrays import FloatArray, pickled
+import numpy as np
+
+from pdr_filter.values.arrays import FloatArray, pickled, read_only
+from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+
+_EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
 
 
 def pandas_module(method: str) -> Any:
@@ -15,6 +21,104 @@ def pandas_module(method: str) -> Any:
     except ImportError:
         raise ImportError(f'{method} needs pandas: pip install "pdr_filter[parquet]"') from None
     return pandas
+
+
+@dataclass(frozen=True, eq=False)
+class WindowContext:
+    """Classification of one window, which describes the samples from `start_s` to `time_s`.
+
+    Attributes
+    ----------
+    time_s : float
+        End of the window, s.
+    prob : FloatArray
+        Probabilities of the contexts of the stage, shape (C,). They contain the training prior with weight
+        `unknown_share`.
+    training_prior : FloatArray
+        Prior of the classifier, shape (C,).
+    carrying_prob : FloatArray
+        Probabilities of `CARRYING_MODES` after this window, shape (5,).
+    unknown_share : float
+        Dissimilarity of the window to all training windows, 0 to 1.
+    stairs_unknown_share : float
+        Dissimilarity of the window and the place of the phone to stairs in training, 0 to 1.
+    irregular_prob : float
+        Probability of irregular motion: the phone is handled while the person does not walk.
+    model : str
+        Name of the context model.
+    climb_rate_mps : float
+        Climb rate from the barometer, up positive, m/s. NaN without barometer.
+    has_gyroscope : bool
+        True if the angular rate is known throughout the window.
+    start_s : float
+        Time of the first sample of the window, s.
+    hop_s : float
+        Time between the ends of consecutive windows, s.
+    is_unlike : bool
+        True if the window is farther from all training windows than nine of ten windows of held-out people.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.values import WindowContext
+    >>> window = WindowContext(2.0, prob=np.array([0.1, 0.9]), training_prior=np.array([0.5, 0.5]))
+    >>> window.new_since_s
+    1.0
+    """
+
+    time_s: float
+    prob: FloatArray
+    training_prior: FloatArray
+    carrying_prob: FloatArray = field(default_factory=lambda: _EVEN)
+    unknown_share: float = 0.0
+    stairs_unknown_share: float = 0.0
+    irregular_prob: float = 0.0
+    model: str = ""
+    climb_rate_mps: float = np.nan
+    has_gyroscope: bool = True
+    start_s: float = np.nan
+    hop_s: float = 1.0
+    is_unlike: bool = False
+
+    @property
+    def new_since_s(self) -> float:
+        """Start of the samples that are new in this window, s: one hop before its end."""
+        return self.time_s - self.hop_s
+
+
+def known_context(
+    time_s: float, context: Mapping[str, float], carrying_mode: Mapping[str, float], contexts: Sequence[str], name: str
+) -> WindowContext:
+    """Return the result of a rule for the window that ends at `time_s`.
+
+    Parameters
+    ----------
+    time_s : float
+        End of the window.
+    context : mapping
+        Probability of each of the default contexts by name. Contexts that are not named have probability zero.
+    carrying_mode : mapping
+        Probability of each of `CARRYING_MODES` by name. All modes are equally probable if it is empty.
+    contexts : sequence of str
+        Contexts that the rule distinguishes. They are equally probable a priori.
+    name : str
+        Name of the rule, the `model` of the windows.
+
+    Returns
+    -------
+    WindowContext
+        Classification of the window.
+
+    Examples
+    --------
+    >>> from pdr_filter.values import known_context
+    >>> known_context(2.0, {"walking": 1.0}, {}, ["stationary", "walking"], "my rule").prob
+    array([0., 1., 0., 0., 0., 0.])
+    """
+    prob = np.array([context.get(c, 0.0) for c in CONTEXTS])
+    carrying = np.array([carrying_mode.get(c, 0.0) for c in CARRYING_MODES]) if carrying_mode else _EVEN
+    prior = np.array([float(c in contexts) for c in CONTEXTS])
+    return WindowContext(time_s, read_only(prob), read_only(prior / prior.sum()), read_only(carrying), model=name)
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)

@@ -30,13 +30,12 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import present_position
-from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
+from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedState, WeightedTracker
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import present_position
 from pdr_filter.filter.step_length.models import length_and_jacobian
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step, WindowContext
 from tests.benchmarks.common import Tables, recordings, run
 from tests.helpers import a_step as made_step
 

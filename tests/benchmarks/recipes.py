@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker, WeightedTracker
+from pdr_filter.filter.chain.weighted_tracker import DetectedStepTracker, WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, WEIGHTINGS
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import Step

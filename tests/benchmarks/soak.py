@@ -32,7 +32,7 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import BoolArray, FloatArray, ImuBlock, PositionFix
 from tests.benchmarks.common import Tables, run
@@ -236,7 +236,7 @@ class Soak:
             t = update.step.time_s - self.online.state.clock_offset_s - self.clock_s - self.true_s
             if len(stretch.truth_s) < 300 or not stretch.truth_s[0] <= t <= stretch.truth_s[-1]:
                 continue
-            if not self.online.state.tracker.pedestrian.frame.is_known:
+            if not self.online.state.pedestrian.frame.is_known:
                 continue
             away = position_m - at_time(stretch, t)
             nees = evaluate.nees(away[None], (cov + 0.3**2 * np.eye(2))[None])[0]

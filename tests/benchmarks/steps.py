@@ -171,9 +171,9 @@ def through_gate(found: Found, gate: StepGate) -> list[Step]:
     state, passed = gate.init(), []
     for blocks, steps in found.segments:
         for block, known in zip(blocks, steps[:-1], strict=True):
-            state, out = gate.update(state, block, flat(block), known)
+            state, out = gate.update(state, block, flat(block), unknown_contexts(len(block.time_s)), known)
             passed += out
-        state, out = gate.close(state, steps[-1])
+        state, out = gate.finish(state, steps[-1])
         passed += out
     return [s for _, s in passed]
 

@@ -31,10 +31,10 @@ from typing import Any
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm.modes import context_modes
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.step_length.models import bounce_fit
 from pdr_filter.recipes import default
+from pdr_filter.recipes.modes import context_modes
 from pdr_filter.values import PositionFix, Samples
 from tests.apps.maps.made_up import box, feature, line, write
 from tests.benchmarks.common import ROOT, Tables, paths, run

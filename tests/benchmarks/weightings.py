@@ -40,21 +40,31 @@ from models.training import context_training as contexts
 from models.training.context_training import PLANS, labelled_windows
 from models.training.data_sets import DOUBTFUL, label_of, recordings_of
 from pdr_filter.classifiers.context_model import ContextModel, load_model
+from pdr_filter.filter.chain.tracker import Tracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
-from pdr_filter.filter.imm.tracker import Tracker
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.offline.training.context_sequences import UNKNOWN
 from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.offline.training.transition_training import contexts_at
 from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.features.barometer import ClimbRate
 from pdr_filter.sensing.front_end import Event, Gap
 from pdr_filter.tracking.filtering import finish, init, update
 from pdr_filter.tracking.whole_recording import run_sensing
-from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, ImuBlock, IntArray, Samples, Step, TrackRows, table
+from pdr_filter.values import (
+    CONTEXTS,
+    BoolArray,
+    FloatArray,
+    ImuBlock,
+    IntArray,
+    Samples,
+    Step,
+    TrackRows,
+    WindowContext,
+    table,
+)
 from pdr_filter.values.recording import Recording, Truth
 from tests.benchmarks.common import Tables, paths, recordings, run
 

@@ -9,7 +9,7 @@ import pytest
 
 import pdr_filter as pdr
 from pdr_filter.evaluate import comparison, runs, tracks
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, weighted_distances
 from pdr_filter.values import steps_of
 from pdr_filter.values.recording import Truth

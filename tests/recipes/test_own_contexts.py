@@ -14,8 +14,8 @@ from helpers import cut_randomly
 
 import pdr_filter as pdr
 from pdr_filter.apps.report.html import html_report
-from pdr_filter.filter.imm.modes import context_modes
 from pdr_filter.filter.step_length.models import bounce_fit
+from pdr_filter.recipes.modes import context_modes
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
@@ -337,7 +337,7 @@ def test_a_mode_of_an_unknown_context_is_refused(model: pdr.ContextModel) -> Non
 
 
 def test_modes_of_a_configuration_that_knows_a_person_are_refused() -> None:
-    from pdr_filter.filter.step_length.person import Session
+    from pdr_filter.filter.pedestrian.person import Session
 
     known = pdr.recipes.default().with_person(pdr.Person((Session(0.7, 0.02, 30),)))
     with pytest.raises(ValueError, match="set modes and step lengths first"):

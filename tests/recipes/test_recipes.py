@@ -11,9 +11,8 @@ from helpers import a_step
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
+from pdr_filter.values import CONTEXTS, WindowContext
 
 
 def length_m(recipe: str, context: str, height_m: float = 1.70) -> float:

@@ -209,6 +209,6 @@ def test_online_fixes_pressure_and_standstills_follow_the_clock_of_the_samples(w
             online.add_fix(HeadingFix(now_s + 1.0, 0.0, 0.5))
             online.add_fix(Standstill(now_s, now_s + 0.1))
             online.push_pressure(now_s + np.arange(0.0, 6.0, 0.1), np.full(60, 1000.0))
-            assert len(online.state.climbs) > 0
-            assert online.state.climbs[0].time_s > 24.0
+            assert len(online.state.waiting_climbs.climbs) > 0
+            assert online.state.waiting_climbs.climbs[0].time_s > 24.0
     assert not any("rejected" in note or "not used" in note for note in online.notes)

@@ -4,18 +4,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers import cut, cut_randomly, pushed, sensed
+from helpers import cut_randomly, pushed, sensed
 
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.contexts.context_stage import WindowContext, known_context
 from pdr_filter.sensing.front_end import Gap, Sensing
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, Step
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, Step, WindowContext, known_context
 
 WALKING, POCKET, TEXTING = CONTEXTS.index("walking"), CARRYING_MODES.index("pocket"), CARRYING_MODES.index("texting")
 
@@ -80,27 +79,6 @@ def test_a_step_detector_receives_a_mode_from_its_window_on_however_samples_arri
         assert (carrying_mode[123:457] == POCKET).all()
         assert (carrying_mode[457:460] == -1).all()  # all modes equally probable: none has half of the probability
         assert (carrying_mode[460:] == TEXTING).all()
-
-
-def test_a_window_is_classified_apart_from_the_steps_of_its_hop() -> None:
-    sensing = recipes.default().sensing
-    whole, early, n_held, n_windows = sensing.init(), sensing.init(), 0, 0
-    samples = pdr.merge_streams(simulate([Leg("walking", distance_m=20.0)]))
-    for block in cut(samples, list(range(0, 9999, 10))):
-        whole, events = sensing.update(whole, block)
-        early, first, held = sensing.update_early(early, block)
-        rest: list = []
-        if held is not None:
-            n_held += 1
-            assert not any(isinstance(event, WindowContext) for _, event in first)
-            assert (held.described is None) == (len(first) > 0)
-            early, rest = sensing.update_held(early, held)
-        assert [(s, type(event), getattr(event, "time_s", s)) for s, event in [*first, *rest]] == [
-            (s, type(event), getattr(event, "time_s", s)) for s, event in events
-        ]
-        n_windows += sum(isinstance(event, WindowContext) for _, event in events)
-    assert n_windows > 10
-    assert n_held == n_windows + 1  # the first second completes no window
 
 
 @pytest.mark.parametrize("name", sorted(recipes.RECIPES))

@@ -51,11 +51,19 @@ from pdr_filter.recipes.zhou2019.features import BehaviourWindow, BehaviourWindo
 from pdr_filter.recipes.zhou2019.steps import ReferenceLines, ReferenceLineState, ReferenceLineStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.features.feature_windows import FeatureWindows
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.tracking.whole_recording import run_sensing, track
-from pdr_filter.values import BoolArray, FloatArray, Samples, Step, replace_unchecked, steps_of, wrap_angle
+from pdr_filter.values import (
+    BoolArray,
+    FloatArray,
+    Samples,
+    Step,
+    WindowContext,
+    replace_unchecked,
+    steps_of,
+    wrap_angle,
+)
 from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, run
 from tests.oracles.rvm_reference import train_plain

@@ -21,10 +21,9 @@ from scipy.signal import butter, sosfiltfilt
 from pdr_filter.evaluate.steps import StepScores, step_scores
 from pdr_filter.recipes import for_recording
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.tracking.whole_recording import run_sensing
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, Step
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, Step, WindowContext
 from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, run
 from tests.studies.data import (

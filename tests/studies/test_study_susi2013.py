@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from pdr_filter.evaluate.steps import StepScores
-from pdr_filter.sensing.contexts.context_stage import known_context
-from pdr_filter.values import Samples, table
+from pdr_filter.values import Samples, known_context, table
 from pdr_filter.values.recording import Recording, Truth
 from tests.studies import susi2013 as measured
 from tests.studies.data import together

@@ -34,10 +34,9 @@ from pdr_filter.evaluate.tracks import end_error_percent, path_m, position_error
 from pdr_filter.filter.step_length.models import KimStepLength, WeinbergStepLength, one_parameter_fit, static_fit
 from pdr_filter.recipes import default, tian2016
 from pdr_filter.recipes.tian2016.recipe import tian_fit
-from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.front_end import Event
 from pdr_filter.tracking.whole_recording import run_sensing, track
-from pdr_filter.values import CARRYING_MODES, FloatArray, Step, steps_of
+from pdr_filter.values import CARRYING_MODES, FloatArray, Step, WindowContext, steps_of
 from pdr_filter.values.recording import Recording, Subject
 from tests.benchmarks.common import Tables, run
 from tests.studies.data import counted_walk, even_way, paper_table, prefixed, recordings

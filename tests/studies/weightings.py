@@ -34,8 +34,8 @@ from pdr_filter.classifiers.blend import Mixture
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.evaluate.comparison import second_over_first
 from pdr_filter.evaluate.distance import distance_scores
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
 from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.recipes.config import Config

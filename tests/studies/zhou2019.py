@@ -39,14 +39,13 @@ from pdr_filter.recipes.zhou2019.contexts import FOOT as FOOT_BEHAVIOURS
 from pdr_filter.recipes.zhou2019.step_length import M1, M2, M3, M4, M5, M6, M7
 from pdr_filter.recipes.zhou2019.steps import CARRIED, FOOT, EventSearch, ReferenceLineStepDetector, dominant_period_s
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
-from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import detect_steps, run_sensing
 from pdr_filter.tracking.whole_recording import track as track_of
-from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, steps_of
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, WindowContext, steps_of
 from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, run
 from tests.studies.data import (

@@ -11,10 +11,10 @@ import pytest
 from helpers import cut
 
 import pdr_filter as pdr
-from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.tracking.step_statistics import IN_STANDING, UNLIKE
+from pdr_filter.values import WindowContext
 
 WEIGHTINGS = ("imm", "wc", "hc")
 

@@ -14,7 +14,7 @@ from helpers import resumed
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.fixes.alignment import Place
+from pdr_filter.filter.pedestrian.alignment import Place
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking.extrapolation import _ACROSS_SHARE, _ALONG_SHARE, _extrapolated, _on_plan, _silent_s
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, OnPlan, PositionFix

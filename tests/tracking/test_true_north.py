@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.fixes.alignment import Alignment, Place
-from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
-from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint, align, rotation_density
+from pdr_filter.filter.pedestrian.alignment import Alignment, Place
+from pdr_filter.filter.pedestrian.frame import UNKNOWN_FRAME
+from pdr_filter.filter.pedestrian.frame_rotation import Compass, PairedPoint, align, rotation_density
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.simulate.walk import phone_motion

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import cut_randomly, resumed
 
 import pdr_filter as pdr
+from pdr_filter.filter.chain.handler import states_of
+from pdr_filter.filter.chain.with_path import PathState
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking.whole_recording import outputs
 from pdr_filter.values import FloatArray, ImuBlock, PositionFix
@@ -35,11 +39,10 @@ def until(block: ImuBlock, time_s: float) -> ImuBlock:
 @pytest.mark.parametrize("weighting", ["imm", "wc", "hc"])
 def test_a_whole_recording_keeps_no_path_of_past_steps(weighting: str) -> None:
     recording = simulate([Leg("walking", distance_m=60.0)], seed=2)
-    config = pdr.recipes.default().with_weighting(weighting)
+    config = replace(pdr.recipes.default().with_weighting(weighting), keeps_path=False)
     *_, (state, _) = outputs(recording, config, [PositionFix(20.0, np.array([0.0, 30.0]), np.eye(2))])
-    path = state.tracker.pedestrian.path
-    assert state.last_fixes[-1].accepted
-    assert len(path.earlier) == len(path.events) == 0
+    assert state.last.fixes[-1].accepted
+    assert not any(isinstance(part, PathState) for part in states_of(state.chain))
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
@@ -127,7 +130,7 @@ def test_the_past_is_rotated_as_a_whole_when_the_frame_of_fixes_is_known(around:
         east_m, north_m = (np.interp(t, reckoned.time_s, axis) for axis in reckoned.position_m.T)
         placed.add_fix(PositionFix(float(t), (north_m + 100.0, -east_m), 1.0**2 * np.eye(2)))  # a quarter turn
     push(placed, around)
-    assert placed.state.tracker.pedestrian.frame.is_joined
+    assert placed.state.pedestrian.frame.is_joined
     found = placed.path().position_m - (100.0, 0.0)
     expected = np.column_stack([reckoned.position_m[:, 1], -reckoned.position_m[:, 0]])
     assert np.linalg.norm(found - expected, axis=1).max() < 1.0

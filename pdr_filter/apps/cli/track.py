@@ -205,7 +205,7 @@ def track(
     The table grows as recordings finish, and an interrupted run resumes from it.
     """
     import pdr_filter as pdr
-    from pdr_filter.filter.step_length.person import MAX_SESSION_STD
+    from pdr_filter.filter.pedestrian.person import MAX_SESSION_STD
     from pdr_filter.recipes.calibration import Calibration, read_person
 
     with console.one_line_errors():

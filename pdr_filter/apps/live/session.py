@@ -21,8 +21,8 @@ from pdr_filter.apps.live.assembly import Assembly, LateError, SessionError
 from pdr_filter.apps.live.messages import FORCE, Message, parse
 from pdr_filter.apps.live.recorder import DEVICE, Recorder
 from pdr_filter.apps.live.settings import Event, FixError, Settings
-from pdr_filter.filter.fixes.alignment import Place
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
+from pdr_filter.filter.pedestrian.alignment import Place
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.stream_merging import Sensor
@@ -346,7 +346,7 @@ class DeviceSession:
 
     def _outcomes(self) -> list[Event]:
         """Return events for fixes and locations of the phone with a new outcome."""
-        results = () if self.online is None else self.online.state.last_fixes
+        results = () if self.online is None else self.online.state.last.fixes
         new = [self._outcome(result) for result in results if result not in self._judged]
         self._judged = results
         return new
@@ -385,7 +385,7 @@ class DeviceSession:
         wait_s = _TURN_S + len(self.path) * _TURN_STEP_S
         if online is None or (time.monotonic() - self._turn_at < wait_s and not is_due):
             return []
-        frame = online.state.tracker.pedestrian.frame
+        frame = online.state.pedestrian.frame
         if not frame.is_known or all(place is None for place in self._starts):
             return []
         self._turn_at, drawn = time.monotonic(), frame.at_most_probable_rotation()
@@ -470,7 +470,7 @@ class DeviceSession:
             self.online = OnlineFilter(self._with_device(self.recorder.config()))
             self.online.state = saved["state"]
             self.has_ended = self.online.state.finished
-            self._judged = self.online.state.last_fixes
+            self._judged = self.online.state.last.fixes
             for step in self.recorder.steps()[-_MAX_PATH:]:
                 self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
                 start = step["of_start"]

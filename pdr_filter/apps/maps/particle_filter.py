@@ -65,13 +65,13 @@ from pdr_filter.apps.maps.particle_motion import (
 )
 from pdr_filter.apps.maps.start_area import Start, anywhere_on
 from pdr_filter.apps.maps.storey import Storeys
-from pdr_filter.filter.fixes.frame_rotation import Compass
+from pdr_filter.filter.chain.handler import FixUse
+from pdr_filter.filter.chain.with_plan import PlanEvent as ChainPlanEvent
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, stepless_var_m2
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.filter.pedestrian.frame_rotation import Compass
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.values import (
-    Fix,
-    FixOutcome,
     FloatArray,
     FloorPassage,
     GridFix,
@@ -164,8 +164,8 @@ class ParticleState:
     Attributes
     ----------
     particles : array (N, 6)
-        Columns as in `apps.maps.particle_motion`: east and north in m, heading offset in rad, log scale, rotation of
-        the track frame in rad, recent crossing cost.
+        Columns as in `maps.particle_motion`: east and north in m, heading offset in rad, log scale, rotation of the
+        track frame in rad, recent crossing cost.
     weight : array (N,)
         Weights, which sum to one.
     parent : array (N,)
@@ -335,33 +335,42 @@ class ParticleFilter:
 
     # --- events -------------------------------------------------------------------------------------------------------
 
-    def on_step(
-        self,
-        state: ParticleState,
-        update: StepUpdate,
-        pedestrian: PedestrianState,
-        model: PedestrianModel,
+    def on(
+        self, state: ParticleState, event: ChainPlanEvent, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
-        """Return the state after a step.
-
-        Each particle takes the step in a mode drawn from the mode probabilities. Its weight is multiplied by the
-        likelihood of the walking direction and by the plan's probability of the step.
+        """Return the state after a final step, a fix, a floor passage or a gap.
 
         Parameters
         ----------
         state : ParticleState
-            State before the step.
-        update : StepUpdate
-            The step and the tracker's estimate after it.
+            State before the event.
+        event : StepUpdate, FixUse, FloorPassage or Gap
+            Row of a step, use of a fix by the tracker, change of storey, or time without samples.
         pedestrian : PedestrianState
-            State of the tracker after the step.
+            State of the tracker after the event.
         model : PedestrianModel
             Motion model of the tracker.
 
         Returns
         -------
         ParticleState
-            State after the step. It has no particles until a start or a fix has placed the track.
+            State after the event. It has no particles until a start or a fix has placed the track.
+        """
+        if isinstance(event, StepUpdate):
+            return self._after_step(state, event, pedestrian, model)
+        if isinstance(event, FixUse):
+            return self._after_fix(state, event, pedestrian, model)
+        if isinstance(event, FloorPassage):
+            return self._after_passage(state, event, pedestrian, model)
+        return self._after_gap(state, event.duration_s, model)
+
+    def _after_step(
+        self, state: ParticleState, update: StepUpdate, pedestrian: PedestrianState, model: PedestrianModel
+    ) -> ParticleState:
+        """Return the state after a step.
+
+        Each particle takes the step in a mode drawn from the mode probabilities. Its weight is multiplied by the
+        likelihood of the walking direction and by the plan's probability of the step.
         """
         ground = self.ground(update.floor)
         state = self._with_step(state, update, pedestrian, model, ground)
@@ -440,24 +449,10 @@ class ParticleFilter:
             return self._drawn_again(state, pedestrian, model, ground, rng, scale_std, step.time_s)
         return self._resampled(state, rng, must_count=update.index % _COUNT_STEPS == 0)
 
-    def on_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
+    def _after_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
         """Return the state after a time without samples.
 
         Positions and headings diffuse, because the pedestrian may have walked in any direction.
-
-        Parameters
-        ----------
-        state : ParticleState
-            State before the gap.
-        gap_s : float
-            Length of the gap.
-        model : PedestrianModel
-            Motion model of the tracker, which gives the variances.
-
-        Returns
-        -------
-        ParticleState
-            State after the gap.
         """
         if len(state.weight) == 0:
             return state
@@ -468,42 +463,17 @@ class ParticleFilter:
         x[:, OFFSET] += np.sqrt(turned_var) * z[2]
         return replace(state, particles=x, parent=np.arange(len(x)))
 
-    def on_fix(
-        self,
-        state: ParticleState,
-        fix: Fix,
-        outcome: FixOutcome,
-        pedestrian: PedestrianState,
-        model: PedestrianModel,
-        floor: int,
+    def _after_fix(
+        self, state: ParticleState, use: FixUse, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
-        """Return the state after a fix.
+        """Return the state after a fix that the tracker has used or rejected.
 
         Position and heading fixes change the weights only if the tracker used them. Grid fixes, ranges and other
         measurements do so whether or not the tracker used them, because particles do not need a linear update. Such
         measurements are ignored if they are from before the first remembered step. Speeds, standstills and repeated
         fixes are always ignored.
-
-        Parameters
-        ----------
-        state : ParticleState
-            State before the fix.
-        fix : Fix
-            The measurement.
-        outcome : FixOutcome
-            Result of the fix in the tracker, such as "used", "placed", "turned" or "moved".
-        pedestrian : PedestrianState
-            State of the tracker after the fix.
-        model : PedestrianModel
-            Motion model of the tracker.
-        floor : int
-            Current storey, 0 for the ground floor.
-
-        Returns
-        -------
-        ParticleState
-            State after the fix.
         """
+        fix, outcome, _, floor = use
         if len(state.reckoned) == 0 or isinstance(fix, SpeedFix | Standstill) or outcome == "repeated":
             return state
         is_own = isinstance(fix, PositionFix | HeadingFix)
@@ -544,29 +514,13 @@ class ParticleFilter:
             return self._drawn_again(state, pedestrian, model, ground, rng, 0.0, fix.time_s)
         return self._resampled(state, rng, must_count=False)
 
-    def on_passage(
+    def _after_passage(
         self, state: ParticleState, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
         """Return the state after a change of storey.
 
         After a ride in a lift, particles far from every lift of the new storey lose weight. Stairs do not change the
         state.
-
-        Parameters
-        ----------
-        state : ParticleState
-            State before the change.
-        passage : FloorPassage
-            Time, storeys and kind of the passage ("lift" or stairs).
-        pedestrian : PedestrianState
-            State of the tracker after the change.
-        model : PedestrianModel
-            Motion model of the tracker.
-
-        Returns
-        -------
-        ParticleState
-            State on the new storey.
         """
         ground = self.ground(passage.to_floor)
         if passage.how != "lift" or ground is None or len(state.weight) == 0 or len(state.reckoned) == 0:

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState
-from pdr_filter.filter.imm.step_history import TRAIL_STEPS
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState
+from pdr_filter.filter.pedestrian.step_history import TRAIL_STEPS
 from pdr_filter.values import FloatArray, IntArray, Step, wrap_angle
 
 # Columns of a particle: position, heading offset, log scale, rotation of the track frame, recent crossing cost.

@@ -28,8 +28,10 @@ from pdr_filter.apps.maps.crossing_costs import Ground
 from pdr_filter.apps.maps.particle_clusters import Alternative, inflated_cov, moments
 from pdr_filter.apps.maps.particle_filter import ParticleFilter, ParticleState, off_plan_notes
 from pdr_filter.apps.maps.particle_motion import EAST, NORTH, OFFSET, SCALE, earlier_positions
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.filter.chain.handler import FixUse
+from pdr_filter.filter.chain.with_plan import PlanEvent
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.step_statistics import UNKNOWN_HEADING_RAD
@@ -38,9 +40,7 @@ from pdr_filter.tracking.whole_recording import collected, outputs, position_bef
 from pdr_filter.values import (
     Cluster,
     Fix,
-    FixOutcome,
     FloatArray,
-    FloorPassage,
     Note,
     Origin,
     read_only,
@@ -96,33 +96,15 @@ class _Recorder:
         # The smoothed positions have their own number of steps off the plan.
         return self._filter.notes(replace(state, n_off_plan=0))
 
-    def on_step(
-        self, state: ParticleState, update: StepUpdate, pedestrian: PedestrianState, model: PedestrianModel
+    def on(
+        self, state: ParticleState, event: PlanEvent, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
-        after = self._filter.on_step(state, update, pedestrian, model)
-        length_m = float(update.mode_prob @ model.lengths(update.step).length_m)
-        reckoned = _Reckoned(update.position_m, update.position_cov_m2)
-        return self._recorded(state, after, reckoned=reckoned, length_m=length_m)
-
-    def on_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
-        return self._recorded(state, self._filter.on_gap(state, gap_s, model))
-
-    def on_fix(
-        self,
-        state: ParticleState,
-        fix: Fix,
-        outcome: FixOutcome,
-        pedestrian: PedestrianState,
-        model: PedestrianModel,
-        floor: int,
-    ) -> ParticleState:
-        after = self._filter.on_fix(state, fix, outcome, pedestrian, model, floor)
-        return self._recorded(state, after, is_moved=outcome == "moved")
-
-    def on_passage(
-        self, state: ParticleState, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel
-    ) -> ParticleState:
-        return self._recorded(state, self._filter.on_passage(state, passage, pedestrian, model))
+        after = self._filter.on(state, event, pedestrian, model)
+        if isinstance(event, StepUpdate):
+            length_m = float(event.mode_prob @ model.lengths(event.step).length_m)
+            reckoned = _Reckoned(event.position_m, event.position_cov_m2)
+            return self._recorded(state, after, reckoned=reckoned, length_m=length_m)
+        return self._recorded(state, after, is_moved=isinstance(event, FixUse) and event.outcome == "moved")
 
     def _recorded(
         self,
@@ -204,10 +186,10 @@ def smooth_on_plan(
 class _Ancestors(NamedTuple):
     """Ancestors of the N final particles after one event.
 
-    `particles` (N, 6) are the states of the ancestors. The columns are those of `apps.maps.particle_motion`: east and
-    north in m, heading offset in rad, log of the step scale, rotation of the track frame in rad, and recent crossing
-    cost. `weight` (N,) are the weights of the paths from the ancestors to the final particles. `elsewhere` is the
-    probability that no final particle is at the true position.
+    `particles` (N, 6) are the states of the ancestors. The columns are those of `maps.particle_motion`: east and north
+    in m, heading offset in rad, log of the step scale, rotation of the track frame in rad, and recent crossing cost.
+    `weight` (N,) are the weights of the paths from the ancestors to the final particles. `elsewhere` is the probability
+    that no final particle is at the true position.
     """
 
     event: _Event

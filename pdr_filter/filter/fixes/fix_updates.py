@@ -19,15 +19,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Alignment, walked_var_m2
-from pdr_filter.filter.fixes.fix_history import UsedFix
-from pdr_filter.filter.fixes.frame_rotation import (
-    PairedPoint,
-    align,
-    degrees_of_freedom,
-    least_squares_error,
-    variance_factor,
-)
 from pdr_filter.filter.fixes.gating import (
     KalmanUpdate,
     Result,
@@ -38,20 +29,30 @@ from pdr_filter.filter.fixes.gating import (
 )
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.fixes.range_updates import on_range
-from pdr_filter.filter.fixes.relocation import RelocationEvidence
-from pdr_filter.filter.fixes.repeated_fixes import Repetition
 from pdr_filter.filter.imm.imm import ImmArithmetic
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES, expect_first_direction
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import (
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
+from pdr_filter.filter.imm.step_cycle import expect_first_direction
+from pdr_filter.filter.pedestrian.alignment import Alignment, walked_var_m2
+from pdr_filter.filter.pedestrian.fix_history import UsedFix
+from pdr_filter.filter.pedestrian.frame_rotation import (
+    PairedPoint,
+    align,
+    degrees_of_freedom,
+    least_squares_error,
+)
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     in_other_frame,
     present_position,
     track_place,
+    with_change,
     with_detached_path,
     with_joined_frame,
     with_reopened_rotation,
 )
+from pdr_filter.filter.pedestrian.relocation import RelocationEvidence
+from pdr_filter.filter.pedestrian.repeated_fixes import Repetition
 from pdr_filter.values import (
     N_BEFORE,
     Fix,
@@ -69,6 +70,7 @@ from pdr_filter.values import (
     stated_fixes,
     wrap_angle,
 )
+from pdr_filter.values.uncertainty import variance_factor
 
 
 def use_fix(
@@ -158,8 +160,7 @@ def _on_position(
         fixes = replace(fixes, relocation=fixes.relocation.with_used(), n_errors=n_errors, squares=squares)
         frame = updated.frame.with_position(fix.position_m, fix.var_m2)
         updated = replace(updated, estimates=estimates, fixes=fixes, frame=frame)
-        path = updated.path.corrected(np.zeros(N_STATES), larger)
-        updated = replace(updated, path=path)
+        updated = with_change(updated, lambda path: path.corrected(np.zeros(N_STATES), larger))
     return updated if outcome == "used" else state, outcome, nis
 
 
@@ -247,7 +248,7 @@ def _on_heading(
     if frame.is_lost_before_north and state.fixes.n_errors == 0:
         angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))
         turn, whole = frame.turns_about_start(angle_rad, var, state.steps.n_final)
-        state = in_other_frame(replace(state, path=state.path.turned_until_loss(whole)), turn)
+        state = in_other_frame(with_change(state, lambda path: path.turned_until_loss(whole)), turn)
         return replace(state, frame=state.frame.with_whole_north(whole, turn)), "used", np.nan
     if frame.is_open and (frame.north is None or frame.since):
         angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))

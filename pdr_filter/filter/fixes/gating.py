@@ -11,9 +11,9 @@ import numpy as np
 
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import EAST, NORTH
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, with_moved_past
-from pdr_filter.filter.imm.step_history import TRAIL_TIME
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, with_change, with_moved_past
+from pdr_filter.filter.pedestrian.step_history import TRAIL_TIME
 from pdr_filter.values import FixOutcome, FloatArray
 
 Result = tuple[PedestrianState, FixOutcome, float]
@@ -51,7 +51,7 @@ def gated(arithmetic: ImmArithmetic, state: PedestrianState, update: KalmanUpdat
     prob = arithmetic.update_mode_prob(mode_prob, update.log_likelihood)
     state = replace(state, estimates=replace(state.estimates, mean=update.mean, cov=update.cov, prob=prob))
     moved = state.estimates.combined[0] - prior_x
-    state, shift_m = replace(state, path=state.path.corrected(moved, 1.0)), moved[[EAST, NORTH]]
+    state, shift_m = with_change(state, lambda path: path.corrected(moved, 1.0)), moved[[EAST, NORTH]]
     return with_moved_past(state, lambda position_m: position_m + shift_m), "used", nis
 
 
@@ -65,8 +65,8 @@ def with_consider_path(state: PedestrianState, cov: FloatArray) -> PedestrianSta
     estimates = state.estimates
     x, P = estimates.combined
     _, grown_P = replace(estimates, cov=cov).combined
-    path = state.path.with_shared(P, estimates.consider_cov_m2, grown_P, state.steps.end_s, x[:2].copy())
-    return replace(state, path=path)
+    shared_m2, end_s, present_m = estimates.consider_cov_m2, state.steps.end_s, x[:2].copy()
+    return with_change(state, lambda path: path.with_shared(P, shared_m2, grown_P, end_s, present_m))
 
 
 def gap_displacement_var_m2(model: PedestrianModel, state: PedestrianState, time_s: float) -> float:

@@ -26,10 +26,6 @@ CORRELATION_S = 20.0
 # Half of the correlation time. More frequent fixes hardly add information. The rotation of a track is estimated from a
 # limited number of fixes (`frame_rotation.MAX_PAIRS`), which then cover some minutes.
 INTERVAL_S = 10.0
-# Shrinkage: locations are too close to their mean, because phones smooth them. Its standard deviation is this share of
-# the distance from the mean, and at most this number of standard deviations of a location (chosen on ipin2023, see
-# `offline.smoothing.location_errors`).
-SHRINKAGE_STD, MAX_SHRINKAGE = 0.5, 1.5
 # Vertical standard deviation relative to that along each horizontal axis. 95 % of the errors are below 13 m vertically
 # and below 8 m horizontally ("GPS standard positioning service performance standard", 5th edition, 2020).
 _VERTICAL_RATIO = 2.0

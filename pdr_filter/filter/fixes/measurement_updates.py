@@ -19,8 +19,8 @@ from pdr_filter.filter.fixes.gating import (
 )
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, track_place
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, track_place
 from pdr_filter.values import FloatArray, Measurement, measured
 
 # Largest number of linearisations of one update, and the move at which they have converged. After the first few the

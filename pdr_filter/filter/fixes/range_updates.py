@@ -11,10 +11,20 @@ from functools import partial
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import moved
 from pdr_filter.filter.fixes.gating import Result, gap_displacement_var_m2
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
-from pdr_filter.filter.fixes.range_placement import (
+from pdr_filter.filter.imm.imm import ImmArithmetic
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
+from pdr_filter.filter.pedestrian.alignment import moved
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import (
+    PedestrianState,
+    Rival,
+    in_other_frame,
+    track_place,
+    with_detached_path,
+)
+from pdr_filter.filter.pedestrian.range_placement import (
     PairedRange,
     PlacedTrack,
     PriorPose,
@@ -22,17 +32,7 @@ from pdr_filter.filter.fixes.range_placement import (
     recent,
     solutions,
 )
-from pdr_filter.filter.fixes.relocation import PRIOR_LOG_ODDS
-from pdr_filter.filter.imm.imm import ImmArithmetic
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import (
-    PedestrianState,
-    Rival,
-    in_other_frame,
-    track_place,
-    with_detached_path,
-)
+from pdr_filter.filter.pedestrian.relocation import PRIOR_LOG_ODDS
 from pdr_filter.values import FloatArray, RangeFix, read_only
 
 # Smallest number and share of rejected ranges among the last ones from which the track may be wrong. Most ranges of one

@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from pdr_filter.filter.fixes.frame_rotation import variance_factor
 from pdr_filter.filter.height import vertical_modes as vertical
 from pdr_filter.filter.height.floor_detection import (
     LEVEL_STD_M,
@@ -37,22 +36,21 @@ from pdr_filter.filter.height.floor_detection import (
     with_new_level,
 )
 from pdr_filter.filter.height.vertical_modes import DOWN, DRIFT, JUMP, LIFT, N_MODES, UP
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.weighting import context_log_evidence
-from pdr_filter.sensing.contexts.context_stage import WindowContext, with_stairs_in_thirds
 from pdr_filter.sensing.features.barometer import RISER_M, Climb, ClimbState
 from pdr_filter.values import (
     Context,
+    ContextSet,
     FloatArray,
     FloorPassage,
     GridFix,
     Note,
     Origin,
     PositionFix,
+    WindowContext,
     repetition,
     replace_unchecked,
 )
-from pdr_filter.values.uncertainty import is_floor_unknown
+from pdr_filter.values.uncertainty import is_floor_unknown, variance_factor
 
 # Longest ride in a lift or on an escalator. Aircraft cabins, trains and cable cars take longer.
 LONGEST_RIDE_S = 120.0
@@ -116,7 +114,7 @@ class Altitude:
         """Return the altitude of the start after a fix with an altitude.
 
         `height_m` is the height above the start, with the variance `height_var_m2`. The variance of an unexpected
-        altitude is increased as for Student's t errors (`frame_rotation.variance_factor`). Raises ValueError for a fix
+        altitude is increased as for Student's t errors (`variance_factor`). Raises ValueError for a fix
         without an altitude.
         """
         if fix.altitude_m is None or fix.altitude_std_m is None:
@@ -244,22 +242,13 @@ def initial_height() -> HeightState:
     return HeightState(HeightEstimate(vertical.initial()))
 
 
-def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:
-    """Return the log evidence (W, 7) of W context windows for the seven vertical modes.
+def mode_log_evidence(context_evidence: FloatArray, context_set: ContextSet) -> FloatArray:
+    """Return the log evidence (W, 7) of W windows for the seven vertical modes, from that of their contexts, (W, C).
 
     The modes are level ground, slope, stairs up, stairs down, lift, sudden change of the air, and drift of the air. The
-    evidence comes from the context probabilities only, and is 0 for a window without them. The climb rate of a window
-    is not used, because the barometer is a separate measurement.
+    evidence is 0 for a window without probabilities. The climb rate of a window is not used, because the barometer is
+    a separate measurement.
     """
-    if not windows:
-        return np.zeros((0, N_MODES))
-    context_evidence = context_log_evidence(
-        np.array([with_stairs_in_thirds(w.prob, w.stairs_unknown_share, model.context_set) for w in windows]),
-        np.array([w.training_prior for w in windows]),
-        model.evidence_exponent,
-        model.evidence_floor,
-        model.prior_exponent,
-    )
     any_context = context_evidence.max(axis=1)
 
     def best_of(holds: Callable[[Context], bool], otherwise: FloatArray) -> FloatArray:
@@ -267,7 +256,7 @@ def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel
 
         If `holds` is False for all contexts, the result is `otherwise` (W,).
         """
-        index = model.context_set.index_where(holds)
+        index = context_set.index_where(holds)
         return context_evidence[:, index].max(axis=1) if len(index) else otherwise
 
     walking = best_of(lambda c: c.moves and c.climbs == 0, any_context)
@@ -283,7 +272,7 @@ def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel
 def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArray | None) -> HeightState:
     """Return the state of the height filter after a context window.
 
-    With a barometer, `log_evidence` (7,) is the `window_log_evidence` of the window. It is used with the next second of
+    With a barometer, `log_evidence` (7,) is the `mode_log_evidence` of the window. It is used with the next second of
     the barometer. Without a barometer it is None.
     """
     if log_evidence is not None and state.recent:
@@ -293,14 +282,14 @@ def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArra
 
 
 def on_pressure(
-    state: HeightState, climb: Climb, model: PedestrianModel, place: Place | None = None
+    state: HeightState, climb: Climb, step_log_odds: float, place: Place | None = None
 ) -> tuple[HeightState, tuple[FloorPassage, ...]]:
     """Return the state of the height filter after a second of the barometer, and the now certain floor passages.
 
     A passage is certain when no late step can change it. `place` is an accurate location in that second, or None.
     """
     second = PressureSecond(state.known, climb, state.log_evidence, state.n_steps, place)
-    height = _after_pressure(second, model)
+    height = _after_pressure(second, step_log_odds)
     recent = (*state.recent, second)
     n_final = sum(s.climb.time_s < climb.time_s - LATE_S for s in state.recent)
     passages = [p for later_second in recent[1 : n_final + 1] for p in later_second.before.floors.passages]
@@ -314,7 +303,7 @@ def on_step(
     step_s: float,
     up_prob: float,
     down_prob: float,
-    model: PedestrianModel,
+    step_log_odds: float,
     place: Place | None = None,
 ) -> tuple[HeightState, HeightEstimate, tuple[FloorPassage, ...]]:
     """Return the state of the height filter after a step, the estimate at the step, and completed floor passages.
@@ -331,8 +320,8 @@ def on_step(
         i = next(i for i, s in enumerate(state.recent) if step_s <= s.climb.time_s)
         seconds = [*state.recent[:i], replace_unchecked(state.recent[i], n_steps=state.recent[i].n_steps + 1)]
         for later_second in state.recent[i + 1 :]:
-            seconds.append(replace_unchecked(later_second, before=_after_pressure(seconds[-1], model)))
-        height = _after_pressure(seconds[-1], model)
+            seconds.append(replace_unchecked(later_second, before=_after_pressure(seconds[-1], step_log_odds)))
+        height = _after_pressure(seconds[-1], step_log_odds)
         height_at_step = seconds[i + 1].before if i + 1 < len(seconds) else height
         return replace_unchecked(state, step_s=step_s, known=height, recent=tuple(seconds)), height_at_step, ()
     passages = tuple(p for later_second in state.recent[1:] for p in later_second.before.floors.passages)
@@ -440,7 +429,7 @@ def notes(state: HeightState, barometer: ClimbState, is_absence_named: bool = Fa
     return found
 
 
-def _after_pressure(second: PressureSecond, model: PedestrianModel) -> HeightEstimate:
+def _after_pressure(second: PressureSecond, step_log_odds: float) -> HeightEstimate:
     """Return the estimate after one second of the barometer.
 
     In a vehicle, only the time of calm pressure is counted, and heights stay.
@@ -453,7 +442,7 @@ def _after_pressure(second: PressureSecond, model: PedestrianModel) -> HeightEst
     if not elapsed_s > 0:  # first second, or backward clock jump
         elapsed_s = 1.0
     log_evidence = second.log_evidence.copy()
-    log_evidence[[LIFT, DRIFT]] += n_steps * model.step_log_odds_stationary
+    log_evidence[[LIFT, DRIFT]] += n_steps * step_log_odds
     moments = vertical.after_second(
         previous.moments, elapsed_s, n_steps, climb.height_m, climb.height_std_m**2, log_evidence
     )

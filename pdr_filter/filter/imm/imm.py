@@ -351,7 +351,7 @@ class ImmArithmetic(Protocol):
     --------
     >>> import pdr_filter as pdr
     >>> from pdr_filter.filter.imm.imm import NumpyImm
-    >>> from pdr_filter.filter.imm.imm_tracker import ImmTracker
+    >>> from pdr_filter.filter.chain.imm_tracker import ImmTracker
     >>> tracker = ImmTracker(pdr.recipes.default().model, NumpyImm())
     """
 

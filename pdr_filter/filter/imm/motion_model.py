@@ -1,4 +1,4 @@
-"""Motion model of the filter: modes, process noise, and the prediction and heading update of one step.
+"""Motion model of the filter: modes, process noise, and the growth of covariances between steps.
 
 The state of a mode is (east in m, north in m, heading offset in rad, log step scale). The heading offset is the walking
 heading minus the device heading. The step scale is the factor of the person on every step length.
@@ -10,11 +10,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 
-from pdr_filter.filter.imm.imm import predict_cov
 from pdr_filter.filter.step_length.models import (
     TYPICAL_STEP,
     StepLengthFit,
@@ -28,11 +26,9 @@ from pdr_filter.values import (
     FloatArray,
     Gait,
     HeadingDrift,
-    Step,
     check_numbers,
     check_step_length,
     read_only,
-    wrap_angle,
 )
 
 EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
@@ -302,220 +298,12 @@ def stepless_var_m2(stepless_s: FloatArray | float) -> FloatArray:
 
 # Variance of a heading that is uniform on the circle, which is the largest possible one: pi^2 / 3.
 MAX_HEADING_VARIANCE = np.pi**2 / 3
-_IDENTITY = read_only(np.eye(N_STATES))
-# Lower bound of a divisor, in case the offset is known exactly: the square of a microradian.
-_MIN_HEADING_VARIANCE = 1e-12
 
 
 def initial_estimate(noise: MotionNoise) -> tuple[FloatArray, FloatArray]:
     """Return the mean (4,) and covariance (4, 4) of the state at the origin."""
     std = np.array([0.0, 0.0, noise.initial_heading_offset_std_rad, noise.log_scale_std])
     return np.zeros(N_STATES), np.diag(std**2)
-
-
-def predict_heading(
-    cov: FloatArray, step: Step, elapsed_s: float, directions: Directions, noise: MotionNoise
-) -> FloatArray:
-    """Return the covariances (..., M, 4, 4) at a step with the drift of the heading offset, before the displacement.
-
-    The offset drifts for `elapsed_s`, the time since the previous step, even while the phone lies on a table. If the
-    phone was moved to another place on the body, the offset may have changed. Its variance then also grows by
-    `offset_change_std_rad` squared.
-    """
-    measured_var, unmeasured_var = noise.heading_drift.variances_rad2(
-        elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps, directions.drift_rad2_per_s
-    )
-    cov = cov.copy()
-    cov[..., HEADING_OFFSET, HEADING_OFFSET] += measured_var + unmeasured_var + step.offset_change_std_rad**2
-    return bound_heading_variance(cov)
-
-
-def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: float) -> tuple[FloatArray, FloatArray]:
-    """Return means (..., M, 4) and covariances (..., M, 4, 4) updated with the measured walking heading of a step.
-
-    The measured walking heading z is the direction that the body faces. Its prediction is frame_rad + device heading +
-    offset state, and the innovation is wrapped. The gain is K = P[o, o] / (P[o, o] + r), with o the index of the
-    heading offset and r the variance of z. A mode that walks sideways adds its own angle later. `frame_rad` is the
-    heading offset that counts as zero. A step without a measured walking heading (infinite standard deviation) changes
-    nothing.
-
-    The update also corrects earlier steps. Steps since the heading became uncertain are rotated by the correction delta
-    = K innovation. A linear update would move the position p along the tangent, by the lever l = P[p, o] / P[o, o]
-    times delta. Write l = J d with J (east, north) = (north, -east), where d is the displacement that rotates with the
-    offset. Let R(delta) be the clockwise rotation by delta. This update moves the position along the arc instead, to p
-    + (R(delta) - I) d = p + sin(delta) l + (cos(delta) - 1) d. The move is never longer than twice the length of d. The
-    lever rotates as well: P[p, :] gains (R(delta) - I) l P[o, :].
-    """
-    o = HEADING_OFFSET
-    variance = step.walking_heading_std_rad**2
-    if not math.isfinite(variance):
-        return mean, cov
-    innovation = wrap_angle(step.walking_heading_rad - step.device_heading_rad - frame_rad - mean[..., o])
-    by_offset = cov[..., :, o] / np.maximum(cov[..., o, o], _MIN_HEADING_VARIANCE)[..., None]
-    gain = cov[..., o, o] / (cov[..., o, o] + variance)
-    correction_rad = gain * innovation
-    cov = cov - gain[..., None, None] * by_offset[..., :, None] * cov[..., None, o, :]
-    sine, versine = np.sin(correction_rad), 1.0 - np.cos(correction_rad)
-    lever_east, lever_north = by_offset[..., EAST], by_offset[..., NORTH]
-    # d = -J l, with J (east, north) = (north, -east)
-    moved_east = sine * lever_east + versine * lever_north
-    moved_north = sine * lever_north - versine * lever_east
-    updated_mean = mean + by_offset * correction_rad[..., None]
-    updated_mean[..., EAST] = mean[..., EAST] + moved_east
-    updated_mean[..., NORTH] = mean[..., NORTH] + moved_north
-    # (R(delta) - I) l is the move (R(delta) - I) d rotated by J
-    turn = np.empty(cov.shape)
-    turn[...] = _IDENTITY
-    turn[..., EAST, o] = moved_north
-    turn[..., NORTH, o] = -moved_east
-    cov = turn @ cov @ turn.swapaxes(-1, -2)
-    return updated_mean, 0.5 * (cov + cov.swapaxes(-1, -2))
-
-
-def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
-    """Return covariances (..., M, 4, 4) in which the heading offset is as uncertain as the first walking heading.
-
-    The first walking heading defines the direction of the frame, so that it causes no innovation. The heading offset
-    then has the standard deviation `std_rad` of this heading, because later walking headings can correct only this
-    uncertainty. The direction of earlier steps has the same uncertainty, because the offset rotates them.
-
-    Let c be the covariance of the offset with all states, v the variance of the offset, and r = std_rad^2 / v. The
-    covariance of all states changes by (r - 1) c c' / v. In particular, c becomes r c and v becomes std_rad^2.
-    """
-    o = HEADING_OFFSET
-    cov = cov.copy()
-    std_rad = min(std_rad, float(np.sqrt(MAX_HEADING_VARIANCE)))
-    c, variance = cov[..., :, o].copy(), np.maximum(cov[..., o, o], _MIN_HEADING_VARIANCE)
-    ratio = std_rad**2 / variance
-    cov += ((ratio - 1) / variance)[..., None, None] * c[..., :, None] * c[..., None, :]
-    return cov
-
-
-class Advance(NamedTuple):
-    """Prediction of one step for all modes.
-
-    Attributes
-    ----------
-    motion : StepMotion
-        Displacement of each mode.
-    mean : (..., M, 4) array
-        Predicted means.
-    cov : (..., M, 4, 4) array
-        Predicted covariances.
-    by_state : (..., M, 4, 4) array
-        F, the derivative of the predicted state with respect to the state before the step.
-    """
-
-    motion: StepMotion
-    mean: FloatArray
-    cov: FloatArray
-    by_state: FloatArray
-
-
-def advance(
-    mean: FloatArray,
-    cov: FloatArray,
-    step: Step,
-    length_m: FloatArray,
-    length_var_m2: FloatArray,
-    directions: Directions,
-    noise: MotionNoise,
-) -> Advance:
-    """Return the prediction of a step, with one length for each mode.
-
-    The state is the position p, the heading offset o and the log scale s, with covariance P. Step k changes it to p_k =
-    p_{k-1} + d, with the displacement d of `StepMotion`, and s_k = a s_{k-1}, with the decay a of `MotionNoise`. The
-    covariance is P_k = F P_{k-1} F' + Q, with the derivative F of the new state by the old one and the process noise Q.
-    The drift of the heading offset is not included (see `predict_heading`).
-    """
-    motion = step_motion(
-        step.reference_heading_rad,
-        mean[..., HEADING_OFFSET],
-        mean[..., LOG_SCALE],
-        length_m,
-        length_var_m2,
-        directions,
-        step.turned_rad,
-    )
-    # separate components: for so few numbers broadcasting takes longer than the products
-    east_m, north_m = motion.length_m * motion.sine, motion.length_m * motion.cosine
-    predicted_mean = mean.copy()
-    predicted_mean[..., EAST] += east_m
-    predicted_mean[..., NORTH] += north_m
-    predicted_mean[..., LOG_SCALE] *= noise.log_scale_memory
-    F, Q = np.empty((2, *mean.shape, N_STATES))
-    F[...], Q[...] = noise.of_log_scale
-    F[..., EAST, HEADING_OFFSET] = F[..., NORTH, LOG_SCALE] = north_m
-    F[..., NORTH, HEADING_OFFSET], F[..., EAST, LOG_SCALE] = -east_m, east_m
-    # var(along) u u' + var(across) v v', and u u' + v v' = I
-    excess_m2, isotropic_m2 = motion.var_along_m2 - motion.var_across_m2, motion.var_across_m2 + directions.extra_var_m2
-    excess_east_m2 = excess_m2 * motion.sine
-    Q[..., EAST, EAST] = excess_east_m2 * motion.sine + isotropic_m2
-    Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = excess_east_m2 * motion.cosine
-    Q[..., NORTH, NORTH] = excess_m2 * motion.cosine * motion.cosine + isotropic_m2
-    return Advance(motion, predicted_mean, predict_cov(cov, F, Q), F)
-
-
-class StepMotion(NamedTuple):
-    """Displacements of steps with their variances.
-
-    Each array is (..., M), for M modes and any leading axes of steps or pedestrians. The displacement is d = L e^s u,
-    with u = [sin psi, cos psi] and psi = device heading + heading offset + offset of the mode. Its covariance is
-    (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v', with u along and v across the step.
-
-    Attributes
-    ----------
-    sine, cosine : array
-        Sine and cosine of psi.
-    scale : array
-        Step scale e^s of the person.
-    length_m : array
-        Length L e^s in m.
-    var_along_m2, var_across_m2 : array
-        Variances along and across the step in m2.
-    """
-
-    sine: FloatArray
-    cosine: FloatArray
-    scale: FloatArray
-    length_m: FloatArray
-    var_along_m2: FloatArray
-    var_across_m2: FloatArray
-
-    @property
-    def along(self) -> FloatArray:
-        """Unit vector u along each step, (..., M, 2)."""
-        along = np.empty((*self.sine.shape, 2))
-        along[..., EAST], along[..., NORTH] = self.sine, self.cosine
-        return along
-
-    @property
-    def across(self) -> FloatArray:
-        """Unit vector across each step, (..., M, 2): the derivative of the vector along the step by the heading."""
-        return self.along[..., ::-1] * (1.0, -1.0)
-
-
-def step_motion(
-    device_heading_rad: FloatArray | float,
-    heading_offset_rad: FloatArray | float,
-    log_scale: FloatArray | float,
-    length_m: FloatArray,
-    length_var_m2: FloatArray,
-    directions: Directions,
-    turned_rad: FloatArray | float,
-) -> StepMotion:
-    """Return the displacements of steps with lengths (..., M), during which the phone turned by `turned_rad`."""
-    scale = np.exp(log_scale)
-    scaled_m = length_m * scale
-    psi = device_heading_rad + heading_offset_rad + directions.heading_offset_rad
-    return StepMotion(
-        sine=np.sin(psi),
-        cosine=np.cos(psi),
-        scale=scale,
-        length_m=scaled_m,
-        var_along_m2=scale * scale * length_var_m2,
-        var_across_m2=scaled_m * scaled_m * directions.step_var_rad2(turned_rad),
-    )
 
 
 def bound_heading_variance(cov: FloatArray) -> FloatArray:

@@ -12,8 +12,8 @@ from functools import cached_property
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import IRREGULAR
-from pdr_filter.sensing.contexts.context_stage import CARRYING_STAY_PROB, WindowContext
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray
+from pdr_filter.sensing.contexts.context_stage import CARRYING_STAY_PROB
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, WindowContext
 
 WEIGHTINGS = ("hc", "wc", "imm")
 

@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import LOG_SCALE
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.calibration_result import of_height, slices_of
 from pdr_filter.filter.step_length.models import StepLengthFit, length_and_jacobian
 from pdr_filter.offline.calibration.model_forms import hierarchy_of

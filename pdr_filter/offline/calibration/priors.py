@@ -9,9 +9,8 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.filter.imm.modes import context_modes
 from pdr_filter.filter.imm.motion_model import IRREGULAR, Mode
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import (
     TYPICAL_STEP,
     USUAL_HEIGHT_M,
@@ -32,6 +31,7 @@ from pdr_filter.filter.step_length.models import (
     length_and_jacobian,
     scale_std,
 )
+from pdr_filter.recipes.modes import context_modes
 from pdr_filter.values import FloatArray, Step, check_array, read_only
 
 # relative standard deviation of step lengths between people of known height, 7 %

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_filter.filter.fixes.fix_history import StandstillSteps
-from pdr_filter.filter.fixes.frame import START_FRAME
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.filter.pedestrian.fix_history import StandstillSteps
+from pdr_filter.filter.pedestrian.frame import START_FRAME
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.offline.smoothing.storeys import with_arrivals
 from pdr_filter.recipes.config import Config
@@ -44,7 +44,7 @@ def dead_reckoned(
     storeys.
     """
     own, known_device = with_first_pass(recording, config, progress[0])
-    own = own.in_hindsight().with_model(frame=START_FRAME)
+    own = replace(own.in_hindsight().with_model(frame=START_FRAME), keeps_path=False)
     end = init(own)
 
     def results() -> Iterator[tuple[State, Output]]:
@@ -55,7 +55,7 @@ def dead_reckoned(
 
     found = collected(recording, own, results())
     track = with_arrivals(replace(found, device=known_device or found.device))
-    stood_steps = end.tracker.pedestrian.fixes.standstill_steps
+    stood_steps = end.pedestrian.fixes.standstill_steps
     return own, track, end.sensing if known_device is None else None, stood_steps
 
 
@@ -110,6 +110,7 @@ def online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> W
         return None
     if any(has_position(fix) for fix in fixes):
         config = config.in_world_frame()
+    config = replace(config, keeps_path=True)
     state = init(config)
     for new_state, _ in outputs(recording, config, fixes):
         state = new_state
@@ -140,7 +141,7 @@ def observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) -
     unknown angle. `sensing` is the state at the end of the recording. If its direction of the phone is unknown, or with
     fewer than two steps, the bias is that of the sensing alone.
     """
-    bias, heading = config.sensing.attitude.bias, sensing.heading
+    bias, heading = config.sensing.attitude.bias, sensing.of_steps.get("heading")
     steps, turned_rad = smoothed.track.steps, np.unwrap(smoothed.heading_offset_rad)
     if not isinstance(heading, WalkingHeadingState) or heading.place is None or len(steps) < 2:
         return config.sensing.device(sensing)

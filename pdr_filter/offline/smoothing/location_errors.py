@@ -28,8 +28,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.filter.fixes.gnss import MAX_SHRINKAGE, SHRINKAGE_STD
 from pdr_filter.values import INDEPENDENT_SHARE, BoolArray, FloatArray, IntArray, PositionFix, TrackRows
+from pdr_filter.values.fix_error_correlation import MAX_SHRINKAGE, SHRINKAGE_STD
 
 # Entries of the error state of a location, each a Gauss-Markov process of variance one.
 _CONSTANT, _VARYING, _SHRUNK, _LATE = slice(0, 2), slice(2, 4), 4, 5

@@ -26,11 +26,10 @@ from pdr_filter.filter.imm.motion_model import (
     MAX_HEADING_VARIANCE,
     N_STATES,
     Directions,
-    StepMotion,
-    step_motion,
     stepless_var_m2,
 )
-from pdr_filter.filter.imm.pedestrian_model import ModeLengths, PedestrianModel
+from pdr_filter.filter.imm.step_cycle import StepMotion, step_motion
+from pdr_filter.filter.pedestrian.pedestrian_model import ModeLengths, PedestrianModel
 from pdr_filter.values import BoolArray, FloatArray, IntArray, Step, Table, read_only, steps_of
 
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).
@@ -324,7 +323,7 @@ def _since(values: FloatArray, first: IntArray) -> FloatArray:
 def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     """Return the steps summed between anchors, in time proportional to the number of steps.
 
-    The covariance is that of the filter, P_k = F P_{k-1} F' + Q (`motion_model.advance`), which starts at zero in each
+    The covariance is that of the filter, P_k = F P_{k-1} F' + Q (`step_cycle.advance`), which starts at zero in each
     interval. The drift of the heading before the first step of an interval belongs to the previous interval. ValueError
     unless `nodes`, the numbers of steps before the anchors, increase from 0 to the number of steps.
     """

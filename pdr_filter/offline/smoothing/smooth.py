@@ -16,10 +16,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import walked_var_m2 as walked_var
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
-from pdr_filter.filter.fixes.fix_history import StandstillSteps
-from pdr_filter.filter.fixes.frame import START_FRAME
 from pdr_filter.filter.fixes.gnss import LocationState, independent, locations_of
 from pdr_filter.filter.imm.motion_model import (
     HEADING_OFFSET,
@@ -30,7 +27,10 @@ from pdr_filter.filter.imm.motion_model import (
     reach_m,
     second_order_errors,
 )
-from pdr_filter.filter.step_length.person import LengthFixes, Person, session_of_scale
+from pdr_filter.filter.pedestrian.alignment import walked_var_m2 as walked_var
+from pdr_filter.filter.pedestrian.fix_history import StandstillSteps
+from pdr_filter.filter.pedestrian.frame import START_FRAME
+from pdr_filter.filter.pedestrian.person import LengthFixes, Person, session_of_scale
 from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, ShiftPrior, estimated_shift
 from pdr_filter.offline.smoothing.dead_reckoning import (
     Reckoned,
@@ -562,7 +562,7 @@ def _smooth_track(
     """Return the smoothed result of a dead-reckoned track, and the variance (K,) in m2 of each position.
 
     The variance is the part of the position variance that the heading offset does not explain, mean of both axes
-    (`filter.fixes.alignment.walked_var_m2`). The last result are the shifts of the clocks of the observations.
+    (`filter.pedestrian.alignment.walked_var_m2`). The last result are the shifts of the clocks of the observations.
     `options` are the standard deviation of the start heading, the interval of anchors, the path at which measurements
     are first linearised, and the steps within standstills. The smoothed result includes the person's step scale if the
     fixes determine it.

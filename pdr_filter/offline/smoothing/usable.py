@@ -8,9 +8,9 @@ from itertools import compress
 
 import numpy as np
 
-from pdr_filter.filter.fixes.frame_rotation import MAX_NORTH_STD_RAD, agreement_limit
-from pdr_filter.filter.fixes.repeated_fixes import Repetition, repetitions
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, Mode
+from pdr_filter.filter.pedestrian.frame_rotation import MAX_NORTH_STD_RAD, agreement_limit
+from pdr_filter.filter.pedestrian.repeated_fixes import Repetition, repetitions
 from pdr_filter.offline.smoothing.location_errors import (
     MOST_SCATTER,
     joined_at_contacts,

@@ -16,7 +16,7 @@ import numpy as np
 
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.classifiers.transition_files import Transitions
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.offline.training.context_sequences import (
     PRIOR_STEPS,
     UNKNOWN,
@@ -29,10 +29,9 @@ from pdr_filter.offline.training.context_sequences import (
 )
 from pdr_filter.offline.training.cross_validation import Progress, TextArray, provenance, silent, source_of
 from pdr_filter.recipes import default, with_context_model
-from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.sensing.front_end import Gap, Sensing
 from pdr_filter.tracking.whole_recording import run_sensing
-from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step
+from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step, WindowContext
 from pdr_filter.values.recording import Recording
 
 DEFAULT_MODEL = "context"  # model of the default recipe, for which transitions and exponents are estimated

@@ -20,8 +20,8 @@ from pdr_filter.recipes.guo2018.features import (
     PoseWindows,
     PoseWindowState,
 )
-from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStage, known_context
-from pdr_filter.values import CARRYING_MODES, FloatArray, check_numbers
+from pdr_filter.sensing.contexts.context_stage import WindowStage
+from pdr_filter.values import CARRYING_MODES, FloatArray, WindowContext, check_numbers, known_context
 
 _CONTEXTS = ("stationary", "walking")
 

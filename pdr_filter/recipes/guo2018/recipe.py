@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.filter.imm.modes import context_modes, height_notes, height_of, one_hot_tracker
 from pdr_filter.filter.step_length.models import RESIDUAL_STD_M, ChenStepLength, StepLengthFit
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.guo2018.contexts import PoseContext
 from pdr_filter.recipes.guo2018.steps import PoseStepDetector
+from pdr_filter.recipes.modes import context_modes, height_notes, height_of, one_hot_tracker
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.values import Note
 from pdr_filter.values.recording import Subject

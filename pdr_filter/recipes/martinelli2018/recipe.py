@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from pdr_filter.classifiers.context_model import load_model
-from pdr_filter.filter.imm.modes import context_modes
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.martinelli2018.features import TABLE_II
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.recipes.modes import context_modes
 from pdr_filter.sensing.contexts.context_stage import ContextModels
 from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts
 from pdr_filter.sensing.features.feature_windows import FeatureWindows

@@ -34,8 +34,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pdr_filter.recipes.susi2013.features import NAMES, MotionWindow, MotionWindows, MotionWindowState
-from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStage, known_context
-from pdr_filter.values import FloatArray, check_numbers, check_transition_prob, replace_unchecked
+from pdr_filter.sensing.contexts.context_stage import WindowStage
+from pdr_filter.values import (
+    FloatArray,
+    WindowContext,
+    check_numbers,
+    check_transition_prob,
+    known_context,
+    replace_unchecked,
+)
 
 MODES: tuple[str, ...] = ("static", "arm_at_rest", "swinging", "irregular")
 TREE_FEATURES: tuple[str, ...] = (

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pdr_filter.filter.imm.modes import context_modes, height_notes, height_of, one_hot_tracker
 from pdr_filter.filter.step_length.models import static_fit
 from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.modes import context_modes, height_notes, height_of, one_hot_tracker
 from pdr_filter.recipes.susi2013.contexts import MotionModes
 from pdr_filter.recipes.susi2013.steps import NormMinimaStepDetector
 from pdr_filter.sensing.front_end import Sensing

@@ -27,7 +27,6 @@ from pdr_filter.recipes.tian2016.steps import (
 )
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.contexts.context_stage import WindowContext, known_context
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.values import (
     CARRYING_MODES,
@@ -35,7 +34,9 @@ from pdr_filter.values import (
     BoolArray,
     FloatArray,
     IntArray,
+    WindowContext,
     check_numbers,
+    known_context,
     replace_unchecked,
 )
 

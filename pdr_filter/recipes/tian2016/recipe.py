@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.filter.imm.modes import context_modes, height_notes, height_of, one_hot_tracker
 from pdr_filter.filter.step_length.models import StepLengthFit, TianStepLength, of_gender, one_parameter_fit, static_fit
 from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.modes import context_modes, height_notes, height_of, one_hot_tracker
 from pdr_filter.recipes.tian2016.contexts import TianContexts
 from pdr_filter.recipes.tian2016.heading import OffsetCompensation
 from pdr_filter.recipes.tian2016.steps import TianStepDetector

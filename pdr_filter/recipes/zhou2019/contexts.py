@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pdr_filter.recipes.zhou2019.features import BehaviourState, BehaviourWindow, BehaviourWindows
-from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStage, known_context
-from pdr_filter.values import FloatArray, check_numbers, replace_unchecked
+from pdr_filter.sensing.contexts.context_stage import WindowStage
+from pdr_filter.values import FloatArray, WindowContext, check_numbers, known_context, replace_unchecked
 
 BEHAVIOURS: tuple[str, ...] = ("standing", "walking", "running", "irregular")
 # Irregular swing has no displacement.

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.filter.imm.modes import context_modes, one_hot_tracker
 from pdr_filter.filter.step_length.models import StepLengthFit, scale_std
 from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.modes import context_modes, one_hot_tracker
 from pdr_filter.recipes.zhou2019 import contexts as behaviours
 from pdr_filter.recipes.zhou2019 import steps as reference_lines
 from pdr_filter.recipes.zhou2019.step_length import M6, M7

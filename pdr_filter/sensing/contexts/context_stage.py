@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -26,6 +26,7 @@ from pdr_filter.values import (
     ContextSet,
     FloatArray,
     IntArray,
+    WindowContext,
     check_numbers,
     frozen,
     read_only,
@@ -40,70 +41,6 @@ CARRYING_STAY_PROB = 0.98
 CARRYING_EXPONENT = 0.5
 # Place of the phone in all training recordings of stairs.
 _POCKET = CARRYING_MODES.index("pocket")
-_EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
-
-
-@dataclass(frozen=True, eq=False)
-class WindowContext:
-    """Classification of one window, which describes the samples from `start_s` to `time_s`.
-
-    Attributes
-    ----------
-    time_s : float
-        End of the window, s.
-    prob : FloatArray
-        Probabilities of the contexts of the stage, shape (C,). They contain the training prior with weight
-        `unknown_share`.
-    training_prior : FloatArray
-        Prior of the classifier, shape (C,).
-    carrying_prob : FloatArray
-        Probabilities of `CARRYING_MODES` after this window, shape (5,).
-    unknown_share : float
-        Dissimilarity of the window to all training windows, 0 to 1.
-    stairs_unknown_share : float
-        Dissimilarity of the window and the place of the phone to stairs in training, 0 to 1.
-    irregular_prob : float
-        Probability of irregular motion: the phone is handled while the person does not walk.
-    model : str
-        Name of the context model.
-    climb_rate_mps : float
-        Climb rate from the barometer, up positive, m/s. NaN without barometer.
-    has_gyroscope : bool
-        True if the angular rate is known throughout the window.
-    start_s : float
-        Time of the first sample of the window, s.
-    hop_s : float
-        Time between the ends of consecutive windows, s.
-    is_unlike : bool
-        True if the window is farther from all training windows than nine of ten windows of held-out people.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from pdr_filter.sensing.contexts.context_stage import WindowContext
-    >>> window = WindowContext(2.0, prob=np.array([0.1, 0.9]), training_prior=np.array([0.5, 0.5]))
-    >>> window.new_since_s
-    1.0
-    """
-
-    time_s: float
-    prob: FloatArray
-    training_prior: FloatArray
-    carrying_prob: FloatArray = field(default_factory=lambda: _EVEN)
-    unknown_share: float = 0.0
-    stairs_unknown_share: float = 0.0
-    irregular_prob: float = 0.0
-    model: str = ""
-    climb_rate_mps: float = np.nan
-    has_gyroscope: bool = True
-    start_s: float = np.nan
-    hop_s: float = 1.0
-    is_unlike: bool = False
-
-    @property
-    def new_since_s(self) -> float:
-        """Start of the samples that are new in this window, s: one hop before its end."""
-        return self.time_s - self.hop_s
 
 
 class ContextStage(Protocol):
@@ -118,7 +55,7 @@ class ContextStage(Protocol):
 
     >>> from dataclasses import dataclass
     >>> import numpy as np
-    >>> from pdr_filter.sensing.contexts.context_stage import WindowContext
+    >>> from pdr_filter.values import WindowContext
     >>> @dataclass(frozen=True)
     ... class AlwaysWalking:
     ...     contexts: tuple[str, ...] = ("stationary", "walking")
@@ -368,51 +305,7 @@ class WindowStage(ABC, Generic[W, X, M]):
         windows : list of (int, WindowContext)
             Classified windows, each with the number of its last sample.
         """
-        return self.classify_described(state, self.describe(state, block, attitude))
-
-    def describe(
-        self, state: WindowStageState[W, M], block: UniformBlock, attitude: AttitudeBlock
-    ) -> tuple[W, list[tuple[int, X]]]:
-        """Return the descriptions of the windows that a block completes, the first half of `update`.
-
-        Parameters
-        ----------
-        state : WindowStageState
-            State after the previous block.
-        block : UniformBlock
-            Uniform samples that follow, N samples.
-        attitude : AttitudeBlock
-            Attitude at these samples.
-
-        Returns
-        -------
-        windows : W
-            New state of the sliding windows.
-        described : list of (int, X)
-            Descriptions of the windows, each with the number of its last sample.
-        """
-        return self.windows.update(state.windows, block, attitude)
-
-    def classify_described(
-        self, state: WindowStageState[W, M], described: tuple[W, list[tuple[int, X]]]
-    ) -> tuple[WindowStageState[W, M], list[tuple[int, WindowContext]]]:
-        """Return the results of `update` for the result of `describe`, the second half of `update`.
-
-        Parameters
-        ----------
-        state : WindowStageState
-            State after the previous block.
-        described : tuple
-            Result of `describe`.
-
-        Returns
-        -------
-        state : WindowStageState
-            New state.
-        windows : list of (int, WindowContext)
-            Classified windows, each with the number of its last sample.
-        """
-        windows, found = described
+        windows, found = self.windows.update(state.windows, block, attitude)
         if not found:
             return WindowStageState(windows, state.memory), []
         memory, contexts = self.assess_all(state.memory, [window for _, window in found])
@@ -420,41 +313,6 @@ class WindowStage(ABC, Generic[W, X, M]):
             (last, replace_unchecked(context, start_s=window.start_s, hop_s=self.windows.hop_s))
             for (last, window), context in zip(found, contexts, strict=True)
         ]
-
-
-def known_context(
-    time_s: float, context: Mapping[str, float], carrying_mode: Mapping[str, float], contexts: Sequence[str], name: str
-) -> WindowContext:
-    """Return the result of a rule for the window that ends at `time_s`.
-
-    Parameters
-    ----------
-    time_s : float
-        End of the window.
-    context : mapping
-        Probability of each of the default contexts by name. Contexts that are not named have probability zero.
-    carrying_mode : mapping
-        Probability of each of `CARRYING_MODES` by name. All modes are equally probable if it is empty.
-    contexts : sequence of str
-        Contexts that the rule distinguishes. They are equally probable a priori.
-    name : str
-        Name of the rule, the `model` of the windows.
-
-    Returns
-    -------
-    WindowContext
-        Classification of the window.
-
-    Examples
-    --------
-    >>> from pdr_filter.sensing.contexts.context_stage import known_context
-    >>> known_context(2.0, {"walking": 1.0}, {}, ["stationary", "walking"], "my rule").prob
-    array([0., 1., 0., 0., 0., 0.])
-    """
-    prob = np.array([context.get(c, 0.0) for c in CONTEXTS])
-    carrying = np.array([carrying_mode.get(c, 0.0) for c in CARRYING_MODES]) if carrying_mode else _EVEN
-    prior = np.array([float(c in contexts) for c in CONTEXTS])
-    return WindowContext(time_s, read_only(prob), read_only(prior / prior.sum()), read_only(carrying), model=name)
 
 
 @dataclass(frozen=True, eq=False)

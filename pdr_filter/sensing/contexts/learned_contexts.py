@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from pdr_filter.classifiers.context_model import ContextModel, load_model
-from pdr_filter.sensing.contexts.context_stage import ContextModels, ContextStage, WindowContext, WindowStage
+from pdr_filter.sensing.contexts.context_stage import ContextModels, ContextStage, WindowStage
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows, WindowState
-from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, JoinedFeatures, check_members
+from pdr_filter.values import DEFAULT_CONTEXTS, ContextSet, FloatArray, JoinedFeatures, WindowContext, check_members
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any, Protocol
 
-from pdr_filter.sensing.attitude import AttitudeBlock
-from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.step_detector import ContextBlock
+from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.values import HeadingDrift, Step, Table, replace_unchecked
 
 
-class HeadingStage(Protocol):
+class HeadingStage(StepStage, Protocol):
     """Interface of a causal stage that sets the walking headings of steps.
 
     The stage sets `Step.walking_heading_rad`, `Step.walking_heading_std_rad` and `Step.offset_change_std_rad`.
@@ -52,84 +50,6 @@ class HeadingStage(Protocol):
     >>> config = pdr.recipes.default().with_heading(DeviceHeading())
     """
 
-    def init(self) -> Any:
-        """Return the state before the first sample.
-
-        Returns
-        -------
-        object
-            Initial state.
-        """
-        ...
-
-    def after_gap(self, state: Any) -> Any:
-        """Return the state after a gap, during which the phone may have been turned in an unknown way.
-
-        Parameters
-        ----------
-        state : object
-            State before the gap.
-
-        Returns
-        -------
-        object
-            State before the first sample after the gap.
-        """
-        ...
-
-    def update(
-        self,
-        state: Any,
-        block: UniformBlock,
-        attitude: AttitudeBlock,
-        contexts: ContextBlock,
-        steps: list[tuple[int, Step]],
-    ) -> tuple[Any, list[tuple[int, Step]]]:
-        """Return the new state and the steps of a block with their walking headings.
-
-        Parameters
-        ----------
-        state : object
-            State after the previous block.
-        block : UniformBlock
-            Uniform samples of the block.
-        attitude : AttitudeBlock
-            Attitude at these samples.
-        contexts : ContextBlock
-            Most probable context and carrying mode at each sample.
-        steps : list of (int, Step)
-            Steps that became known in this block, each with the number in the segment of the sample that revealed it.
-            The contact may be seconds earlier.
-
-        Returns
-        -------
-        state : object
-            New state.
-        steps : list of (int, Step)
-            The same steps with their walking headings. The heading of a step may depend only on samples up to the one
-            that revealed the step.
-        """
-        ...
-
-    def finish(self, state: Any, steps: list[tuple[int, Step]]) -> tuple[Any, list[tuple[int, Step]]]:
-        """Return the new state and the steps revealed by a gap or the end, with their walking headings.
-
-        Parameters
-        ----------
-        state : object
-            State after the last block.
-        steps : list of (int, Step)
-            Steps that the detector and the gate completed at the gap or the end.
-
-        Returns
-        -------
-        state : object
-            New state.
-        steps : list of (int, Step)
-            The same steps with their walking headings.
-        """
-        ...
-
 
 def drift_of(stage: HeadingStage | None) -> HeadingDrift | None:
     """Return the heading drift that a stage assumes, or None if it states none."""
@@ -161,18 +81,19 @@ def after_first_pass(stage: HeadingStage | None, steps: Table) -> HeadingStage |
     return stage if of_stage is None else of_stage(steps)
 
 
-def with_shown_offsets(stage: HeadingStage, steps: list[tuple[int, Step]]) -> list[tuple[int, Step]]:
-    """Return the steps with `shown_offset_rad` set from the walking heading, unless the stage sets it itself."""
-    if hasattr(stage, "learns_directions"):
-        return steps
-    return [
-        (
-            number,
-            replace_unchecked(
-                step,
-                shown_offset_rad=step.walking_heading_rad - step.device_heading_rad,
-                shown_offset_std_rad=math.inf if step.states_heading else step.walking_heading_std_rad,
-            ),
-        )
-        for number, step in steps
-    ]
+class ShownOffsets(StepStage):
+    """Stage that sets `Step.shown_offset_rad` from the walking heading, for a heading stage that does not set it."""
+
+    def finish(self, state: None, steps: list[tuple[int, Step]]) -> tuple[None, list[tuple[int, Step]]]:
+        """Return the steps with `shown_offset_rad` and its standard deviation, which is infinite for stated ones."""
+        return None, [
+            (
+                number,
+                replace_unchecked(
+                    step,
+                    shown_offset_rad=step.walking_heading_rad - step.device_heading_rad,
+                    shown_offset_std_rad=math.inf if step.states_heading else step.walking_heading_std_rad,
+                ),
+            )
+            for number, step in steps
+        ]

@@ -28,6 +28,8 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.steps.step_detector import ContextBlock
+from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.values import FloatArray, Step, read_only, replace_unchecked
 from pdr_filter.values.quaternions import rotation_matrix
 
@@ -97,7 +99,7 @@ class MagneticNorthState:
 
 
 @dataclass(frozen=True)
-class MagneticNorth:
+class MagneticNorth(StepStage):
     """Causal stage that estimates the direction of north at each step from the magnetometer.
 
     It needs a gyroscope and a magnetometer, and sets `Step.north_rad` and `Step.north_std_rad`. The default parameters
@@ -178,8 +180,28 @@ class MagneticNorth:
             used_s=-math.inf,
         )
 
+    def after_gap(self, state: MagneticNorthState) -> MagneticNorthState:
+        """Return the initial state, because a phone that is turned in a gap has unknown directions.
+
+        Parameters
+        ----------
+        state : MagneticNorthState
+            State before the gap.
+
+        Returns
+        -------
+        MagneticNorthState
+            Initial state.
+        """
+        return self.init()
+
     def update(
-        self, state: MagneticNorthState, block: UniformBlock, attitude: AttitudeBlock, steps: list[tuple[int, Step]]
+        self,
+        state: MagneticNorthState,
+        block: UniformBlock,
+        attitude: AttitudeBlock,
+        contexts: ContextBlock,
+        steps: list[tuple[int, Step]],
     ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
         """Return the new state and the steps of a block with the direction of north.
 
@@ -191,6 +213,8 @@ class MagneticNorth:
             Uniform samples that follow.
         attitude : AttitudeBlock
             Attitude at these samples.
+        contexts : ContextBlock
+            Most probable context and carrying mode at each sample, which are not used.
         steps : list of (int, Step)
             Steps that became known in this block, each with the number of the sample that revealed it.
 

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
+from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.values import Step, replace_unchecked
 
 # Largest ratio of consecutive intervals of left and right. Beyond it a step is missing, or there was a pause.
@@ -56,7 +57,7 @@ class ContactTimeSmoothingState:
 
 
 @dataclass(frozen=True, slots=True)
-class ContactTimeSmoothing:
+class ContactTimeSmoothing(StepStage):
     """Causal stage that moves contacts to equal intervals of left and right, as far as past steps show their error.
 
     It has no parameters and no delay. It also splits steps that span two steps because a contact was missed.
@@ -75,7 +76,7 @@ class ContactTimeSmoothing:
     >>> durations_s[-3:].round(2)
     array([0.55, 0.45, 0.55])
     >>> steps = [(k, replace(step, time_s=contacts_s[k], duration_s=durations_s[k])) for k in range(20)]
-    >>> state, moved = ContactTimeSmoothing().update(ContactTimeSmoothing().init(), steps)
+    >>> state, moved = ContactTimeSmoothing().finish(ContactTimeSmoothing().init(), steps)
     >>> np.array([step.duration_s for _, step in moved[-3:]]).round(3)
     array([0.505, 0.495, 0.505])
     """
@@ -90,7 +91,7 @@ class ContactTimeSmoothing:
         """
         return ContactTimeSmoothingState()
 
-    def update(
+    def finish(
         self, state: ContactTimeSmoothingState, steps: Sequence[tuple[int, Step]]
     ) -> tuple[ContactTimeSmoothingState, list[tuple[int, Step]]]:
         """Return the new state and the steps with corrected times, durations and frequencies.

@@ -36,6 +36,8 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.steps.step_detector import ContextBlock
+from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.sensing.steps.walking_evidence import (
     EVIDENCE,
     EVIDENCE_HZ,
@@ -124,7 +126,7 @@ class StepGateState:
 
 
 @dataclass(frozen=True)
-class StepGate:
+class StepGate(StepStage):
     """Causal gate that rejects false steps.
 
     Within a bout a step passes `latency_s` (1.04 s) after its contact, or as soon as the detector reveals it. The first
@@ -240,7 +242,12 @@ class StepGate:
         return StepGateState(self._walking_share)
 
     def update(
-        self, state: StepGateState, block: UniformBlock, attitude: AttitudeBlock, steps: Sequence[tuple[int, Step]]
+        self,
+        state: StepGateState,
+        block: UniformBlock,
+        attitude: AttitudeBlock,
+        contexts: ContextBlock,
+        steps: Sequence[tuple[int, Step]],
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
         """Return the new state and the steps released by a block.
 
@@ -252,6 +259,8 @@ class StepGate:
             Uniform samples that follow.
         attitude : AttitudeBlock
             Attitude at these samples, which is not used.
+        contexts : ContextBlock
+            Most probable context and carrying mode at each sample, which are not used.
         steps : sequence of (int, Step)
             Steps that the detector found in this block, in order, each with the number of the sample that revealed it.
 
@@ -283,7 +292,7 @@ class StepGate:
         state, released = self._judge(state, numbers)
         return replace_unchecked(state, rows=state.rows[-self._n_rows_kept :]), released
 
-    def close(
+    def finish(
         self, state: StepGateState, steps: Sequence[tuple[int, Step]]
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
         """Return the state after the end of a segment, and the steps released by it.

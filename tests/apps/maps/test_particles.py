@@ -21,6 +21,7 @@ from pdr_filter.apps.maps.particle_filter import ParticleState
 from pdr_filter.apps.maps.particle_motion import OFFSET, SCALE
 from pdr_filter.apps.maps.plan_smoothing import _Ancestors, _Event, _row
 from pdr_filter.apps.maps.storey import FREE
+from pdr_filter.filter.chain.handler import FixUse
 from pdr_filter.values import FloorPassage
 
 WALK = round_the_block()
@@ -156,12 +157,16 @@ def test_a_grid_weights_particles_by_their_cell_at_its_time_and_less_if_errors_a
     def odds(state: ParticleState) -> float:
         return float(state.weight[west].sum() / state.weight[~west].sum())
 
-    once = on_plan.on_fix(before, grid, "nothing to compare", known, config.model, 0)
+    once = on_plan.on(before, FixUse(grid, "nothing to compare", math.nan), known, config.model)
     assert odds(once) == pytest.approx(4.0)
-    again = on_plan.on_fix(replace(before, last_grid_s=17.5), grid, "nothing to compare", known, config.model, 0)
+    again = on_plan.on(
+        replace(before, last_grid_s=17.5), FixUse(grid, "nothing to compare", math.nan), known, config.model
+    )
     assert odds(again) == pytest.approx(4.0 ** math.tanh(2.5 / 12.0))
     off = pdr.GridFix(20.0, (500.0, -10.0), 10.0, grid.log_likelihood)
-    assert odds(on_plan.on_fix(before, off, "nothing to compare", known, config.model, 0)) == pytest.approx(1.0)
+    assert odds(on_plan.on(before, FixUse(off, "nothing to compare", math.nan), known, config.model)) == pytest.approx(
+        1.0
+    )
 
 
 def test_a_grid_from_before_the_first_stored_position_changes_no_particle(plan: pdr.FloorPlan) -> None:
@@ -173,7 +178,7 @@ def test_a_grid_from_before_the_first_stored_position_changes_no_particle(plan: 
     way = np.array([[20.0, 0, 0, 0], [20.5, 0, 0.7, 0]])
     before = replace(on_plan.init(), particles=particles, weight=np.full(4000, 1 / 4000), reckoned=way)
     early = pdr.GridFix(19.0, (5.0, -10.0), 10.0, np.log([[0.8, 0.2], [0.1, 0.9]]))
-    assert on_plan.on_fix(before, early, "nothing to compare", known, config.model, 0) is before
+    assert on_plan.on(before, FixUse(early, "nothing to compare", math.nan), known, config.model) is before
 
 
 def test_after_a_ride_in_a_lift_particles_that_were_in_a_lift_have_most_weight(tmp_path: Path) -> None:

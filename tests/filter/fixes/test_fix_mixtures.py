@@ -13,8 +13,8 @@ from scipy.stats import chi2
 from sensed_walk import SensedWalk, Tracked
 
 import pdr_filter as pdr
-from pdr_filter.filter.fixes.repeated_fixes import repetitions
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
+from pdr_filter.filter.pedestrian.repeated_fixes import repetitions
 from pdr_filter.simulate import Gait, Leg, SensorErrors, simulate
 from pdr_filter.tracking.filtering import MAX_FIX_AGE_S
 from pdr_filter.values import HeadingFix, PositionFix, Samples

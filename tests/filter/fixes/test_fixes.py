@@ -12,11 +12,11 @@ from scipy.stats import chi2, invgamma, multivariate_normal
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.fixes.alignment import Alignment, Place
-from pdr_filter.filter.fixes.frame import UNKNOWN_FRAME
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint, align, least_squares_error, rotation_density
-from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
-from pdr_filter.filter.imm.pedestrian_state import present_position
+from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.pedestrian.alignment import Alignment, Place
+from pdr_filter.filter.pedestrian.frame import UNKNOWN_FRAME
+from pdr_filter.filter.pedestrian.frame_rotation import PairedPoint, align, least_squares_error, rotation_density
+from pdr_filter.filter.pedestrian.pedestrian_state import present_position
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking import filtering
 from pdr_filter.tracking.filtering import add_fixes, init
@@ -223,7 +223,7 @@ def test_block_sizes_and_saving_change_no_bit_of_a_track_with_all_kinds_of_fixes
     for fix in fixes:
         online.add_fix(fix)
     online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 5), n_resumed=10)
-    frame = online.state.tracker.pedestrian.frame
+    frame = online.state.pedestrian.frame
     assert frame.alignment is not None
     # offline tracking also transforms the steps before the rotation was known
     told = [u.position_m if u.of_start is None else frame.world(u.of_start).position_m for u in updates]

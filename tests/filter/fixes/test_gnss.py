@@ -338,7 +338,7 @@ def test_the_blocks_of_samples_and_locations_change_no_bit_of_an_online_track(wa
     assert online.origin is None
     blocks = cut_randomly(pdr.merge_streams(walk), 1)
     online, updates = pushed(online, blocks, push_locations, n_resumed=6)
-    frame = online.state.tracker.pedestrian.frame
+    frame = online.state.pedestrian.frame
     told = [u.position_m if u.of_start is None else frame.world(u.of_start).position_m for u in updates]
     np.testing.assert_array_equal(told, whole.position_m)
     assert online.origin == whole.origin

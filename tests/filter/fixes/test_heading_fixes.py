@@ -51,7 +51,7 @@ def test_a_filter_that_is_cut_saved_and_resumed_places_the_track_by_the_same_hea
     for fix in fixes:
         online.add_fix(fix)
     online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 3), n_resumed=6)
-    frame = online.state.tracker.pedestrian.frame
+    frame = online.state.pedestrian.frame
     assert frame.name == whole.frame == "heading fixes"
     np.testing.assert_array_equal([u.in_frame(frame).position_m for u in updates], whole.position_m)
     np.testing.assert_array_equal([u.in_frame(frame).position_cov_m2 for u in updates], whole.position_cov_m2)
@@ -149,7 +149,7 @@ def test_the_first_heading_fix_after_a_lost_heading_rotates_the_whole_track_onli
     online = pdr.OnlineFilter(pdr.recipes.default(walk.subject))
     online.add_fix(fix)
     online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 5), n_resumed=4)
-    frame = online.state.tracker.pedestrian.frame
+    frame = online.state.pedestrian.frame
     np.testing.assert_array_equal([u.in_frame(frame).position_m for u in updates], track.position_m)
     path = online.path()
     np.testing.assert_allclose(path.position_m[: path.n_steps][first_leg], track.position_m[first_leg], atol=0.3)

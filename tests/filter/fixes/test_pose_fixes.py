@@ -141,5 +141,5 @@ def test_an_added_fix_returns_its_outcome_or_that_it_waits(walk: pdr.Recording) 
     resumed = pdr.OnlineFilter.load(before)
     resumed.push(*(column[n:] for column in columns))
     resumed.finish()
-    assert [each.outcome for each in resumed.state.last_fixes] == ["placed", "turned", "turned", "repeated", "turned"]
-    np.testing.assert_equal(resumed.state.last_fixes[2].nis, added[2].nis)
+    assert [each.outcome for each in resumed.state.last.fixes] == ["placed", "turned", "turned", "repeated", "turned"]
+    np.testing.assert_equal(resumed.state.last.fixes[2].nis, added[2].nis)

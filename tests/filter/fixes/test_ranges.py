@@ -12,11 +12,20 @@ from helpers import resumed
 from scipy.stats import chi2
 
 import pdr_filter as pdr
+from pdr_filter.filter.chain.handler import part_of
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.two_hypotheses import Hypotheses
 from pdr_filter.filter.fixes import range_updates
-from pdr_filter.filter.fixes.range_placement import MAX_RANGES, PairedRange, PlacedTrack, PriorPose, recent, solutions
 from pdr_filter.filter.fixes.range_updates import _is_wide
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
-from pdr_filter.filter.imm.pedestrian_state import initial_state
+from pdr_filter.filter.pedestrian.pedestrian_state import initial_state
+from pdr_filter.filter.pedestrian.range_placement import (
+    MAX_RANGES,
+    PairedRange,
+    PlacedTrack,
+    PriorPose,
+    recent,
+    solutions,
+)
 from pdr_filter.sensing.clock import on_track_clock
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, FloatArray, Measurement
@@ -117,7 +126,7 @@ def test_ranges_to_two_anchors_leave_two_hypotheses_until_the_path_turns() -> No
         while fixes and fixes[0].time_s <= samples.time_s[part][-1]:
             filter_.add_fix(fixes.pop(0))
         filter_.push(samples.time_s[part], samples.specific_force_mps2[part], samples.angular_rate_radps[part])
-        if filter_.state.rival is not None:
+        if part_of(filter_.state.chain, Hypotheses).rival is not None:
             away_m = float(np.linalg.norm(filter_.position_m - place_at(recording, samples.time_s[part][-1])))
             std_m = float(np.sqrt(np.linalg.eigvalsh(filter_.position_cov_m2)[-1]))
             seen.append((samples.time_s[i], away_m, std_m))
@@ -125,7 +134,7 @@ def test_ranges_to_two_anchors_leave_two_hypotheses_until_the_path_turns() -> No
     assert seen[0][0] < 20.0 and seen[-1][0] < 40.0
     assert all(away_m < 3.5 * std_m + 1.0 for _, away_m, std_m in seen)
     assert max(std_m for *_, std_m in seen) > 4.0
-    assert filter_.state.rival is None
+    assert part_of(filter_.state.chain, Hypotheses).rival is None
     filter_.finish()
     path = filter_.path()
     off_m = np.linalg.norm(path.position_m - place_at(recording, path.time_s), axis=1)
@@ -141,7 +150,7 @@ def test_saving_does_not_change_a_filter_with_two_hypotheses() -> None:
             first.add_fix(fix)
     parts = (samples.specific_force_mps2, samples.angular_rate_radps)
     first.push(samples.time_s[:n], *(part[:n] for part in parts))
-    assert first.state.rival is not None
+    assert part_of(first.state.chain, Hypotheses).rival is not None
     second = resumed(first)
     updates = [f.push(samples.time_s[n:], *(part[n:] for part in parts)) for f in (first, second)]
     np.testing.assert_array_equal(*([u.position_m for u in each] for each in updates))

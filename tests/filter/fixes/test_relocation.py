@@ -12,8 +12,8 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint
-from pdr_filter.filter.fixes.relocation import EPISODE_S, MAX_REJECTED, PRIOR_LOG_ODDS, RelocationEvidence
+from pdr_filter.filter.pedestrian.frame_rotation import PairedPoint
+from pdr_filter.filter.pedestrian.relocation import EPISODE_S, MAX_REJECTED, PRIOR_LOG_ODDS, RelocationEvidence
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix
 from pdr_filter.values.recording import Recording

@@ -10,7 +10,7 @@ import pytest
 from helpers import part_of, resumed
 
 import pdr_filter as pdr
-from pdr_filter.filter.fixes.repeated_fixes import FixMemory, repetitions
+from pdr_filter.filter.pedestrian.repeated_fixes import FixMemory, repetitions
 from pdr_filter.values import FloatArray, GridFix, HeadingFix, PositionFix, RangeFix, SpeedFix, Standstill
 
 PLACE = np.zeros(3)

@@ -7,7 +7,7 @@ import pytest
 from helpers import cut_randomly, pushed
 
 import pdr_filter as pdr
-from pdr_filter.filter.fixes.fix_history import STANDSTILL_LOG_EVIDENCE, StandstillSteps
+from pdr_filter.filter.pedestrian.fix_history import STANDSTILL_LOG_EVIDENCE, StandstillSteps
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Recording
 

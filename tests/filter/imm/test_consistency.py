@@ -12,8 +12,8 @@ import pytest
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm.pedestrian_state import present_position
-from pdr_filter.filter.imm.step_history import TRAIL_STEPS
+from pdr_filter.filter.pedestrian.pedestrian_state import present_position
+from pdr_filter.filter.pedestrian.step_history import TRAIL_STEPS
 from pdr_filter.values import CONTEXTS
 from tests.benchmarks.consistency import Errors, bounds, errors_of_walks, own_model, run_day, said_of, simulated_walk
 

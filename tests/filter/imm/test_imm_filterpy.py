@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pdr_filter as pdr
+from pdr_filter.filter.chain.imm_tracker import ImmTracker
 from pdr_filter.filter.imm import filterpy_backend as imm_filterpy
 from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.filterpy_backend import FilterpyImm, MendedIMMEstimator
-from pdr_filter.filter.imm.imm_tracker import ImmTracker
 from pdr_filter.values import PositionFix, mixtures
 
 M = np.array([[0.9, 0.1], [0.3, 0.7]])  # from row to column

@@ -12,8 +12,8 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.fixes.frame import START_FRAME
-from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint
+from pdr_filter.filter.pedestrian.frame import START_FRAME
+from pdr_filter.filter.pedestrian.frame_rotation import Compass, PairedPoint
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, PositionFix
 from pdr_filter.values.recording import Recording, Samples

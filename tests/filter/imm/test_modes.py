@@ -10,15 +10,15 @@ from helpers import a_step, even_transitions, updates_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.imm.motion_model import IRREGULAR, Mode, MotionNoise
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.imm.weighting import ModeEvidence, carrying_log_evidence
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.step_length.models import known_length
-from pdr_filter.sensing.contexts.context_stage import CARRYING_STAY_PROB, WindowContext, follow_mode
-from pdr_filter.values import CARRYING_MODES, CONTEXTS
+from pdr_filter.sensing.contexts.context_stage import CARRYING_STAY_PROB, follow_mode
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, WindowContext
 
 PRIOR = np.full(6, 1 / 6)
 WALKING = CONTEXTS.index("walking")

@@ -21,15 +21,12 @@ from pdr_filter.filter.imm.motion_model import (
     Directions,
     Mode,
     MotionNoise,
-    advance,
-    expect_first_direction,
     grow_over_gap,
     initial_estimate,
-    predict_heading,
     second_order_errors,
-    update_heading,
 )
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.step_cycle import advance, expect_first_direction, predict_heading, update_heading
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, known_length
 from pdr_filter.values import HeadingDrift, Step
 

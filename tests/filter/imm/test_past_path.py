@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pdr_filter.filter.fixes.alignment import Alignment
-from pdr_filter.filter.imm.past_path import MAX_STEPS, PastPath, WalkedStep
+from pdr_filter.filter.pedestrian.alignment import Alignment
+from pdr_filter.filter.pedestrian.past_path import MAX_STEPS, PastPath, WalkedStep
 from pdr_filter.values import FloatArray
 
 # Standard deviation of heading offsets, so small that arcs are straight as in a linear smoother.

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from pdr_filter.filter.imm.walking_speed import CONTACT_STD_S, SPEED_CHANGE_MPS_PER_SQRT_S, WalkingSpeed, after_step
+from pdr_filter.filter.pedestrian.walking_speed import (
+    CONTACT_STD_S,
+    SPEED_CHANGE_MPS_PER_SQRT_S,
+    WalkingSpeed,
+    after_step,
+)
 
 
 def walked(lengths: np.ndarray, durations: np.ndarray, length_var: float = 0.0036, scale_var: float = 0.0) -> list:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.transition_probabilities import context_transitions, stationary_prob
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 
 
 @pytest.mark.parametrize("leave", [0.3, 1e-4, 1e-9, 1e-15])

@@ -10,30 +10,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pdr_filter import recipes
-from pdr_filter.filter.fixes.alignment import Alignment
+from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.chain.weighted_tracker import DetectedStepTracker, WeightedState, WeightedTracker
 from pdr_filter.filter.imm import imm
-from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.imm.motion_model import (
     Directions,
     MotionNoise,
-    advance,
     initial_estimate,
     second_order_errors,
     stepless_var_m2,
 )
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import (
+from pdr_filter.filter.imm.step_cycle import advance
+from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
+from pdr_filter.filter.pedestrian.alignment import Alignment
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import (
     StepUpdate,
     in_other_frame,
     over_stepless,
     present_position,
     with_reopened_rotation,
 )
-from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker, WeightedState, WeightedTracker
-from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step, replace_unchecked
+from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step, WindowContext, replace_unchecked
 
 LATENCY_S = 0.74
 EVEN_PRIOR = np.full(6, 1 / 6)

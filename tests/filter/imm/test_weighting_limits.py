@@ -25,13 +25,12 @@ from helpers import a_step, even_transitions, mode_of_each_context, updates_of
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.filter.imm.imm_tracker import ImmState, ImmTracker
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import StepUpdate
-from pdr_filter.filter.imm.weighted_tracker import WeightedState, WeightedTracker
+from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, context_weights, weighted_distances
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CONTEXTS, PositionFix, Step, mixtures
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
+from pdr_filter.values import CONTEXTS, PositionFix, Step, WindowContext, mixtures
 
 N = len(CONTEXTS)
 SEEDS = st.integers(0, 2**32 - 1)

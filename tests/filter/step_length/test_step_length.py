@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import approx_fprime
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm.modes import context_modes
+from pdr_filter.filter.pedestrian.person import Session
 from pdr_filter.filter.step_length.models import (
     BounceStepLength,
     ChenStepLength,
@@ -38,10 +38,10 @@ from pdr_filter.filter.step_length.models import (
     scale_std,
     static_fit,
 )
-from pdr_filter.filter.step_length.person import Session
 from pdr_filter.recipes import default
 from pdr_filter.recipes.guo2018.recipe import chen_fit
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.recipes.modes import context_modes
 from pdr_filter.recipes.tian2016.recipe import recipe_fit, tian_fit
 from pdr_filter.recipes.zhou2019 import step_length as zhou2019
 from pdr_filter.sensing.steps.step_detector import unknown_contexts

@@ -11,9 +11,8 @@ from helpers import a_step
 import pdr_filter as pdr
 from pdr_filter.filter.imm import imm
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.simulate import Leg, demo_walk, simulate
-from pdr_filter.values import PositionFix
+from pdr_filter.values import PositionFix, WindowContext
 
 
 def fixes_of(walk: pdr.Recording, seed: int = 0, std_m: float = 2.0) -> list[PositionFix]:

@@ -11,16 +11,15 @@ from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
 
 import pdr_filter as pdr
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.motion_model import (
     Mode,
     MotionNoise,
-    advance,
     grow_over_gap,
-    predict_heading,
     stepless_var_m2,
 )
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+from pdr_filter.filter.imm.step_cycle import advance, predict_heading
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import StaticStepLength, known_length
 from pdr_filter.offline.smoothing.preintegration import increments, preintegrate, state_transform
 from pdr_filter.offline.smoothing.problem import nearest_contact

@@ -22,8 +22,7 @@ from pdr_filter.recipes.guo2018.contexts import PoseContext
 from pdr_filter.recipes.guo2018.features import NAMES, AmbientSamples, MotionLevel, PoseWindows
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, WindowContext
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Recording
 

@@ -21,9 +21,8 @@ from pdr_filter.recipes.susi2013.contexts import (
 )
 from pdr_filter.recipes.susi2013.features import NAMES, MotionWindow, MotionWindows, dominance
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.contexts.context_stage import WindowContext
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, WindowContext
 from pdr_filter.values.recording import Recording
 
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")

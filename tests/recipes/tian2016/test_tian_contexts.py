@@ -14,8 +14,7 @@ from pdr_filter.recipes.tian2016.contexts import CarryingMachine, MachineState, 
 from pdr_filter.recipes.tian2016.steps import HOLDING, POCKET, SWING, TRANS, TianStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2, WindowContext
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.serialisation import from_bytes, to_bytes
 

@@ -21,8 +21,8 @@ from pdr_filter.recipes.zhou2019.contexts import (
 )
 from pdr_filter.recipes.zhou2019.features import BehaviourWindows
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.contexts.context_stage import WindowContext, WindowStageState
-from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2
+from pdr_filter.sensing.contexts.context_stage import WindowStageState
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, WindowContext
 
 G = STANDARD_GRAVITY_MPS2
 # Every condition has its own feature: variance 5, DC component 10, energy 7 for walking; 1 and 2 for irregular swing.

@@ -10,10 +10,10 @@ from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.classifiers.familiarity import Familiarity
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.recipes.martinelli2018.features import TABLE_II
-from pdr_filter.sensing.contexts.context_stage import ContextModels, WindowContext, with_cadence, with_climbs
+from pdr_filter.sensing.contexts.context_stage import ContextModels, with_cadence, with_climbs
 from pdr_filter.sensing.features.barometer import Climb
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow
-from pdr_filter.values import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, WindowContext
 
 NAMES = ATTITUDE_FREE.names
 USED = NAMES[:3]

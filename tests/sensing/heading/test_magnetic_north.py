@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
+from pdr_filter.sensing.steps.step_detector import unknown_contexts
 from pdr_filter.values import FloatArray, Step, wrap_angle
 
 STAGE = MagneticNorth()
@@ -55,7 +56,7 @@ def rotations(quat: FloatArray) -> FloatArray:
 
 
 def found(block: UniformBlock, attitude: AttitudeBlock, steps: list[tuple[int, Step]], stage: MagneticNorth = STAGE):
-    return [s for _, s in stage.update(stage.init(), block, attitude, steps)[1]]
+    return [s for _, s in stage.update(stage.init(), block, attitude, unknown_contexts(len(block.time_s)), steps)[1]]
 
 
 def error_rad(step: Step, north_rad: float) -> float:
@@ -192,6 +193,7 @@ def test_the_result_does_not_depend_on_the_blocks(edges: list[int]) -> None:
             AttitudeBlock(
                 np.zeros(m - n), np.zeros((m - n, 2)), np.zeros((m - n, 3)), np.zeros(m - n), quat=attitude.quat[n:m]
             ),
+            unknown_contexts(m - n),
             [(k, s) for k, s in steps if n <= k < m],
         )
         streamed, n = [*streamed, *(s for _, s in now)], m

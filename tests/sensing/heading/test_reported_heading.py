@@ -11,7 +11,8 @@ from helpers import a_step
 
 from pdr_filter import recipes
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, Directions
-from pdr_filter.filter.imm.pedestrian_state import initial_state, with_heading
+from pdr_filter.filter.imm.step_cycle import step_cycle
+from pdr_filter.filter.pedestrian.pedestrian_state import initial_state, since_last_step
 from pdr_filter.sensing.heading.reported_heading import Reported, Shown
 
 BIAS_STD_RADPS = 0.002
@@ -30,9 +31,12 @@ def test_after_a_pause_and_a_late_heading_change_the_filter_has_heading_and_vari
         step = replace(a_step(time_s), yaw_bias_std_radps=BIAS_STD_RADPS)
         reported = reported.at_step(step, drift, BIAS_STD_RADPS)
         reported, fields = reported.with_report(step, Shown(offset_rad, var_rad2, 0.0), 0.0, var_rad2, 0.0)
-        state, _ = with_heading(state, replace(step, **fields), one_mode, model.noise)
-        state = replace(state, steps=replace(state.steps, last_s=time_s))
-        known = state.estimates
+        step, since = replace(step, **fields), since_last_step(state, step)
+        no_length = np.zeros(1), np.zeros(1)
+        cycle = step_cycle(state.estimates, state.heading_zero, step, since, no_length, one_mode, model.noise)
+        known = replace(cycle.ahead, mean=cycle.turned_mean, cov=cycle.turned_cov)
+        steps = replace(state.steps, last_s=time_s)
+        state = replace(state, estimates=known, heading_zero=cycle.zero, steps=steps)
         assert state.heading_zero.offset_rad + known.mean[0, HEADING_OFFSET] == pytest.approx(reported.offset_rad)
         assert known.cov[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(reported.var_rad2)
     assert math.isclose(reported.time_s, 1.5 + pause_s)

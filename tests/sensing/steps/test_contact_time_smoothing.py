@@ -24,7 +24,7 @@ def steps_at(contacts_s: FloatArray) -> list[tuple[int, Step]]:
 
 
 def evened(contacts_s: FloatArray) -> list[Step]:
-    return [s for _, s in ContactTimeSmoothing().update(ContactTimeSmoothing().init(), steps_at(contacts_s))[1]]
+    return [s for _, s in ContactTimeSmoothing().finish(ContactTimeSmoothing().init(), steps_at(contacts_s))[1]]
 
 
 def times_s(steps: list[Step]) -> FloatArray:
@@ -59,7 +59,7 @@ def test_after_a_rest_the_error_of_left_and_right_is_estimated_again() -> None:
 def test_a_missed_contact_is_put_in_the_middle_of_a_step_twice_as_long() -> None:
     k = np.delete(np.arange(41), 20)
     steps = [(i, replace(s, is_two=i == 20)) for i, s in steps_at(5.0 + 0.55 * k)]
-    found = times_s([s for _, s in ContactTimeSmoothing().update(ContactTimeSmoothing().init(), steps)[1]])
+    found = times_s([s for _, s in ContactTimeSmoothing().finish(ContactTimeSmoothing().init(), steps)[1]])
     np.testing.assert_allclose(found, 5.0 + 0.55 * np.arange(41))
 
 
@@ -78,7 +78,7 @@ def test_the_two_halves_of_a_step_have_together_its_turn_and_its_measurements() 
         is_two=True,
     )
     first, second = (
-        s for _, s in ContactTimeSmoothing().update(ContactTimeSmoothing().init(), [*steps[:-1], (9, long)])[1][-2:]
+        s for _, s in ContactTimeSmoothing().finish(ContactTimeSmoothing().init(), [*steps[:-1], (9, long)])[1][-2:]
     )
     assert (first.time_s, second.time_s) == (pytest.approx(7.0), long.time_s)
     assert (first.duration_s, second.duration_s) == (pytest.approx(0.5), pytest.approx(0.5))
@@ -104,13 +104,13 @@ def test_the_order_stays_durations_are_positive_and_end_where_the_next_step_begi
 def test_the_first_step_of_a_bout_keeps_its_duration() -> None:
     contacts_s = 5.0 + 0.55 * np.arange(12) + 0.06 * (-1.0) ** np.arange(12)
     first = (12, replace(a_step(20.0), duration_s=0.6, frequency_hz=1 / 0.6))
-    moved = ContactTimeSmoothing().update(ContactTimeSmoothing().init(), [*steps_at(contacts_s), first])[1][-1][1]
+    moved = ContactTimeSmoothing().finish(ContactTimeSmoothing().init(), [*steps_at(contacts_s), first])[1][-1][1]
     assert moved == first[1]
 
 
 @given(intervals_s=st.lists(st.floats(0.3, 0.9), min_size=2, max_size=20), at=st.integers(0, 20))
 def test_steps_are_the_same_however_they_come_and_the_state_is_saved(intervals_s: list[float], at: int) -> None:
     steps, stage = steps_at(2.0 + np.cumsum(intervals_s)), ContactTimeSmoothing()
-    state, first = stage.update(stage.init(), steps[:at])
+    state, first = stage.finish(stage.init(), steps[:at])
     state = serialise.from_bytes(serialise.to_bytes(state))
-    assert [*first, *stage.update(state, steps[at:])[1]] == stage.update(stage.init(), steps)[1]
+    assert [*first, *stage.finish(state, steps[at:])[1]] == stage.finish(stage.init(), steps)[1]

@@ -17,7 +17,8 @@ from pdr_filter.data.io.formats import read
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
-from pdr_filter.sensing.steps.step_gate import StepGate
+from pdr_filter.sensing.steps.step_detector import unknown_contexts
+from pdr_filter.sensing.steps.step_gate import StepGate, StepGateState
 from pdr_filter.sensing.steps.walking_evidence import EVIDENCE, WalkEvidence, evidence_features, repetitions, slowness
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step
@@ -50,13 +51,20 @@ def known_steps(times_s: Sequence[float]) -> list[tuple[int, Step]]:
     return found
 
 
+def update(gate: StepGate, state: StepGateState, block: UniformBlock, steps: list[tuple[int, Step]]) -> tuple:
+    attitude, contexts = flat_attitude(block.specific_force_mps2[:, 2]), unknown_contexts(len(block.time_s))
+    return gate.update(state, block, attitude, contexts, steps)
+
+
 def advance(gate: StepGate, blocks: list[UniformBlock], steps: list[tuple[int, Step]], n_before: int = 0) -> tuple:
     """State and released steps after some blocks; the steps that are known by then."""
     state, released = gate.init(), []
     for block in blocks:
         n_after = n_before + len(block.time_s)
         part = [s for s in steps if n_before <= s[0] < n_after]
-        state, out = gate.update(state, block, flat_attitude(block.specific_force_mps2[:, 2]), part)
+        state, out = gate.update(
+            state, block, flat_attitude(block.specific_force_mps2[:, 2]), unknown_contexts(len(block.time_s)), part
+        )
         released += out
         n_before = n_after
     return state, released
@@ -66,7 +74,7 @@ def passed(gate: StepGate, times_s: Sequence[float], rest_s: float = 3.0) -> lis
     """Steps that pass the gate, including those released at the end."""
     block = uniform_block(np.full(int(100 * (max(times_s, default=0.0) + rest_s)), STANDARD_GRAVITY_MPS2))
     state, released = advance(gate, [block], known_steps(times_s))
-    return [s for _, s in [*released, *gate.close(state, [])[1]]]
+    return [s for _, s in [*released, *gate.finish(state, [])[1]]]
 
 
 def times_of(steps: Sequence[Step]) -> list[float]:
@@ -340,10 +348,10 @@ def test_the_end_decides_the_waiting_steps() -> None:
     early, late = known_steps(times_s)[:9], [(694, a_step(times_s[9]))]
     state, released = advance(gate, [uniform_block(np.full(695, 9.8))], early)
     assert len(released) < 9
-    state, rest = gate.close(state, late)
+    state, rest = gate.finish(state, late)
     assert times_of([s for _, s in [*released, *rest]]) == times_s
     assert {number for number, _ in rest} == {694}
-    assert gate.close(state, [])[1] == []
+    assert gate.finish(state, [])[1] == []
 
 
 def test_a_bout_goes_on_after_a_short_gap_and_not_after_a_long_one() -> None:
@@ -351,11 +359,13 @@ def test_a_bout_goes_on_after_a_short_gap_and_not_after_a_long_one() -> None:
     for gap_s, n in [(0.8, 3), (5.0, 0)]:
         gate = told_gate([9.0] * 11)
         state, released = advance(gate, [uniform_block(np.full(640, 9.8))], known_steps(times_s))
-        state, rest = gate.close(state, [])
+        state, rest = gate.finish(state, [])
         assert len(released) + len(rest) == 8
         block = uniform_block(np.full(500, 9.8), start_s=6.4 + gap_s, gap_before_s=gap_s)
         later = [(number, a_step(6.4 + gap_s + 0.005 + number / 100 - 0.9)) for number in (100, 150, 200)]
-        state, after = gate.update(state, block, flat_attitude(np.full(500, 9.8)), later)
+        state, after = gate.update(
+            state, block, flat_attitude(np.full(500, 9.8)), unknown_contexts(len(block.time_s)), later
+        )
         assert len(after) == n
         assert all(0 <= number < 500 for number, _ in after)
 
@@ -363,11 +373,11 @@ def test_a_bout_goes_on_after_a_short_gap_and_not_after_a_long_one() -> None:
 def test_a_gap_drops_steps_that_do_not_form_a_bout() -> None:
     gate = told_gate([9.0] * 6)
     state, released = advance(gate, [uniform_block(np.full(400, 9.8))], known_steps([1.0, 1.5, 2.0]))
-    state, rest = gate.close(state, [])
+    state, rest = gate.finish(state, [])
     assert [*released, *rest] == []
     block = uniform_block(np.full(400, 9.8), start_s=4.5, gap_before_s=0.5)
     later = [(number, a_step(4.505 + number / 100 - 0.9)) for number in (95, 145, 195)]
-    assert gate.update(state, block, flat_attitude(np.full(400, 9.8)), later)[1] == []
+    assert update(gate, state, block, later)[1] == []
 
 
 # --- any steps ------------------------------------------------------------------------------------------------------
@@ -399,14 +409,16 @@ def test_the_same_steps_pass_however_the_samples_are_cut_and_the_state_is_saved(
     times_s = list(1.0 + np.cumsum(rng.uniform(0.4, 0.7, 28)))
     block, steps = walk_block(times_s, 20.0, seed=seed), known_steps(times_s)
     state, whole = advance(GATE, [block], steps)
-    whole += GATE.close(state, [])[1]
+    whole += GATE.finish(state, [])[1]
     cut_state, pieces, n = GATE.init(), [], 0
     for part in cut_uniform(block, edges):
         known = [s for s in steps if n <= s[0] < n + len(part.time_s)]
         cut_state = serialise.from_bytes(serialise.to_bytes(cut_state))
-        cut_state, out = GATE.update(cut_state, part, flat_attitude(part.specific_force_mps2[:, 2]), known)
+        cut_state, out = GATE.update(
+            cut_state, part, flat_attitude(part.specific_force_mps2[:, 2]), unknown_contexts(len(part.time_s)), known
+        )
         pieces, n = [*pieces, *out], n + len(part.time_s)
-    assert [*pieces, *GATE.close(cut_state, [])[1]] == whole
+    assert [*pieces, *GATE.finish(cut_state, [])[1]] == whole
     assert len(whole) > 10
 
 
@@ -419,7 +431,9 @@ def test_the_state_stays_small(steps: tuple[list[float], list[float]]) -> None:
     state, n = gate.init(), 0
     for part in cut_uniform(block, list(range(100, len(block.time_s), 100))):
         known = [s for s in known_steps(times_s) if n <= s[0] < n + len(part.time_s)]
-        state, _ = gate.update(state, part, flat_attitude(part.specific_force_mps2[:, 2]), known)
+        state, _ = gate.update(
+            state, part, flat_attitude(part.specific_force_mps2[:, 2]), unknown_contexts(len(part.time_s)), known
+        )
         n += len(part.time_s)
         assert len(state.rows) <= 300
         assert len(state.waiting) <= 6

@@ -5,36 +5,33 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Alignment, Place, moved, walked_var_m2
-from pdr_filter.filter.fixes.fix_history import FixHistory
-from pdr_filter.filter.fixes.frame import Frame
-from pdr_filter.filter.fixes.frame_rotation import Compass, PairedPoint
-from pdr_filter.filter.fixes.relocation import RelocationEvidence
 from pdr_filter.filter.imm.estimates import ALONG_AND_ACROSS, LENGTH_PARAMETERS, Estimates, position_cov
 from pdr_filter.filter.imm.motion_model import (
     EAST,
     HEADING_OFFSET,
     LOG_SCALE,
     NORTH,
-    Directions,
     MotionNoise,
     bounded_position_cov,
-    expect_first_direction,
     grow_over_gap,
     initial_estimate,
-    predict_heading,
     second_order_errors,
     stepless_var_m2,
-    update_heading,
 )
-from pdr_filter.filter.imm.past_path import PastPath, WalkedStep
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.step_history import StepHistory, Walked
-from pdr_filter.filter.imm.walking_speed import WalkingSpeed
+from pdr_filter.filter.imm.step_cycle import Cycle, HeadingZero
+from pdr_filter.filter.pedestrian.alignment import Alignment, Place, moved, walked_var_m2
+from pdr_filter.filter.pedestrian.fix_history import FixHistory
+from pdr_filter.filter.pedestrian.frame import Frame
+from pdr_filter.filter.pedestrian.frame_rotation import Compass, PairedPoint
+from pdr_filter.filter.pedestrian.past_path import PastPath, WalkedStep
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.relocation import RelocationEvidence
+from pdr_filter.filter.pedestrian.step_history import StepHistory, Walked
+from pdr_filter.filter.pedestrian.walking_speed import WalkingSpeed
 from pdr_filter.values import (
     Fix,
     FloatArray,
@@ -174,22 +171,6 @@ class StepUpdate:
         return as_plain({"time_s": self.step.time_s, **named, "context_prob": contexts})
 
 
-@dataclass(frozen=True, slots=True)
-class HeadingZero:
-    """Heading offset that is the zero of the offset in the filter states: the first measured one.
-
-    Attributes
-    ----------
-    offset_rad : float
-        Walking heading minus device heading at the first step with a measured walking heading.
-    time_s : float
-        Contact of this step, or infinity before it.
-    """
-
-    offset_rad: float = 0.0
-    time_s: float = math.inf
-
-
 @dataclass(frozen=True, eq=False)
 class PedestrianState:
     """Estimates after the latest event, and the history that later steps and fixes need.
@@ -208,8 +189,8 @@ class PedestrianState:
         Last final steps.
     fixes : FixHistory
         Earlier fixes, as far as the next fix depends on them.
-    path : PastPath
-        Present estimate of the positions of all steps.
+    changes : tuple of callable
+        What the last event did to the path of past steps (`with_path.WithPath`), as functions of this path.
     rival : Rival or None
         Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
     std_at_start_m : float
@@ -221,10 +202,10 @@ class PedestrianState:
 
     estimates: Estimates
     frame: Frame
-    heading_zero: HeadingZero = HeadingZero()
+    heading_zero: HeadingZero = field(default_factory=HeadingZero)
     steps: StepHistory = field(default_factory=StepHistory)
     fixes: FixHistory = field(default_factory=FixHistory)
-    path: PastPath = field(default_factory=PastPath)
+    changes: tuple[Callable[[PastPath], PastPath], ...] = ()
     rival: Rival | None = None
     std_at_start_m: float = math.inf
     unstepped_var_m2: float = 0.0
@@ -253,6 +234,16 @@ class Rival:
 
     pedestrian: PedestrianState
     log_odds: float
+
+
+def with_change(state: PedestrianState, change: Callable[[PastPath], PastPath]) -> PedestrianState:
+    """Return the state with one more change of the path of past steps."""
+    return replace_unchecked(state, changes=(*state.changes, change))
+
+
+def without_changes(state: PedestrianState) -> PedestrianState:
+    """Return the state before an event, without the changes that the last event made to the path of past steps."""
+    return replace_unchecked(state, changes=()) if state.changes else state
 
 
 def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
@@ -289,84 +280,85 @@ def before_step(state: PedestrianState, step: Step) -> PedestrianState:
     )
 
 
-def with_heading(
-    state: PedestrianState, step: Step, directions: Directions, noise: MotionNoise
-) -> tuple[PedestrianState, FloatArray]:
-    """Return the state with the heading of the next step, before its displacement, and the drifted covariances.
+def since_last_step(state: PedestrianState, step: Step) -> tuple[float, float]:
+    """Return the time since the previous step in s, and the variance of the motion without steps in it, m2.
 
-    The position becomes less certain by the motion without steps before the step, as far as `over_stepless` has not
-    added it yet. The heading offset drifts for the time since the previous step, because the heading stage assumes this
-    drift for its measurement. Then the measured walking heading updates the state. The first measured walking heading
-    defines the zero of the heading offset instead. The second result are the covariances (F, 4, 4) after the drift and
-    before the measurement.
-    """
-    estimates, zero = state.estimates, state.heading_zero
-    since_s = step.duration_s if math.isnan(state.steps.last_s) else step.time_s - state.steps.last_s
-    mean, drifted_cov = estimates.mean, predict_heading(estimates.cov, step, since_s, directions, noise)
-    var_m2 = float(stepless_var_m2(max(step.stepless_s - state.steps.stepless_s, 0.0)))
-    if var_m2:
-        drifted_cov[:, [EAST, NORTH], [EAST, NORTH]] += var_m2
-    cov = drifted_cov
-    if math.isfinite(step.walking_heading_std_rad) and not step.states_heading:
-        if math.isinf(zero.time_s):
-            offset_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
-            zero, cov = HeadingZero(offset_rad, step.time_s), expect_first_direction(cov, step.walking_heading_std_rad)
-        else:
-            mean, cov = update_heading(mean, cov, step, zero.offset_rad)
-    return replace_unchecked(
-        state,
-        estimates=replace_unchecked(estimates, mean=mean, cov=cov),
-        heading_zero=zero,
-        unstepped_var_m2=state.unstepped_var_m2 + var_m2,
-    ), drifted_cov
-
-
-def on_standstill_step(
-    model: PedestrianModel, state: PedestrianState, step: Step, free_prob: FloatArray
-) -> tuple[PedestrianState, float]:
-    """Return the state after a step within a stated standstill, and the number of new steps that contradict it.
-
-    `state` is the state before the step, and `free_prob` (M,) are the mode probabilities of the step without the
-    standstill. The number of contradicting steps includes earlier ones that were not clear before this step.
+    The variance is that along each axis, as far as `over_stepless` has not added it yet.
     """
     since_s = step.duration_s if math.isnan(state.steps.last_s) else step.time_s - state.steps.last_s
-    before = state.fixes.standstill_steps
-    after = before.plus(step.time_s, since_s, float(free_prob @ model.moves), max(-model.step_log_odds_stationary, 0.0))
-    fixes = replace_unchecked(state.fixes, standstill_steps=after)
-    return replace_unchecked(state, fixes=fixes), after.n_contradicting - before.n_contradicting
+    return since_s, float(stepless_var_m2(max(step.stepless_s - state.steps.stepless_s, 0.0)))
 
 
 def with_withheld_length(
-    model: PedestrianModel, state: PedestrianState, walked: Walked, withheld_m: float
+    model: PedestrianModel,
+    state: PedestrianState,
+    step: Step,
+    walked: Walked,
+    free_prob: FloatArray,
+    withheld_m: float,
 ) -> tuple[PedestrianState, Walked]:
-    """Return state and step with the length that a stated standstill withholds from the step, as uncertainty.
+    """Return the state before a step within a stated standstill, and the step, with the withheld length as uncertainty.
 
-    If the statement is wrong, all of its steps lack their lengths. The error is therefore one of the length parameter
-    of a mode without displacement, which all steps share.
+    `free_prob` (M,) are the mode probabilities of the step without the standstill, and `withheld_m` is the length that
+    the standstill withholds from it. If the statement is wrong, all of its steps lack their lengths. The error is
+    therefore one of the length parameter of a mode without displacement, which all steps share. It is added for each
+    step that clearly contradicts the standstill, including earlier ones that were not clear before this step.
     """
+    since_s, _ = since_last_step(state, step)
+    before = state.fixes.standstill_steps
+    after = before.plus(step.time_s, since_s, float(free_prob @ model.moves), max(-model.step_log_odds_stationary, 0.0))
+    all_withheld_m = max((after.n_contradicting - before.n_contradicting) * withheld_m, 0.0)
     std_m = walked.parameter_std_m.copy()
-    std_m[int(np.argmin(model.moves))] += max(withheld_m, 0.0)
-    reaching = replace_unchecked(state, std_at_start_m=state.std_at_start_m + max(withheld_m, 0.0))
+    std_m[int(np.argmin(model.moves))] += all_withheld_m
+    fixes = replace_unchecked(state.fixes, standstill_steps=after)
+    reaching = replace_unchecked(state, fixes=fixes, std_at_start_m=state.std_at_start_m + all_withheld_m)
     return reaching, replace(walked, parameter_std_m=std_m)
 
 
-def with_step(
-    state: PedestrianState, step: Step, walked: Walked, combined: tuple[FloatArray, FloatArray], event: WalkedStep
-) -> PedestrianState:
-    """Return the state after a step whose prediction and evidence are already in the estimates.
+class StepEstimate(NamedTuple):
+    """Estimate after the evidence of a step.
 
-    Updates the consider errors, the frame, the step history and the path. `combined` is the combined mean (4,) and
-    covariance (4, 4) after the step, `event` the record of the step for the path.
+    Attributes
+    ----------
+    estimates : Estimates
+        Estimates of the filters.
+    combined : ((4,) array, (4, 4) array)
+        Combined mean and covariance.
+    mode_prob : (M,) array
+        Probabilities of the modes, or their weights.
+    context_prob : (C,) array
+        Context probabilities.
     """
-    x, P = combined
-    consider_error_m = state.estimates.consider_error_m + _consider_error_m(walked, P)
-    return replace_unchecked(
-        state,
-        estimates=replace_unchecked(state.estimates, consider_error_m=consider_error_m),
-        frame=_with_compass(state.frame, step, float(x[HEADING_OFFSET])),
-        steps=state.steps.plus(step, walked, x, P),
-        path=state.path.with_event(event),
+
+    estimates: Estimates
+    combined: tuple[FloatArray, FloatArray]
+    mode_prob: FloatArray
+    context_prob: FloatArray
+
+
+def after_step(
+    model: PedestrianModel,
+    previous: PedestrianState,
+    step: Step,
+    cycle: Cycle,
+    walked: Walked,
+    estimate: StepEstimate,
+    is_final: bool = True,
+) -> tuple[PedestrianState, StepUpdate]:
+    """Return the state after a step and its track row, from the state before it, its cycle and its estimate."""
+    x, P = estimate.combined
+    consider_error_m = estimate.estimates.consider_error_m + _consider_error_m(walked, P)
+    event = WalkedStep.of(step.time_s, cycle, x)
+    updated = replace_unchecked(
+        previous,
+        estimates=replace_unchecked(estimate.estimates, consider_error_m=consider_error_m),
+        frame=_with_compass(previous.frame, step, float(x[HEADING_OFFSET])),
+        heading_zero=cycle.zero,
+        steps=previous.steps.plus(step, walked, x, P),
+        unstepped_var_m2=previous.unstepped_var_m2 + since_last_step(previous, step)[1],
     )
+    updated = with_change(updated, lambda path: path.with_event(event))
+    return updated, _step_update(model, previous, updated, step, walked, estimate, is_final)
 
 
 def _consider_error_m(walked: Walked, P: FloatArray) -> FloatArray:
@@ -404,15 +396,15 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
     This growth replaces the heading drift since the last step.
     """
     estimates = replace_unchecked(state.estimates, cov=grow_over_gap(state.estimates.cov, gap_s, noise))
-    P = state.estimates.combined[1]
-    return replace_unchecked(
+    P, after_P = state.estimates.combined[1], estimates.combined[1]
+    changed = replace_unchecked(
         state,
         estimates=estimates,
         steps=state.steps.after_gap(gap_s),
         fixes=state.fixes.after_gap(),
-        path=state.path.predicted(P, estimates.combined[1]),
         std_at_start_m=state.std_at_start_m + math.sqrt(noise.gap_var_m2(gap_s)),
     )
+    return with_change(changed, lambda path: path.predicted(P, after_P))
 
 
 def over_stepless(state: PedestrianState, stepless_s: float) -> PedestrianState:
@@ -421,13 +413,14 @@ def over_stepless(state: PedestrianState, stepless_s: float) -> PedestrianState:
     cov = estimates.cov.copy()
     cov[:, [EAST, NORTH], [EAST, NORTH]] += var_m2
     grown = replace_unchecked(estimates, cov=cov)
-    return replace_unchecked(
+    P, grown_P = estimates.combined[1], grown.combined[1]
+    changed = replace_unchecked(
         state,
         estimates=grown,
         steps=replace_unchecked(state.steps, stepless_s=state.steps.stepless_s + stepless_s),
-        path=state.path.predicted(estimates.combined[1], grown.combined[1]),
         unstepped_var_m2=state.unstepped_var_m2 + var_m2,
     )
+    return with_change(changed, lambda path: path.predicted(P, grown_P))
 
 
 _MAX_NORTH_STD_RAD = 1.0  # limit of a normal density on a circle
@@ -483,13 +476,13 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
     mean[:, :LOG_SCALE] = x[:LOG_SCALE]
     cov[:, :LOG_SCALE] = cov[:, :, :LOG_SCALE] = 0.0
     no_error_m = np.zeros_like(estimates.consider_error_m)
-    return replace_unchecked(
+    state = replace_unchecked(
         state,
         estimates=replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=no_error_m),
         frame=frame.reopened((turning_point,), heading_var_rad2, steps.n_final),
         fixes=replace_unchecked(state.fixes, relocation=RelocationEvidence(), used=(), ranges=()),
-        path=state.path.detached(P, time_s, x[:2].copy()),
     )
+    return with_change(state, lambda path: path.detached(P, time_s, x[:2].copy()))
 
 
 def heading_var_rad2(state: PedestrianState) -> float:
@@ -520,14 +513,14 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
     mean, cov = moved(estimates.mean, estimates.cov, alignment)
     consider_error_m = estimates.consider_error_m @ alignment.rotation.T
     turned = replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=consider_error_m)
-    x, turned_P = turned.combined
-    return replace_unchecked(
+    P, (x, turned_P) = estimates.combined[1], turned.combined
+    state = replace_unchecked(
         with_moved_past(state, alignment.positions),
         estimates=turned,
-        path=state.path.turned(alignment, estimates.combined[1], turned_P, x[:2]),
         heading_zero=HeadingZero(state.heading_zero.offset_rad - alignment.angle_rad, state.heading_zero.time_s),
         frame=state.frame.moved(alignment),
     )
+    return with_change(state, lambda path: path.turned(alignment, P, turned_P, x[:2]))
 
 
 def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], FloatArray]) -> PedestrianState:
@@ -538,28 +531,23 @@ def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], Fl
 def with_detached_path(state: PedestrianState) -> PedestrianState:
     """Return the state whose past positions no longer change with the present estimate."""
     x, P = state.estimates.combined
-    return replace_unchecked(state, path=state.path.detached(P, state.steps.end_s, x[:2].copy()))
+    end_s = state.steps.end_s
+    return with_change(state, lambda path: path.detached(P, end_s, x[:2].copy()))
 
 
-def step_update(
+def _step_update(
+    model: PedestrianModel,
     previous: PedestrianState,
     updated: PedestrianState,
     step: Step,
     walked: Walked,
-    combined: tuple[FloatArray, FloatArray],
-    context_prob: FloatArray,
-    mode_prob: FloatArray,
-    contexts: tuple[str, ...],
-    is_final: bool = True,
+    estimate: StepEstimate,
+    is_final: bool,
 ) -> StepUpdate:
-    """Return the track row of a step that led from one state to the next.
-
-    `combined` is the combined mean (4,) and covariance (4, 4) after the step (see `with_step`).
-    """
-    x, P = combined
-    speed, n_steps = updated.steps.speed, previous.steps.n_final
-    if speed is None:
-        raise ValueError("the state after a step must have a walking speed: use the state that with_step returns")
+    """Return the track row of a step that led from one state to the next."""
+    x, P = estimate.combined
+    # the history after a step has its speed
+    speed, n_steps = cast(WalkingSpeed, updated.steps.speed), previous.steps.n_final
     cov_m2 = bounded_position_cov(position_cov(P, updated.estimates.consider_cov_m2), updated.reach_m)
     of_start = Place(frozen(x[:2].copy()), cov_m2, walked.heading_rad, n_steps)
     place = of_start if updated.frame.is_joined else updated.frame.world(of_start)
@@ -574,9 +562,9 @@ def step_update(
         walked_m=updated.estimates.distance_m,
         walking_heading_rad=place.heading_rad,
         speed=speed,
-        context_prob=frozen(context_prob),
-        contexts=contexts,
-        mode_prob=frozen(mode_prob),
+        context_prob=frozen(estimate.context_prob),
+        contexts=model.contexts,
+        mode_prob=frozen(estimate.mode_prob),
         gap_before_s=previous.steps.gap_s,
         reach_m=updated.reach_m,
     )

@@ -17,8 +17,14 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from pdr_filter.filter.fixes.alignment import Alignment
-from pdr_filter.filter.fixes.frame_rotation import PairedPoint, agreement_limit, align, least_squares_error, thinned
+from pdr_filter.filter.pedestrian.alignment import Alignment
+from pdr_filter.filter.pedestrian.frame_rotation import (
+    PairedPoint,
+    agreement_limit,
+    align,
+    least_squares_error,
+    thinned,
+)
 from pdr_filter.values import FloatArray
 
 # T: a reflection affects a pedestrian for some tens of seconds.

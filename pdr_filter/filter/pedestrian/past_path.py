@@ -20,10 +20,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Alignment
 from pdr_filter.filter.imm import imm
-from pdr_filter.filter.imm.estimates import Estimates
-from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, N_STATES, NORTH, Advance
+from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, N_STATES, NORTH
+from pdr_filter.filter.imm.step_cycle import Cycle
+from pdr_filter.filter.pedestrian.alignment import Alignment
 from pdr_filter.values import FloatArray, replace_unchecked
 
 # Number of events that are processed together.
@@ -146,18 +146,12 @@ class WalkedStep:
         return float(self.updated_mean[HEADING_OFFSET] - self.prob.dot(self.mean[:, HEADING_OFFSET]))
 
     @classmethod
-    def of(
-        cls,
-        time_s: float,
-        mixed: Estimates,
-        drifted_cov: FloatArray,
-        turned: Estimates,
-        ahead: Advance,
-        updated_mean: FloatArray,
-    ) -> WalkedStep:
-        """Return the step at a contact, from the mixed estimates before it to the combined mean (4,) after it."""
-        before = mixed.prob, mixed.mean, mixed.cov, drifted_cov, turned.mean, turned.cov
-        return cls(time_s, updated_mean, *before, ahead.mean, ahead.cov, ahead.by_state)
+    def of(cls, time_s: float, cycle: Cycle, updated_mean: FloatArray) -> WalkedStep:
+        """Return the step at a contact, from its cycle to the combined mean (4,) after it."""
+        before, ahead = cycle.before, cycle.ahead
+        turned = cycle.drifted_cov, cycle.turned_mean, cycle.turned_cov
+        of_cycle = before.prob, before.mean, before.cov, *turned, ahead.mean, ahead.cov, cycle.by_state
+        return cls(time_s, updated_mean, *of_cycle)
 
 
 def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[BackwardRelation]:
@@ -426,14 +420,6 @@ class PastPath:
         time. The vectors of steps at or before this time are zero.
         """
         return np.where(time_s > self.shared_from_s, place_m - self.shared_from_m[:, None], 0.0)
-
-
-class NoPath(PastPath):
-    """Path without steps, for recordings: only `OnlineFilter.path` shows past steps."""
-
-    def with_event(self, event: WalkedStep | BackwardRelation) -> PastPath:
-        """Return the same path."""
-        return self
 
 
 def turned(alignment: Alignment, place_m: FloatArray, cov_m2: FloatArray) -> tuple[FloatArray, FloatArray]:

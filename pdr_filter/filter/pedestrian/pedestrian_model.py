@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pdr_filter.filter.fixes.frame import START_FRAME, Frame
 from pdr_filter.filter.imm.motion_model import IRREGULAR, Directions, Mode, MotionNoise
 from pdr_filter.filter.imm.transition_probabilities import stationary_prob
 from pdr_filter.filter.imm.weighting import ModeEvidence
+from pdr_filter.filter.pedestrian.frame import START_FRAME, Frame
 from pdr_filter.filter.step_length.models import StepLengths, uneven_var_m2
 from pdr_filter.values import (
     CONTEXTS,
@@ -118,7 +118,7 @@ class PedestrianModel:
     --------
     >>> import numpy as np
     >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+    >>> from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
     >>> modes = pdr.Mode("resting", moves=False), pdr.Mode("level")
     >>> transition_prob = np.array([[0.8, 0.2], [0.02, 0.98]])
     >>> model = PedestrianModel(modes, transition_prob, contexts=("resting", "level"))

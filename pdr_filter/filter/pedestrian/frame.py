@@ -8,8 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Alignment, Place
-from pdr_filter.filter.fixes.frame_rotation import (
+from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
+from pdr_filter.filter.pedestrian.alignment import Alignment, Place
+from pdr_filter.filter.pedestrian.frame_rotation import (
     MAX_ANGLE_STD_RAD,
     MAX_NORTH_STD_RAD,
     MAX_PAIRS,
@@ -23,7 +24,6 @@ from pdr_filter.filter.fixes.frame_rotation import (
     rotation_density,
     thinned,
 )
-from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
 from pdr_filter.values import FloatArray, Origin, wrap_angle
 
 # One in twenty correct headings has a larger conflict with the positions. Above it the frame is not joined until more

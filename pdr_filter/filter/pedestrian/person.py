@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.filter.fixes.gnss import MAX_SHRINKAGE, SHRINKAGE_STD
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.motion_model import LOG_SCALE, Mode
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import (
     RECORDING_STD,
     TYPICAL_STEP,
@@ -31,6 +30,7 @@ from pdr_filter.values import (
     check_whole,
     limits,
 )
+from pdr_filter.values.fix_error_correlation import MAX_SHRINKAGE, SHRINKAGE_STD
 from pdr_filter.values.safe_files import read_json, write_text
 
 # Largest relative standard deviation of the step length that is learnt from a walk. Less certain walks are not
@@ -62,7 +62,7 @@ class Session:
 
     Examples
     --------
-    >>> from pdr_filter.filter.step_length.person import Session
+    >>> from pdr_filter.filter.pedestrian.person import Session
     >>> Session(step_length_m=0.71, std=0.02, n_fixes=40)
     Session(step_length_m=0.71, std=0.02, n_fixes=40)
     """
@@ -100,7 +100,7 @@ class Person:
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.step_length.person import Session
+    >>> from pdr_filter.filter.pedestrian.person import Session
     >>> person = pdr.Person((Session(0.71, 0.02, 40),)).pooled(pdr.Person((Session(0.75, 0.02, 35),)))
     >>> round(person.step_length_m, 2)
     0.73
@@ -278,7 +278,7 @@ class LengthFixes:
     def size_std(self) -> float:
         """Relative standard deviation of the size of the walk in the correlated fixes, an error that all share.
 
-        A phone smooths its locations, which brings them closer to their mean (`gnss.SHRINKAGE_STD`). The error can last
+        A phone smooths its locations, which brings them closer to their mean (`SHRINKAGE_STD`). The error can last
         for the whole walk, and then looks like shorter steps. It is half of the distance from the mean, and at most 1.5
         standard deviations of a location. It is therefore large for a walk around a building and small for a walk over
         some hundred metres. It is 0 with fewer than two such fixes.

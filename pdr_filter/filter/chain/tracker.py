@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import Field
 from typing import Any, ClassVar, Protocol, TypeVar
 
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, Step
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.values import Fix, FixOutcome, Step, WindowContext
 
 
 class TrackerState(Protocol):

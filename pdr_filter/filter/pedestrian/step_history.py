@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import EAST, LOG_SCALE, NORTH
-from pdr_filter.filter.imm.walking_speed import WalkingSpeed, after_step
+from pdr_filter.filter.pedestrian.walking_speed import WalkingSpeed, after_step
 from pdr_filter.values import FloatArray, Step, interpolated, replace_unchecked
 
 # Number of stored final steps: one minute at four steps a second, the largest delay of a fix

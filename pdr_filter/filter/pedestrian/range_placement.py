@@ -15,8 +15,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pdr_filter.filter.fixes.alignment import Alignment
-from pdr_filter.filter.fixes.frame_rotation import MAX_ANGLE_STD_RAD
+from pdr_filter.filter.pedestrian.alignment import Alignment
+from pdr_filter.filter.pedestrian.frame_rotation import MAX_ANGLE_STD_RAD
 from pdr_filter.values import (
     FloatArray,
     RangeFix,

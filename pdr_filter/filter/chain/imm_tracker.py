@@ -4,30 +4,29 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from pdr_filter.filter.fixes.fix_history import STANDSTILL_LOG_EVIDENCE
+from pdr_filter.filter.chain.recent_windows import RecentWindows, n_after, window_before, with_window
 from pdr_filter.filter.fixes.fix_updates import use_fix
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import ImmArithmetic, NumpyImm, mixed_values
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, Advance, StepMotion, advance
-from pdr_filter.filter.imm.past_path import WalkedStep
-from pdr_filter.filter.imm.pedestrian_model import ModeLengths, PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import (
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
+from pdr_filter.filter.imm.step_cycle import StepMotion, step_cycle
+from pdr_filter.filter.pedestrian.fix_history import STANDSTILL_LOG_EVIDENCE
+from pdr_filter.filter.pedestrian.pedestrian_model import ModeLengths, PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
+    StepEstimate,
     StepUpdate,
+    after_step,
     before_step,
     initial_state,
-    on_standstill_step,
     over_gap,
-    step_update,
-    with_heading,
+    since_last_step,
     with_reach_after_fix,
-    with_step,
     with_withheld_length,
+    without_changes,
 )
-from pdr_filter.filter.imm.recent_windows import RecentWindows, n_after, window_before, with_window
-from pdr_filter.filter.imm.step_history import Walked
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace_unchecked
+from pdr_filter.filter.pedestrian.step_history import Walked
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, WindowContext, replace_unchecked
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +56,7 @@ class ImmTracker:
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.imm.imm_tracker import ImmTracker
+    >>> from pdr_filter.filter.chain.imm_tracker import ImmTracker
     >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
     >>> tracker = ImmTracker(pdr.recipes.default().model)
     >>> state, updates = tracker.on_step(tracker.init(), TYPICAL_STEP)
@@ -132,34 +131,25 @@ class ImmTracker:
         section 11.6.6.
         """
         model, imm = self.model, self.arithmetic
-        previous = before_step(state.pedestrian, step)
-        mixed = self._mixed(previous.estimates)
-        turned, drifted_cov = with_heading(
-            replace_unchecked(previous, estimates=mixed), step, model.directions, model.noise
-        )
-        lengths = model.lengths(step)
-        advanced = self._advanced(turned.estimates, step, lengths)
-        predicted = replace_unchecked(
-            turned.estimates, mean=advanced.mean, cov=advanced.cov, walked_m=mixed.walked_m + advanced.motion.length_m
-        )
+        previous = before_step(without_changes(state.pedestrian), step)
+        mixed, lengths = self._mixed(previous.estimates), model.lengths(step)
+        own = lengths.length_m, lengths.residual_var_m2
+        since = since_last_step(previous, step)
+        cycle = step_cycle(mixed, previous.heading_zero, step, since, own, model.directions, model.noise)
         window = window_before(state.windows, step.time_s)
         state, log_evidence = self._with_evidence(state, step, window)
-        prob = imm.update_mode_prob(predicted.prob, log_evidence)
-        combined = imm.combine(predicted.mean, predicted.cov, prob)
+        prob = imm.update_mode_prob(mixed.prob, log_evidence)
+        combined = imm.combine(cycle.ahead.mean, cycle.ahead.cov, prob)
 
-        walked = self._walked(step, lengths, advanced.motion, prob, combined[0])
+        walked = self._walked(step, lengths, cycle.motion, prob, combined[0])
         context_prob = model.context_prob(prob) if window is None else window.prob
         if previous.fixes.is_standing(step.time_s):
             free_prob = model.step_mode_prob(context_prob)
-            turned, n_new = on_standstill_step(model, turned, step, free_prob)
-            withheld_m = n_new * float((free_prob - prob) @ advanced.motion.length_m)
-            turned, walked = with_withheld_length(model, turned, walked, withheld_m)
-        event = WalkedStep.of(step.time_s, mixed, drifted_cov, turned.estimates, advanced, combined[0])
-        updated = with_step(
-            replace_unchecked(turned, estimates=replace_unchecked(predicted, prob=prob)), step, walked, combined, event
-        )
-        update = step_update(previous, updated, step, walked, combined, context_prob, prob, model.contexts)
-        return replace_unchecked(state, pedestrian=updated), (update,)
+            withheld_m = float((free_prob - prob) @ cycle.motion.length_m)
+            previous, walked = with_withheld_length(model, previous, step, walked, free_prob, withheld_m)
+        estimate = StepEstimate(replace_unchecked(cycle.ahead, prob=prob), combined, prob, context_prob)
+        pedestrian, update = after_step(model, previous, step, cycle, walked, estimate)
+        return replace_unchecked(state, pedestrian=pedestrian), (update,)
 
     def provisional(self, state: ImmState) -> StepUpdate | None:
         """Return None, because every step is final when it is detected.
@@ -182,13 +172,6 @@ class ImmTracker:
         mean, cov, prob = self.arithmetic.mix(estimates.mean, estimates.cov, estimates.prob, transition_prob)
         walked_m = mixed_values(estimates.walked_m, estimates.prob, transition_prob)
         return replace_unchecked(estimates, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
-
-    def _advanced(self, estimates: Estimates, step: Step, lengths: ModeLengths) -> Advance:
-        """Return the prediction of the step in each mode, with the length of the step in that mode."""
-        length_m, _, residual_var_m2, _ = lengths
-        return advance(
-            estimates.mean, estimates.cov, step, length_m, residual_var_m2, self.model.directions, self.model.noise
-        )
 
     def _with_evidence(self, state: ImmState, step: Step, window: WindowContext | None) -> tuple[ImmState, FloatArray]:
         """Return the state and the log evidence (M,) of the step, its context window and known standstills.

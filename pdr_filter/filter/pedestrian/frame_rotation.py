@@ -22,9 +22,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.random import Generator
 
-from pdr_filter.filter.fixes.alignment import Alignment, Place, rotated_cov
 from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
+from pdr_filter.filter.pedestrian.alignment import Alignment, Place, rotated_cov
 from pdr_filter.values import ComplexArray, FloatArray, error_correlation, read_only, softmax, wrap_angle
+from pdr_filter.values.uncertainty import STUDENT_DOF, variance_factor
 
 # Standard deviation (15 degrees) up to which the filter treats the rotation as an angle and refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
@@ -49,14 +50,6 @@ _SIGNIFICANCE = 1e-3
 
 # Standard deviations from which two or three fixes, which have no majority, count as inconsistent.
 _MIN_DISAGREEMENT = 10.0
-
-
-# Degrees of freedom of Student's t distribution of the joint errors of fixes. There are few fixes, and their true
-# accuracy is unknown. Test: points tapped on a plan with a stated standard deviation of 0.5 m, after the first fifth of
-# a walk. On the storeys B1 and F1 of ms_indoor the 50 % and 95 % ellipses covered 49 and 85 % with normal errors, 54
-# and 89 % with this value, which was chosen there among 2, 4 and 8. On the held-out storeys they covered 37 and 85 %,
-# and 46 and 90 %.
-_STUDENT_DOF = 4.0
 
 
 # Probability that a compass fails and points in any direction: the phone is held in landscape, or there is a magnet in
@@ -341,10 +334,10 @@ def _density_of_fit(fit: _Fit) -> RotationDensity:
     If the minimum of s is below the degrees of freedom, 2 n - 3 (at least 0), s is increased by a constant, so that its
     minimum equals them, because errors are at least as large as stated.
     """
-    pair_squares, power = fit.squares - fit.prior_squares, 0.5 * (_STUDENT_DOF + 2 * len(fit.pairs) - 2)
+    pair_squares, power = fit.squares - fit.prior_squares, 0.5 * (STUDENT_DOF + 2 * len(fit.pairs) - 2)
     least = float(pair_squares.min())
     deficit = max(degrees_of_freedom(fit.pairs) - least, 0.0)  # errors are at least as large as stated
-    prob = softmax(-0.5 * fit.prior_squares - power * np.log(_STUDENT_DOF + deficit + pair_squares))
+    prob = softmax(-0.5 * fit.prior_squares - power * np.log(STUDENT_DOF + deficit + pair_squares))
     normal_prob = softmax(-0.5 * fit.squares)
     return RotationDensity(
         prob, normal_prob, *_centres(fit), variance_factor(least, degrees_of_freedom(fit.pairs)) * fit.shift_var_m2
@@ -364,15 +357,6 @@ def _centres(fit: _Fit) -> tuple[FloatArray, FloatArray]:
 def degrees_of_freedom(pairs: Sequence[PairedPoint]) -> int:
     """Return the degrees of freedom of the errors of n pairs after shift and rotation: 2 n - 3, at least 0."""
     return max(2 * len(pairs) - 3, 0)
-
-
-def variance_factor(squares: float, n_errors: int, n_before: int = 0) -> float:
-    """Return the factor by which variances exceed their stated values, estimated from normalised squared errors.
-
-    The factor is at least one. `squares` is the sum over `n_errors` errors. The prior is worth `_STUDENT_DOF` errors
-    with the stated variances, plus `n_before` such errors.
-    """
-    return max((_STUDENT_DOF + n_before + squares) / (_STUDENT_DOF + n_before + n_errors), 1.0)
 
 
 def _normalised(prob: FloatArray) -> FloatArray:

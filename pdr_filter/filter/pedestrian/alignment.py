@@ -1,7 +1,7 @@
 """Alignment of a track with another frame by a shift and a rotation.
 
 The filter is linear in a rotation that is known to some degrees. An unknown rotation is a density over all angles
-(`filter.fixes.frame_rotation`). `filter.fixes.frame` decides between the two.
+(`filter.pedestrian.frame_rotation`). `filter.pedestrian.frame` decides between the two.
 """
 
 from __future__ import annotations

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from pdr_filter.filter.chain.weighted_tracker import DetectedStepTracker
 from pdr_filter.filter.imm.motion_model import STANDING_STD_M, Mode
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
-from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import (
     USUAL_HEIGHT_M,
     FrequencyVarianceStepLength,
@@ -64,7 +64,7 @@ def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> 
 
     Examples
     --------
-    >>> from pdr_filter.filter.imm.modes import context_modes
+    >>> from pdr_filter.recipes.modes import context_modes
     >>> from pdr_filter.filter.step_length.models import bounce_fit
     >>> [mode.name for mode in context_modes(bounce_fit())]
     ['stationary', 'walking', 'upstairs', 'downstairs', 'sideways', 'running']
@@ -108,7 +108,7 @@ def one_hot_tracker(modes: tuple[Mode, ...]) -> DetectedStepTracker:
 
     Examples
     --------
-    >>> from pdr_filter.filter.imm.modes import context_modes, one_hot_tracker
+    >>> from pdr_filter.recipes.modes import context_modes, one_hot_tracker
     >>> from pdr_filter.filter.step_length.models import bounce_fit
     >>> one_hot_tracker(context_modes(bounce_fit())).weighting
     'hc'
@@ -131,7 +131,7 @@ def height_of(subject: Subject | None) -> float:
 
     Examples
     --------
-    >>> from pdr_filter.filter.imm.modes import height_of
+    >>> from pdr_filter.recipes.modes import height_of
     >>> from pdr_filter.values.recording import Subject
     >>> height_of(Subject(height_m=1.85)), height_of(None)
     (1.85, 1.7)
@@ -154,7 +154,7 @@ def height_notes(subject: Subject | None) -> tuple[Note, ...]:
 
     Examples
     --------
-    >>> from pdr_filter.filter.imm.modes import height_notes
+    >>> from pdr_filter.recipes.modes import height_notes
     >>> from pdr_filter.values.recording import Subject
     >>> [note.about for note in height_notes(None)], height_notes(Subject(height_m=1.85))
     (['height'], ())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.sensing.contexts.context_stage import WindowContext
+from pdr_filter.values import WindowContext
 
 # The step gate may delay the first steps of a bout by some seconds.
 WINDOW_MEMORY_S = 12.0

@@ -12,36 +12,34 @@ from functools import cached_property
 
 import numpy as np
 
-from pdr_filter.filter.fixes.fix_updates import use_fix
-from pdr_filter.filter.imm.estimates import Estimates
-from pdr_filter.filter.imm.imm import NumpyImm
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, Advance, Directions, advance
-from pdr_filter.filter.imm.past_path import WalkedStep
-from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
-from pdr_filter.filter.imm.pedestrian_state import (
-    PedestrianState,
-    StepUpdate,
-    before_step,
-    initial_state,
-    on_standstill_step,
-    over_gap,
-    step_update,
-    with_heading,
-    with_reach_after_fix,
-    with_step,
-    with_withheld_length,
-)
-from pdr_filter.filter.imm.recent_windows import (
+from pdr_filter.filter.chain.recent_windows import (
     WINDOW_MEMORY_S,
     RecentWindows,
     window_after,
     window_around,
     with_window,
 )
-from pdr_filter.filter.imm.step_history import Walked
+from pdr_filter.filter.fixes.fix_updates import use_fix
+from pdr_filter.filter.imm.imm import NumpyImm
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
+from pdr_filter.filter.imm.step_cycle import step_cycle
 from pdr_filter.filter.imm.weighting import HC, WC, Weighting, context_weights
-from pdr_filter.sensing.contexts.context_stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace_unchecked
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import (
+    PedestrianState,
+    StepEstimate,
+    StepUpdate,
+    after_step,
+    before_step,
+    initial_state,
+    over_gap,
+    since_last_step,
+    with_reach_after_fix,
+    with_withheld_length,
+    without_changes,
+)
+from pdr_filter.filter.pedestrian.step_history import Walked
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, WindowContext, check_numbers, replace_unchecked
 from pdr_filter.values.mixtures import posterior_prob
 
 _SUM_TOLERANCE = 1e-6
@@ -92,7 +90,7 @@ class WeightedTracker:
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.imm.weighted_tracker import WeightedTracker
+    >>> from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
     >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
     >>> tracker = WeightedTracker(pdr.recipes.default().model)
     >>> state, updates = tracker.on_step(tracker.init(), TYPICAL_STEP)
@@ -173,7 +171,8 @@ class WeightedTracker:
         updates : tuple of StepUpdate
             Steps that became final.
         """
-        return self._settle(replace_unchecked(state, pending=(*state.pending, step)), force=False)
+        pedestrian, pending = without_changes(state.pedestrian), (*state.pending, step)
+        return self._settle(replace_unchecked(state, pedestrian=pedestrian, pending=pending), force=False)
 
     def provisional(self, state: WeightedState) -> StepUpdate | None:
         """Return a provisional update of the last step, or None if no step is pending.
@@ -279,26 +278,28 @@ class WeightedTracker:
         In a known standstill, the modes without displacement have the weights.
         """
         model, step = self.model, state.pending[0]
-        context_prob, weights = self._weights(state, step, is_final)
-        previous = before_step(state.pedestrian, step)
-        free_weights, n_new = weights, 0.0
-        if previous.fixes.is_standing(step.time_s):
-            previous, n_new = on_standstill_step(model, previous, step, free_weights)
-            weights = 1.0 - model.moves
-        directions = model.directions.weighted(weights)
-        turned, drifted_cov = with_heading(previous, step, directions, model.noise)
-        advanced, walked = self._advanced(turned.estimates, step, weights, directions)
-        if n_new:
-            free_m = float(free_weights @ model.lengths(step).length_m) * float(advanced.motion.scale[0])
-            turned, walked = with_withheld_length(model, turned, walked, n_new * (free_m - walked.length_m))
-        walked_m = previous.estimates.walked_m + advanced.motion.length_m
-        predicted = replace_unchecked(turned.estimates, mean=advanced.mean, cov=advanced.cov, walked_m=walked_m)
-        combined = predicted.mean[0], predicted.cov[0]
-        event = WalkedStep.of(step.time_s, previous.estimates, drifted_cov, turned.estimates, advanced, combined[0])
-        updated = with_step(replace_unchecked(turned, estimates=predicted), step, walked, combined, event)
-        update = step_update(previous, updated, step, walked, combined, context_prob, weights, model.contexts, is_final)
+        context_prob, free_weights = self._weights(state, step, is_final)
+        previous, lengths = before_step(state.pedestrian, step), model.lengths(step)
+        is_standing = previous.fixes.is_standing(step.time_s)
+        weights = 1.0 - model.moves if is_standing else free_weights
+        directions, mean_lengths = model.directions.weighted(weights), lengths.weighted(weights)
+        own, since = (mean_lengths.length_m, mean_lengths.residual_var_m2), since_last_step(previous, step)
+        cycle = step_cycle(previous.estimates, previous.heading_zero, step, since, own, directions, model.noise)
+        motion, (x,), (P,) = cycle.motion, cycle.ahead.mean, cycle.ahead.cov
+        walked = Walked(
+            length_m=float(motion.length_m[0]),
+            length_var_m2=float(mean_lengths.var_m2[0]),
+            heading_rad=step.reference_heading_rad + float(x[HEADING_OFFSET] + directions.heading_offset_rad[0]),
+            parameter_std_m=weights * lengths.parameter_std_m * motion.scale,
+            direction=motion.along,
+        )
+        if is_standing:
+            withheld_m = float(free_weights @ lengths.length_m) * float(motion.scale[0]) - walked.length_m
+            previous, walked = with_withheld_length(model, previous, step, walked, free_weights, withheld_m)
+        estimate = StepEstimate(cycle.ahead, (x, P), weights, context_prob)
+        pedestrian, update = after_step(model, previous, step, cycle, walked, estimate, is_final)
         mode_prob = weights if is_final else state.mode_prob
-        return replace_unchecked(state, pedestrian=updated, pending=state.pending[1:], mode_prob=mode_prob), update
+        return replace_unchecked(state, pedestrian=pedestrian, pending=state.pending[1:], mode_prob=mode_prob), update
 
     def _weights(self, state: WeightedState, step: Step, is_final: bool) -> tuple[FloatArray, FloatArray]:
         """Return the context probabilities (C,) and the mode weights (M,) of a step.
@@ -332,26 +333,6 @@ class WeightedTracker:
                 f"one, got {weights}: divide them by their sum"
             )
         return weights
-
-    def _advanced(
-        self, estimates: Estimates, step: Step, weights: FloatArray, directions: Directions
-    ) -> tuple[Advance, Walked]:
-        """Return the prediction of a step and the weighted step, for weights of the modes (M,).
-
-        The length of the step is the weighted mean over the modes.
-        """
-        lengths = self.model.lengths(step)
-        length_m, length_var_m2, single_var_m2, _ = lengths.weighted(weights)
-        advanced = advance(estimates.mean, estimates.cov, step, length_m, single_var_m2, directions, self.model.noise)
-        motion, mean = advanced.motion, advanced.mean
-        walked = Walked(
-            length_m=float(motion.length_m[0]),
-            length_var_m2=float(length_var_m2[0]),
-            heading_rad=step.reference_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0]),
-            parameter_std_m=weights * lengths.parameter_std_m * motion.scale,
-            direction=motion.along,
-        )
-        return advanced, walked
 
     @cached_property
     def _step_evidence(self) -> FloatArray:
@@ -391,7 +372,7 @@ class DetectedStepTracker(WeightedTracker):
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.imm.weighted_tracker import DetectedStepTracker
+    >>> from pdr_filter.filter.chain.weighted_tracker import DetectedStepTracker
     >>> isinstance(pdr.recipes.zhou2019().tracker, DetectedStepTracker)
     True
     """

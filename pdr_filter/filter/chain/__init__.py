@@ -1,0 +1,1 @@
+"""Chain of handlers around a tracker: second hypothesis, path, height, floor plan."""

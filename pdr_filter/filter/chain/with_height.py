@@ -1,0 +1,120 @@
+"""Handler that adds height and storey to the rows, and finds the floor passages."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pdr_filter.filter.chain.handler import End, Event, FixUse, Handler, Output, Places, Window
+from pdr_filter.filter.fixes.gnss import place_at
+from pdr_filter.filter.height import height_filter
+from pdr_filter.filter.height.height_filter import HeightState, initial_height
+from pdr_filter.filter.height.vertical_modes import N_MODES
+from pdr_filter.filter.imm.weighting import context_log_evidence
+from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.sensing.contexts.context_stage import with_stairs_in_thirds
+from pdr_filter.sensing.features.barometer import Climb
+from pdr_filter.values import FloatArray, GridFix, PositionFix, WindowContext, replace_unchecked
+
+
+@dataclass(frozen=True, eq=False)
+class HeightTrack:
+    """State of the inner handler, of the height filter, and recent accurate locations.
+
+    Attributes
+    ----------
+    inner : object
+        State of the inner handler.
+    height : HeightState
+        State of the height filter.
+    places : ndarray, shape (N, 3)
+        Recent accurate locations (`gnss.good_places`), which distinguish hills from storeys.
+    """
+
+    inner: Any
+    height: HeightState
+    places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+
+    @property
+    def pedestrian(self) -> PedestrianState:
+        """Estimates of the tracker."""
+        return self.inner.pedestrian
+
+
+def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:
+    """Return the log evidence (W, 7) of context windows for the vertical modes (`height_filter.mode_log_evidence`)."""
+    if not windows:
+        return np.zeros((0, N_MODES))
+    prob = np.array([with_stairs_in_thirds(w.prob, w.stairs_unknown_share, model.context_set) for w in windows])
+    prior, exponents = np.array([w.training_prior for w in windows]), (model.evidence_exponent, model.evidence_floor)
+    context_evidence = context_log_evidence(prob, prior, *exponents, model.prior_exponent)
+    return height_filter.mode_log_evidence(context_evidence, model.context_set)
+
+
+class WithHeight:
+    """Handler around another one, with a height filter. `start_floor` is the storey of the start, if it is known."""
+
+    def __init__(self, inner: Handler[Any], model: PedestrianModel, start_floor: int | None = None) -> None:
+        self.inner, self.on_stairs, self.start_floor = inner, model.on_stairs, start_floor
+        self.log_odds = model.step_log_odds_stationary
+
+    def init(self) -> HeightTrack:
+        """Return the state at the height of the start."""
+        height = initial_height()
+        if self.start_floor is not None:
+            height = height_filter.with_floor(height, self.start_floor)
+        return HeightTrack(self.inner.init(), height)
+
+    def on(self, state: HeightTrack, event: Event, known_s: float) -> tuple[HeightTrack, tuple[Output, ...]]:
+        """Return the state after an event, and the outputs of the inner handler with heights and floor passages."""
+        if isinstance(event, Climb):
+            place = place_at(state.places, event.time_s)
+            height, passages = height_filter.on_pressure(state.height, event, self.log_odds, place)
+            return replace_unchecked(state, height=height), passages
+        if isinstance(event, Places):
+            recent = state.places[state.places[:, 0] >= event.since_s]
+            return replace_unchecked(state, places=np.concatenate([recent, event.rows])), ()
+        if isinstance(event, Window):
+            height = height_filter.on_window(state.height, event.context, event.height_log_evidence)
+            state = replace_unchecked(state, height=height)
+        inner, outputs = self.inner.on(state.inner, event, known_s)
+        state, all_outputs = replace_unchecked(state, inner=inner), list[Output]()
+        for output in outputs:
+            if isinstance(output, StepUpdate):
+                state, added = self._on_row(state, output, known_s)
+                all_outputs += added
+            elif isinstance(output, FixUse):
+                all_outputs.append(output._replace(floor=state.height.known.floors.floor))
+                state = replace_unchecked(state, height=_with_fix(state.height, output))
+            else:
+                all_outputs.append(output)
+        if isinstance(event, End):
+            height, passages = height_filter.finish(state.height)
+            return replace_unchecked(state, height=height), (*all_outputs, *passages)
+        return state, tuple(all_outputs)
+
+    def _on_row(self, state: HeightTrack, row: StepUpdate, known_s: float) -> tuple[HeightTrack, tuple[Output, ...]]:
+        """Return the state after a row, the floor passages that it completes, and the row with height and storey."""
+        at_step, passages = state.height.known, ()
+        if row.is_final:
+            up_prob, down_prob = self.on_stairs.dot(row.mode_prob).tolist()
+            place = place_at(state.places, row.step.time_s)
+            height, at_step, passages = height_filter.on_step(
+                state.height, known_s, row.step.time_s, up_prob, down_prob, self.log_odds, place
+            )
+            state = replace_unchecked(state, height=height)
+        row = replace_unchecked(
+            row, height_m=at_step.height_m, height_std_m=at_step.height_std_m, floor=at_step.floors.floor
+        )
+        return state, (*passages, row)
+
+
+def _with_fix(height: HeightState, use: FixUse) -> HeightState:
+    """Return the height after a fix, whose storey and altitude count unless the fix was rejected or repeats another."""
+    if isinstance(use.fix, PositionFix | GridFix) and use.outcome not in ("rejected", "frozen", "repeated"):
+        return height_filter.with_fix(height, use.fix)
+    return height
