@@ -167,7 +167,7 @@ def test_a_state_that_has_its_own_classes_from_the_first_on_comes_back(
     config = pdr.recipes.default().with_heading(LateHeading(before, after))
     online = pdr.OnlineFilter(config)
     pushed(online, recording, end=900)
-    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.of_steps["heading"] == {"bout": after}
+    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.heading == {"bout": after}
 
 
 @dataclass(frozen=True)
@@ -196,7 +196,7 @@ def test_a_state_that_gets_its_own_classes_late_comes_back_if_its_fields_declare
     config = pdr.recipes.default().with_heading(LateHeading(Walked(), LATE))
     online = pdr.OnlineFilter(config)
     pushed(online, recording, end=900)
-    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.of_steps["heading"] == {"bout": LATE}
+    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.heading == {"bout": LATE}
 
 
 @dataclass(frozen=True)
@@ -213,8 +213,7 @@ def test_own_classes_with_equal_fields_come_back_as_they_were(recording: pdr.Rec
     config = pdr.recipes.default().with_heading(LateHeading(Either(Bout(0)), Either(Turn(1))))
     online = pdr.OnlineFilter(config)
     pushed(online, recording, end=900)
-    loaded = pdr.OnlineFilter.load(online.save(), config=config)
-    assert loaded.state.sensing.of_steps["heading"] == {"bout": Either(Turn(1))}
+    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.heading == {"bout": Either(Turn(1))}
 
 
 @pytest.mark.parametrize(("before", "after"), [(Walked(), Walked(undeclared=Turn(1))), (Bout(0), Turn(1))])
