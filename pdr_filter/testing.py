@@ -13,13 +13,13 @@ import numpy as np
 from pdr_filter.filter.step_length.models import TYPICAL_STEP, StepLengthFit, length_and_jacobian
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.contexts.context_stage import ContextStage, WindowContext
+from pdr_filter.sensing.contexts.context_stage import ContextStage
 from pdr_filter.sensing.heading.heading_stage import HeadingStage
 from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, Step, measured, wrap_angle
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, Step, WindowContext, measured, wrap_angle
 from pdr_filter.values.schema import missing_members
 from pdr_filter.values.serialisation import from_bytes, to_bytes
 

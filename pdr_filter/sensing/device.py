@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, check_array, limits, pickled, read_only
+from pdr_filter.values import FloatArray, check_array, limits, read_only, reduction
 from pdr_filter.values.safe_files import read_json, write_text
 
 # Random walk of the bias per square root of a day, and change of the bias per kelvin. Data sheets of phone gyroscopes
@@ -57,7 +57,7 @@ class Device:
     bias_radps: FloatArray = field(default_factory=lambda: read_only(np.zeros(3)))
     bias_cov_radps2: FloatArray = field(default_factory=lambda: read_only(0.005**2 * np.eye(3)))
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def __post_init__(self) -> None:
         bias, cov = np.asarray(self.bias_radps, dtype=float), np.asarray(self.bias_cov_radps2, dtype=float)

@@ -65,10 +65,10 @@ from pdr_filter.values import (
 )
 from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.recording import MissingSensorError, Recording, Truth
-from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, documented
+from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, document_placement
 
 
-@documented
+@document_placement
 def track(
     recording: Recording,
     config: Config | None = None,

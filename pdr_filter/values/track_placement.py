@@ -192,7 +192,7 @@ def texts() -> Mapping[str, str]:
     return {name: " ".join(text.split()) for name, text in entries}
 
 
-def documented(function: F) -> F:
+def document_placement(function: F) -> F:
     """Insert the parameters of `TrackPlacement` into the docstring of a function, at the line that names them."""
     line = f"{', '.join(field.name for field in fields(TrackPlacement))} : fields of `TrackPlacement`"
     if function.__doc__ is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, pickled, read_only
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only, reduction
 from pdr_filter.values.checks import check_array
 from pdr_filter.values.fixes import FixResult
 from pdr_filter.values.floor_passage import FloorPassage
@@ -69,7 +69,7 @@ class TrackRows:
     is_smoothed: bool = False
     effective_sample_size: FloatArray = field(default_factory=lambda: read_only(np.zeros(0)))  # (K,)
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def __repr__(self) -> str:
         return f"Track({self.name!r}, {self.n_steps} steps, {self.how_far}, {self.weighting})"

@@ -19,8 +19,8 @@ from pdr_filter.values import (
     check_cov,
     check_name_of_context,
     check_step_length,
-    pickled,
     read_only,
+    reduction,
 )
 from pdr_filter.values.limits import HEIGHT_RANGE_M
 from pdr_filter.values.recording import Subject
@@ -94,7 +94,7 @@ class CalibrationResult:
     mode_contexts: Mapping[str, str] = field(default_factory=dict[str, str])
     tracks: tuple[TrackRows, ...] = ()
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def __post_init__(self) -> None:
         for name in ARRAYS:

@@ -11,9 +11,7 @@ from pdr_filter.filter.fixes.gnss import LocationState
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height.height_filter import Altitude
 from pdr_filter.filter.pedestrian.alignment import Place
-from pdr_filter.offline.smoothing.observations import (
-    Observations,
-)
+from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import scaled_rotation
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.offline.smoothing.storeys import with_named_floors

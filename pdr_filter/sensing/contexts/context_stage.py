@@ -28,7 +28,7 @@ from pdr_filter.values import (
     IntArray,
     WindowContext,
     check_numbers,
-    frozen,
+    make_read_only,
     read_only,
     replace_unchecked,
 )
@@ -518,7 +518,7 @@ def follow_mode(
     # Plain floats, because NumPy is slower for so few numbers.
     after = [(p * (stay_prob - leave) + leave) * (max(w, 1e-9) / r) ** exponent if r > 0 else 0.0 for p, w, r in modes]
     total = sum(after)
-    return frozen(np.array([p / total for p in after]))
+    return make_read_only(np.array([p / total for p in after]))
 
 
 def with_climbs(

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, check_numbers, pickled, read_only
+from pdr_filter.values import FloatArray, check_numbers, read_only, reduction
 
 # Rate to which the specific force is averaged, Hz. It is sufficient because steps are below 5 Hz.
 EVIDENCE_HZ = 25.0
@@ -62,7 +62,7 @@ class WalkEvidence:
     weight: FloatArray
     intercept: float
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def __post_init__(self) -> None:
         check_numbers(self, signed=("intercept",))
