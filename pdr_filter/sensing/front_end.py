@@ -22,7 +22,7 @@ from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.sensing.steps.step_stage import StepStage
-from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided, VehicleVibration, VehicleVibrationState
+from pdr_filter.sensing.vehicle_vibration import VehicleVibration, VehicleVibrationState
 from pdr_filter.values import (
     DEFAULT_CONTEXTS,
     ContextSet,
@@ -33,14 +33,7 @@ from pdr_filter.values import (
     WindowContext,
     replace_unchecked,
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Gap:
-    """A time without samples, of `duration_s` seconds."""
-
-    duration_s: float
-
+from pdr_filter.values.events import Gap, Stepless, Undecided
 
 Event = Step | WindowContext | Stepless | Undecided | Gap
 

@@ -30,6 +30,7 @@ import numpy as np
 
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.values import FloatArray, Step, check_numbers, replace_unchecked
+from pdr_filter.values.events import Stepless, Undecided
 
 # Rate of the means of |f|, Hz.
 _JITTER_HZ = 50.0
@@ -48,20 +49,6 @@ _MIN_MEANS = 10
 # (motionsense) are below it, and 99 % of the seconds of walks with a phone in the hand (ms_indoor) are above it. A
 # smooth walk has less jitter than a trolley.
 _WALKING_MPS2 = 0.3
-
-
-@dataclass(frozen=True)
-class Stepless:
-    """A time of `duration_s` seconds after the last known step in which the phone moved without a step."""
-
-    duration_s: float = 1.0
-
-
-@dataclass(frozen=True)
-class Undecided:
-    """Begin of the motion whose steps are not known yet, in s, or infinity without such motion."""
-
-    since_s: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)

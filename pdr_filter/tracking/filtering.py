@@ -26,11 +26,10 @@ from pdr_filter.filter.pedestrian.person import LengthFixes, Person, session_of
 from pdr_filter.filter.pedestrian.step_history import TRAIL_TIME
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.context_stage import with_climbs
-from pdr_filter.sensing.features.barometer import STAIRS_MPS, Climb, ClimbState
-from pdr_filter.sensing.front_end import Event, Gap, SensingState
+from pdr_filter.sensing.features.barometer import STAIRS_MPS, ClimbState
+from pdr_filter.sensing.front_end import Event, SensingState
 from pdr_filter.sensing.heading.heading_stage import knows_north
 from pdr_filter.sensing.stream_merging import Merged, MergerState, Sensor, StreamMerger
-from pdr_filter.sensing.vehicle_vibration import Undecided
 from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing, is_moving
 from pdr_filter.values import (
     ContextSet,
@@ -48,6 +47,7 @@ from pdr_filter.values import (
     received_s,
     replace_unchecked,
 )
+from pdr_filter.values.events import Climb, Gap, Undecided
 
 # Maximum age of a fix. The tracker remembers `pedestrian_state.TRAIL_STEPS` steps: half a minute of continuous walking,
 # or about a minute with rests. A larger difference means that fix and samples have different clocks.

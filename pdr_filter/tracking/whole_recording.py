@@ -18,7 +18,7 @@ from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.context_stage import with_climbs
 from pdr_filter.sensing.device import Device
-from pdr_filter.sensing.features.barometer import Climb, ClimbState
+from pdr_filter.sensing.features.barometer import ClimbState
 from pdr_filter.sensing.front_end import Event, Sensing, SensingState
 from pdr_filter.sensing.heading.heading_stage import knows_north
 from pdr_filter.sensing.stream_merging import absences_in
@@ -63,6 +63,7 @@ from pdr_filter.values import (
     step_table,
     wrap_angle,
 )
+from pdr_filter.values.events import Climb
 from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.recording import MissingSensorError, Recording, Truth
 from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, document_placement

@@ -50,7 +50,7 @@ from pdr_filter.offline.training.transition_training import contexts_at
 from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.features.barometer import ClimbRate
-from pdr_filter.sensing.front_end import Event, Gap
+from pdr_filter.sensing.front_end import Event
 from pdr_filter.tracking.filtering import finish, init, update
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import (
@@ -65,6 +65,7 @@ from pdr_filter.values import (
     WindowContext,
     table,
 )
+from pdr_filter.values.events import Gap
 from pdr_filter.values.recording import Recording, Truth
 from tests.benchmarks.common import Tables, paths, recordings, run
 

@@ -11,11 +11,12 @@ from pdr_filter import recipes
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.front_end import Gap, Sensing
+from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, Step, WindowContext, known_context
+from pdr_filter.values.events import Gap
 
 WALKING, POCKET, TEXTING = CONTEXTS.index("walking"), CARRYING_MODES.index("pocket"), CARRYING_MODES.index("texting")
 

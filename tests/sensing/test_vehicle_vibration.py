@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided, VehicleVibration, VehicleVibrationState
+from pdr_filter.sensing.vehicle_vibration import VehicleVibration, VehicleVibrationState
 from pdr_filter.values import Step
+from pdr_filter.values.events import Stepless, Undecided
 
 VIBRATION = VehicleVibration()
 STEP_S = a_step(0.0).duration_s

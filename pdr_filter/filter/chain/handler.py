@@ -9,10 +9,8 @@ from typing import Any, NamedTuple, Protocol, TypeVar, cast
 from pdr_filter.filter.chain.tracker import Tracker, TrackerState
 from pdr_filter.filter.pedestrian.past_path import PastPath
 from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate, over_stepless, without_changes
-from pdr_filter.sensing.features.barometer import Climb
-from pdr_filter.sensing.front_end import Gap
-from pdr_filter.sensing.vehicle_vibration import Stepless
 from pdr_filter.values import Fix, FixOutcome, FloatArray, FloorPassage, Step, replace_unchecked
+from pdr_filter.values.events import Climb, Gap, Stepless
 from pdr_filter.values.windows import WindowContext
 
 

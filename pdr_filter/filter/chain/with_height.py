@@ -17,8 +17,8 @@ from pdr_filter.filter.imm.weighting import context_log_evidence
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.sensing.contexts.context_stage import with_stairs_in_thirds
-from pdr_filter.sensing.features.barometer import Climb
 from pdr_filter.values import FloatArray, GridFix, PositionFix, WindowContext, replace_unchecked
+from pdr_filter.values.events import Climb
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ from typing import Any, Protocol
 from pdr_filter.filter.chain.handler import Around, Event, FixUse, Handler, Output
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
-from pdr_filter.sensing.front_end import Gap
 from pdr_filter.values import FloatArray, FloorPassage, Note, OnPlan, Plan, replace_unchecked
+from pdr_filter.values.events import Gap
 
 PlanEvent = StepUpdate | FixUse | FloorPassage | Gap
 

@@ -36,7 +36,7 @@ from pdr_filter.filter.height.floor_detection import (
     with_new_level,
 )
 from pdr_filter.filter.height.vertical_modes import DOWN, DRIFT, JUMP, LIFT, N_MODES, UP
-from pdr_filter.sensing.features.barometer import RISER_M, Climb, ClimbState
+from pdr_filter.sensing.features.barometer import RISER_M, ClimbState
 from pdr_filter.values import (
     Context,
     ContextSet,
@@ -50,6 +50,7 @@ from pdr_filter.values import (
     repetition,
     replace_unchecked,
 )
+from pdr_filter.values.events import Climb
 from pdr_filter.values.uncertainty import is_floor_unknown, variance_factor
 
 # Longest ride in a lift or on an escalator. Aircraft cabins, trains and cable cars take longer.

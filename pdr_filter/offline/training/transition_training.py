@@ -29,9 +29,10 @@ from pdr_filter.offline.training.context_sequences import (
 )
 from pdr_filter.offline.training.cross_validation import Progress, TextArray, provenance, silent, source_of
 from pdr_filter.recipes import default, with_context_model
-from pdr_filter.sensing.front_end import Gap, Sensing
+from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step, WindowContext
+from pdr_filter.values.events import Gap
 from pdr_filter.values.recording import Recording
 
 DEFAULT_MODEL = "context"  # model of the default recipe, for which transitions and exponents are estimated

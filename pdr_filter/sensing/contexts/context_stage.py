@@ -15,7 +15,7 @@ from pdr_filter.classifiers.context_model import Assessment, ContextModel
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.irregular_motion import GATE, GATE_ACCELEROMETER, irregular_prob
-from pdr_filter.sensing.features.barometer import Climb, climb_log_evidence
+from pdr_filter.sensing.features.barometer import climb_log_evidence
 from pdr_filter.sensing.features.feature_windows import FeatureWindow
 from pdr_filter.sensing.features.sliding_windows import SlidingWindows, W, X
 from pdr_filter.values import (
@@ -32,6 +32,7 @@ from pdr_filter.values import (
     read_only,
     replace_unchecked,
 )
+from pdr_filter.values.events import Climb
 from pdr_filter.values.mixtures import reweighted
 
 # Probability that the carrying mode does not change from one window to the next: 30 to 60 s between changes, at one

@@ -28,6 +28,7 @@ from pdr_filter.values import (
     IntArray,
     check_numbers,
 )
+from pdr_filter.values.events import Climb
 
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
 MOLAR_MASS_OF_AIR_KG_PER_MOL = 0.0289644  # dry air; humid air at 20 degrees Celsius is up to 0.9 % lighter
@@ -49,35 +50,6 @@ _COARSE_HPA, _DIGITS = (1.0, 0.1), 1e-4  # resolutions of whole numbers and of o
 _NOTABLE_STUCK_S, _NOTABLE_HPA = 5.0, 0.2
 # Samples in a row, in order, that lie behind the last time and show a backward clock jump instead of late samples.
 _CLOCK_RESET_SAMPLES = 10
-
-
-@dataclass(frozen=True, slots=True)
-class Climb:
-    """Climb rate over one window, and the height at its end.
-
-    Attributes
-    ----------
-    time_s : float
-        Time of the last sample of the window, s. The rate is a mean over the window, so it refers to half a window
-        earlier.
-    climb_rate_mps : float
-        Climb rate, up positive, m/s.
-    std_mps : float
-        Standard deviation of the climb rate, m/s.
-    n_samples : int
-        Samples of the window.
-    height_m : float
-        Height of the mean pressure of the last hop above the level of 1013.25 hPa, m.
-    height_std_m : float
-        Standard deviation of the height due to the sensor alone, m.
-    """
-
-    time_s: float
-    climb_rate_mps: float
-    std_mps: float
-    n_samples: int
-    height_m: float
-    height_std_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

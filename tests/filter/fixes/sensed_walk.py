@@ -11,10 +11,10 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, over_stepless
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.front_end import Event, Gap
-from pdr_filter.sensing.vehicle_vibration import Stepless, Undecided
+from pdr_filter.sensing.front_end import Event
 from pdr_filter.tracking.filtering import due_s, parts
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Standstill, Step, WindowContext, replace_unchecked
+from pdr_filter.values.events import Gap, Stepless, Undecided
 from pdr_filter.values.recording import Recording
 
 

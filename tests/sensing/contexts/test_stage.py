@@ -11,9 +11,9 @@ from pdr_filter.classifiers.familiarity import Familiarity
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.recipes.martinelli2018.features import TABLE_II
 from pdr_filter.sensing.contexts.context_stage import ContextModels, with_cadence, with_climbs
-from pdr_filter.sensing.features.barometer import Climb
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindow
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, WindowContext
+from pdr_filter.values.events import Climb
 
 NAMES = ATTITUDE_FREE.names
 USED = NAMES[:3]

@@ -11,12 +11,12 @@ from pdr_filter.sensing.features.barometer import (
     LIFT_MAX_MPS,
     OUTLIER_SHARE,
     STAIRS_MPS,
-    Climb,
     ClimbRate,
     ClimbState,
     climb_log_evidence,
 )
 from pdr_filter.values import CONTEXTS
+from pdr_filter.values.events import Climb
 
 STAGE = ClimbRate()
 UP, DOWN = CONTEXTS.index("upstairs"), CONTEXTS.index("downstairs")
