@@ -50,7 +50,7 @@ class Hypotheses(Around):
 
 
 class TwoHypotheses:
-    """Handler around another one, of which it follows two states while fixes fit both.
+    """Handler around another one, of which it follows two states while ranges fit both.
 
     The more probable state becomes the track. `gate_nis` is the gate of the fixes, which bounds their evidence.
     """

@@ -1,4 +1,4 @@
-"""Interacting multiple model (IMM): mixing, prediction, update and combination.
+"""Interacting multiple model (IMM): mixing, prediction, update, mode probabilities and combination.
 
 All functions are pure functions of arrays, for all modes and all pedestrians at once: `mean` (..., M, n), `cov` (...,
 M, n, n), `mode_prob` (..., M). Leading axes, if any, are pedestrians, which are independent of each other. Letters
@@ -246,6 +246,15 @@ def update(
     return updated_mean, updated_cov, log_likelihood, nis
 
 
+def update_mode_prob(predicted_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+    """Return the posterior mode probabilities (..., M): mu_j proportional to c_j exp(log_likelihood_j).
+
+    `predicted_prob` (..., M) are the probabilities c_j after the interaction (`mix`), and `log_likelihood` (..., M) the
+    log evidence of each mode (`posterior_prob`).
+    """
+    return posterior_prob(predicted_prob, log_likelihood)
+
+
 @cache
 def _identity(n: int) -> FloatArray:
     return read_only(np.eye(n))
@@ -468,5 +477,5 @@ class NumpyImm:
 
     mix = staticmethod(mix)
     update = staticmethod(update)
-    update_mode_prob = staticmethod(posterior_prob)
+    update_mode_prob = staticmethod(update_mode_prob)
     combine = staticmethod(combine)

@@ -95,11 +95,11 @@ def step_cycle(
 ) -> Cycle:
     """Return the estimates of F filters over one step: drift, heading update, displacement and covariance.
 
-    1. The heading offset drifts for the time since the previous step, because the heading stage assumes this drift for
-       its measurement (`predict_heading`). The position becomes less certain by motion without steps.
-    2. The measured walking heading updates each filter (`update_heading`). The first measured heading defines the zero
-       of the heading offset instead.
-    3. Each filter moves by its own length and direction, P = F P F' + Q (`advance`).
+    - Heading (2 of "One step"). The offset drifts for the time since the previous step, because the heading stage
+      assumes this drift for its measurement (`predict_heading`). The position becomes less certain by motion without
+      steps. Then the measured heading updates each filter (`update_heading`). The first one defines the zero of the
+      heading offset instead.
+    - Displacement (3). Each filter moves by its own length and direction, P = F P F' + Q (`advance`).
 
     `since` are the time since the previous step in s, and the variance in m2 of the motion without steps in it.
     `lengths` are the length of the step in m and its variance in m2 in each filter, (F,) each.

@@ -193,7 +193,7 @@ class PedestrianState:
     changes : tuple of callable
         What the last event did to the path of past steps (`with_path.WithPath`), as functions of this path.
     rival : Rival or None
-        Second hypothesis of the position if the last ranges fit two positions. `tracking.filtering` runs both.
+        Second hypothesis of the position if the last range has found two positions. `TwoHypotheses` takes it over.
     std_at_start_m : float
         Standard deviation of the position after the last used position fix, minus the distance walked until then, in m.
         A gap adds its standard deviation. Infinite before the first step and the first such fix.
