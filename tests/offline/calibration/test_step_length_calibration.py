@@ -117,13 +117,6 @@ def test_the_prediction_for_a_held_out_person_is_that_of_a_calibration_without_t
     np.testing.assert_allclose(found.stranger_m[own], sums.regressors[own, 0] @ without.population, rtol=1e-5)
 
 
-def test_the_size_of_the_chunks_does_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    sums, _ = design(np.random.default_rng(4))
-    whole = estimate_parameters(sums, HELD)
-    monkeypatch.setattr(estimation, "_CHUNK_SEGMENTS", 50)
-    np.testing.assert_allclose(estimate_parameters(sums, HELD).people, whole.people, rtol=1e-12)
-
-
 def test_the_order_of_the_segments_does_not_change_the_result() -> None:
     sums, _ = design(np.random.default_rng(5))
     order = np.random.default_rng(6).permutation(len(sums))
