@@ -94,7 +94,9 @@ def solve_people(
     diagonal = np.concatenate([1 / root.diagonal(), people.diagonal.ravel()])
     theta = np.repeat(y[None], n_people, axis=0)
     theta[:, personal] = people.constant + people.gain @ y
-    if not np.isfinite(theta).all() or diagonal.min() < _SINGULAR * max(1.0, diagonal.max() / np.sqrt(max(n_people, 1))):
+    if not np.isfinite(theta).all() or diagonal.min() < _SINGULAR * max(
+        1.0, diagonal.max() / np.sqrt(max(n_people, 1))
+    ):
         raise SingularError(_undetermined(G, precision, personal, W))
     follow = np.repeat(np.eye(len(y))[None], n_people, axis=0)  # theta_s = follow_s y + constant + independent noise
     follow[:, personal] = people.gain
@@ -157,7 +159,7 @@ class _Eliminated:
             mean[:, :, -1],
             -mean[:, :, :-1],
             inverse @ inverse.transpose(0, 2, 1),
-            np.diagonal(root, axis1=1, axis2=2),
+            np.einsum("sii->si", root),
             rest - schur[:, :, :-1],
             rest_vector - schur[:, :, -1],
         )
