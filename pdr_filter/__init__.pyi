@@ -15,7 +15,6 @@ from .apps.walk_map.walk_map import map_walks as map_walks
 from .classifiers.context_model import ContextModel as ContextModel
 from .classifiers.rvm import RelevanceVectorClassifier as RelevanceVectorClassifier
 from .data import datasets as datasets
-from .data.io.files.errors import RecordingError as RecordingError
 from .data.io.formats import read as read
 from .filter.imm.motion_model import Mode as Mode
 from .filter.pedestrian.pedestrian_state import StepUpdate as StepUpdate
@@ -26,8 +25,8 @@ from .offline.calibration.fit import calibrate as calibrate
 from .offline.smoothing.smooth import smooth as smooth
 from .offline.smoothing.smoothed import Smoothed as Smoothed
 from .offline.training.context_fitting import fit_contexts as fit_contexts
+from .recipes.calibration import Calibration as Calibration
 from .recipes.config import Config as Config
-from .recipes.step_length_calibration import Calibration as Calibration
 from .sensing.conditioning import merge_streams as merge_streams
 from .sensing.device import Device as Device
 from .tracking.extrapolation import Now as Now
@@ -38,6 +37,7 @@ from .tracking.whole_recording import classify as classify
 from .tracking.whole_recording import detect_steps as detect_steps
 from .tracking.whole_recording import track as track
 from .values.contexts import CONTEXTS as CONTEXTS
+from .values.errors import RecordingError as RecordingError
 from .values.fixes import GridFix as GridFix
 from .values.fixes import HeadingFix as HeadingFix
 from .values.fixes import PositionFix as PositionFix

@@ -26,7 +26,7 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.classifiers.context_model import available_models, load_model
 from pdr_filter.classifiers.model_files import file_pair
-from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration
+from pdr_filter.recipes.calibration import Calibration, load_calibration
 from pdr_filter.values import ImuBlock
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Subject

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
+from itertools import takewhile
 from pathlib import Path
 
 import pytest
@@ -96,15 +97,9 @@ PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
 # Convenience methods of the framework that import data or applications when they are called, never before.
 WHEN_CALLED = {
     ("values.recording", "data.io.files.own_format_writer"),  # Recording.save
-    ("classifiers.model_files", "data.io.files.safe_files"),  # models and calibrations, saved and loaded
-    ("sensing.device", "data.io.files.safe_files"),  # Device.save, Device.load
-    ("filter.pedestrian.person", "data.io.files.safe_files"),  # Person.save, Person.load
-    ("recipes.config", "apps.maps.particle_filter"),  # Config.with_plan
-    ("recipes.step_length_calibration", "apps.report.plot"),  # Calibration.plot
+    ("recipes.calibration", "apps.report.plot"),  # Calibration.plot
     ("tracking.track", "data.io.files.track_writers"),  # Track.to_csv, Track.to_geojson and others
     ("tracking.track", "apps.report.plot"),  # Track.plot
-    ("offline.smoothing.smooth", "apps.maps.plan_smoothing"),  # pdr.smooth(plan=...)
-    ("offline.training.cross_validation", "data.io.formats"),  # recordings to train on
 }
 
 
@@ -114,31 +109,29 @@ def trees() -> dict[Path, ast.Module]:
     return {path: ast.parse(path.read_text(encoding="utf-8")) for path in PACKAGE.rglob("*.py")}
 
 
-def statements(body: ast.AST, types: bool, only_at_import: bool) -> Iterator[ast.AST]:
+def statements(body: ast.AST, only_at_import: bool) -> Iterator[ast.AST]:
     """Statements of a module and those inside them."""
     for node in ast.iter_child_nodes(body):
         if not isinstance(node, ast.stmt | ast.ExceptHandler | ast.match_case):
             continue
-        if not types and isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
-            continue
         if only_at_import and isinstance(node, ast.FunctionDef):
             continue
         yield node
-        yield from statements(node, types, only_at_import)
+        yield from statements(node, only_at_import)
 
 
 @cache
-def imports_of_modules(types: bool = False, only_at_import: bool = False) -> dict[str, set[str]]:
+def imports_of_modules(only_at_import: bool = False) -> dict[str, set[str]]:
     """Modules that each module of the package imports, both named without the package.
 
-    `types`: those for type checkers too. `only_at_import`: without those inside of functions.
+    They include imports for type checkers. `only_at_import`: without those inside of functions.
     """
     names = {path: ".".join(path.relative_to(PACKAGE).with_suffix("").parts) for path in trees()}
     names = {path: name.removesuffix("__init__").removesuffix(".") for path, name in names.items()}
     modules, found = set(names.values()), {}
     for path, name in names.items():
         targets: set[str] = set()
-        for node in statements(trees()[path], types, only_at_import):
+        for node in statements(trees()[path], only_at_import):
             if isinstance(node, ast.Import):
                 targets |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
@@ -158,8 +151,9 @@ def package_of(module: str) -> str:
 FOR_USERS = ["imm", "protocols", "testing", "__main__"]
 
 
-def test_there_are_eighteen_packages_and_beside_them_only_names_for_users() -> None:
+def test_the_framework_has_nine_packages_and_beside_all_packages_are_only_names_for_users() -> None:
     imports = imports_of_modules()
+    assert len(FRAMEWORK) == 9
     assert {package_of(module) for module in imports} == {"", "version", "data", "apps", *PACKAGES, *FOR_USERS}
     assert {path.stem for path in PACKAGE.glob("*.py")} == {"__init__", "version", *FOR_USERS}
     assert not {target for targets in imports.values() for target in targets} & set(FOR_USERS)
@@ -169,37 +163,31 @@ def test_every_folder_of_modules_is_a_package() -> None:
     assert [path for path in PACKAGE.rglob("*.py") if not (path.parent / "__init__.py").is_file()] == []
 
 
-def test_no_module_imports_from_a_package_above_its_own() -> None:
-    level = {
-        package: number
-        for number, package in enumerate(["version", *PACKAGES[:-1], "data", "apps", "", "apps.cli", *FOR_USERS])
-    }
+def test_no_module_imports_from_a_package_above_its_own_but_in_four_methods() -> None:
+    order = ["version", *PACKAGES[:-1], "data", "apps", "", "apps.cli", *FOR_USERS]
+    level = {package: number for number, package in enumerate(order)}
     up = {
         (module, target)
         for module, targets in imports_of_modules().items()
         for target in targets
         if level[package_of(target)] > level[package_of(module)]
     }
-    assert up - WHEN_CALLED == set()
-
-
-def test_the_framework_imports_data_and_applications_in_the_listed_methods_only() -> None:
-    outside = {
-        (module, target)
-        for module, targets in imports_of_modules(types=True).items()
-        for target in targets
-        if package_of(module) in FRAMEWORK and package_of(target) in {*DATA, *APPLICATIONS}
-    }
-    assert outside == WHEN_CALLED
+    assert up == WHEN_CALLED and len(WHEN_CALLED) <= 4
     at_import = imports_of_modules(only_at_import=True)
     assert [(module, target) for module, target in WHEN_CALLED if target in at_import[module]] == []
 
 
-def test_no_modules_import_each_other_in_a_circle() -> None:
-    graph = {module: targets - {""} for module, targets in imports_of_modules().items()}
-    graph = {module: {t for t in targets if (module, t) not in WHEN_CALLED} for module, targets in graph.items()}
-    while leaves := {module for module, targets in graph.items() if not targets & graph.keys()}:
-        graph = {module: targets for module, targets in graph.items() if module not in leaves}
+def test_no_modules_and_no_folders_import_each_other_in_a_circle() -> None:
+    packages = {name.rpartition(".")[0] for name in imports_of_modules()}
+    graph: dict[str, set[str]] = {}
+    for module, targets in imports_of_modules().items():
+        for target in targets - {"", *(t for m, t in WHEN_CALLED if m == module)}:
+            a, b = (f"{name}.__init__".split(".") if name in packages else name.split(".") for name in (module, target))
+            same = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(a, b, strict=False)))
+            # two modules or folders in one folder, where a folder has the imports of all modules inside
+            graph.setdefault(".".join(a[: same + 1]), set()).add(".".join(b[: same + 1]))
+    while leaves := {name for name, targets in graph.items() if not targets & graph.keys()}:
+        graph = {name: targets for name, targets in graph.items() if name not in leaves}
     assert graph == {}
 
 
@@ -212,7 +200,7 @@ def test_the_package_has_no_assert() -> None:
     asserts = [
         f"{path.relative_to(PACKAGE)}:{node.lineno}"
         for path, tree in trees().items()
-        for node in statements(tree, types=True, only_at_import=False)
+        for node in statements(tree, only_at_import=False)
         if isinstance(node, ast.Assert)
     ]
     assert asserts == []

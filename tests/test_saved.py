@@ -22,7 +22,8 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.classifiers import model_files as artefact
 from pdr_filter.classifiers.context_model import load_model
-from pdr_filter.recipes.step_length_calibration import load_calibration, slices_of
+from pdr_filter.filter.step_length.calibration_result import slices_of
+from pdr_filter.recipes.calibration import load_calibration
 from pdr_filter.values import limits
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.serialisation import from_bytes, to_bytes

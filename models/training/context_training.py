@@ -23,6 +23,7 @@ from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.blend import Mixture
 from pdr_filter.classifiers.context_model import ContextModel, blend_stairs_with_prior
 from pdr_filter.classifiers.familiarity import fit_familiarity, unknown_share
+from pdr_filter.data.io.formats import read
 from pdr_filter.offline.training.classifier_choice import (
     fit_blend,
     fit_boosted,
@@ -43,7 +44,6 @@ from pdr_filter.offline.training.cross_validation import (
     calibration,
     cross_calibrated,
     in_window_order,
-    read_recording,
     score,
     silent,
     source_of,
@@ -315,7 +315,7 @@ def labelled_windows(
     stage = FeatureWindows(features=FEATURE_SETS[feature_set])
     rows: list[tuple[FloatArray, str, str, str, str, str, bool]] = []
     for i, path in enumerate(paths):
-        recording = read_recording(path)
+        recording = read(path)
         if not with_gyroscope:
             recording = replace(recording, gyroscope=None)
         dataset, person = source_of(recording)

@@ -16,14 +16,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from models.training.simulated_people import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
-from pdr_filter.offline.training.cross_validation import (
-    LabelledWindows,
-    Progress,
-    TextArray,
-    in_parallel,
-    read_recording,
-    source_of,
-)
+from pdr_filter.data.io.formats import read
+from pdr_filter.offline.training.cross_validation import LabelledWindows, Progress, TextArray, in_parallel, source_of
 from pdr_filter.values import BoolArray, FloatArray
 from pdr_filter.values.recording import Recording
 
@@ -52,7 +46,7 @@ def from_sources(
 def _on_source(work: Callable[[Recording, str, str], R], source: Source) -> R:
     """Return the result of `work` for one recording or simulated person."""
     if isinstance(source, Path):
-        recording = read_recording(source)
+        recording = read(source)
         return work(recording, *source_of(recording))
     recording = simulated_person(*source)
     return work(recording, SIMULATED, f"{SIMULATED}/{recording.name}")

@@ -18,6 +18,7 @@ from models.training import context_training as contexts
 from models.training import guo2018_training as guo2018
 from models.training.data_sets import part_progress, recordings_of
 from pdr_filter.classifiers.context_model import ContextModel
+from pdr_filter.data.io.formats import read
 from pdr_filter.offline.training.cross_validation import Progress, calibrate_fits, fit_groups, silent
 from pdr_filter.offline.training.transition_training import (
     DEFAULT_MODEL,
@@ -38,12 +39,12 @@ def train(data_dir: Path, out_dir: Path, progress: Progress = silent) -> list[di
     if not paths:
         raise ValueError(f"{data_dir} has none of the data sets {wanted}; give the folder that contains their folders")
     # before the models are trained, so that an unreadable recording raises its error at once
-    changing = changing_recordings(paths)
+    changing = changing_recordings(paths, read)
     cards, default_without = _train_contexts(paths, out_dir, part_progress(progress, 0.0, 0.85))
     with threadpool_limits(1):
         cards += carrying.train_carrying(paths, out_dir, part_progress(progress, 0.85, 0.1))
         cards.append(guo2018.train_guo(paths, out_dir, part_progress(progress, 0.95, 0.04)))
-        return [*cards, train_evidence(changing, out_dir, default_without, part_progress(progress, 0.99, 0.01))]
+        return [*cards, train_evidence(changing, read, out_dir, default_without, part_progress(progress, 0.99, 0.01))]
 
 
 def _train_contexts(

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.classifiers.model_files import Arrays
-from pdr_filter.values import FloatArray, IntArray, pickled, read_only
+from pdr_filter.values import FloatArray, IntArray, read_only, reduction
 
 
 class Stored:
     """Base class of frozen dataclasses of numbers, strings and arrays. Each field is stored as an array of its name."""
 
     __slots__ = ()
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def to_arrays(self) -> Arrays:
         """Return the fields as plain arrays for `from_arrays`. Integers are int32."""

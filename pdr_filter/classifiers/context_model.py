@@ -33,8 +33,8 @@ from pdr_filter.values import (
     check_transition_prob,
     feature_set_of,
     how_many,
-    pickled,
     read_only,
+    reduction,
 )
 from pdr_filter.values.serialisation import Shipped
 
@@ -169,7 +169,7 @@ class ContextModel(Shipped):
     # Checksum of the files of a shipped model; empty for any other, and for a changed copy.
     _checksum: str = field(default="", init=False, repr=False)
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", tuple(self.labels) or HEADS.get(self.head, ()))

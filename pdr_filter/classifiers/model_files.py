@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.values import check_whole, limits
+from pdr_filter.values.safe_files import read_small, write_files
 
 Arrays = dict[str, NDArray[Any]]
 T = TypeVar("T")
@@ -39,9 +40,6 @@ class ArtefactFormat:
         TypeError, before anything is written, for a description that JSON cannot represent. ValueError for NaN, which
         JSON cannot represent either, and for more data than `read` accepts.
         """
-        # Imported late, because this package must not import the readers and writers of files.
-        from pdr_filter.data.io.files.safe_files import write_files
-
         content: dict[str, Any] = {"format_version": self.version, "kind": self.kind, **description}
         packed = None if arrays is None else _packed(arrays)
         if packed is not None:
@@ -63,8 +61,6 @@ class ArtefactFormat:
         There are no arrays if the .json has no checksum of a .npz. ValueError if a file is missing, damaged, or of
         another kind or version, if `build` fails, or if a field of its result is not of its declared type.
         """
-        from pdr_filter.data.io.files.safe_files import read_small
-
         json_path, npz_path = file_pair(path)
         for needed in (npz_path if str(path).endswith(".npz") else json_path, json_path):
             if not needed.is_file():
@@ -85,8 +81,6 @@ class ArtefactFormat:
 
         Other errors of the file are found by `read`.
         """
-        from pdr_filter.data.io.files.safe_files import read_small
-
         try:
             return _kind(json.loads(read_small(file_pair(path)[0], limits.MAX_DESCRIPTION_BYTES))) == self.kind
         except (OSError, ValueError):
@@ -161,8 +155,6 @@ def _unpacked(path: Path, checksum: str) -> Arrays:
 
     ValueError if it is missing, too large or damaged, if its checksum differs, or if it contains pickled objects.
     """
-    from pdr_filter.data.io.files.safe_files import read_small
-
     if not path.is_file():
         raise ValueError(f"{path.name} is missing in the same folder, copy both files")
     content = read_small(path, limits.MAX_WHOLE_BYTES)

@@ -1,7 +1,7 @@
 """Evaluation measures for step detectors, classifiers, distances, tracks and covariances.
 
 Most functions take arrays. `comparison` makes tables for several tracks of one recording, and `study` for several
-recordings. Only `runs` and `conformance` run the filter.
+recordings. Only `runs` runs the filter.
 """
 
 from pdr_filter.evaluate.classification import accuracy as accuracy

@@ -312,11 +312,12 @@ class Config:
         ValueError
             If `plan` is not a `FloorPlan`, if it does not have the start, or if no cell of a start area is walkable.
         """
-        # imported here, so that a filter without a plan does not load the maps
-        from pdr_filter.apps.maps.particle_filter import ParticleFilter
-
+        if not isinstance(plan, Plan):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise ValueError(
+                f"plan must be a FloorPlan, got {plan!r}: read one from a file with pdr_filter.FloorPlan.read(path)"
+            )
         placed = self if start is None else self.in_world_frame()
-        return replace(placed, on_plan=ParticleFilter.of(plan, start, seed))
+        return replace(placed, on_plan=plan.stage(start, seed))
 
     def placed(self, placement: TrackPlacement) -> Config:
         """Return a copy with the floor plan and the start of a placement, or this configuration if it has no plan.

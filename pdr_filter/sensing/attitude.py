@@ -27,7 +27,7 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, 
 _MAX_TILT_COS = 0.5
 
 # Columns of the samples buffered for a complete bias window. The field and the constant 1 are adjacent, because
-# `_mean_rotated` multiplies both by the products of the quaternions.
+# `_mean_up_and_vector` multiplies both by the products of the quaternions.
 _RATE, _FORCE, _FIELD, _ONE, _QUAT = slice(0, 3), slice(3, 6), slice(6, 9), 9, slice(10, 14)
 _FIELD_AND_ONE = slice(6, 10)
 _HEADING, _RATE_KNOWN, _FIELD_KNOWN = 14, 15, 16
@@ -268,7 +268,7 @@ class AttitudeEstimator:
         estimator = self._filter()
         if state.vqf is not None:
             estimator.state = state.vqf
-        rows, first = _rows(state.window, block), len(state.window)
+        rows, first = _buffer_with_block(state.window, block), len(state.window)
         begin, biases, lengths = 0, list[GyroBiasState](), list[int]()
         while first < len(rows):
             if first - begin == self._window_samples:
@@ -285,7 +285,7 @@ class AttitudeEstimator:
         errors = [(b.heading_error_rad, b.heading_error_var_rad2, b.heading_lost_var_rad2) for b in biases]
         error_rad, error_var_rad2, lost_var_rad2 = np.repeat(errors, lengths, axis=0).T
         attitude = AttitudeBlock(
-            vertical_mps2=_dot(up, block.specific_force_mps2) - STANDARD_GRAVITY_MPS2,
+            vertical_mps2=_row_dots(up, block.specific_force_mps2) - STANDARD_GRAVITY_MPS2,
             horizontal_mps2=_horizontal(quat, block.specific_force_mps2),
             up_sensor=up,
             device_heading_rad=new[:, _HEADING].copy(),
@@ -317,7 +317,7 @@ class AttitudeEstimator:
         reference, twist_rad = state.reference_quat, state.twist_rad
         if reference is None:
             reference, start = quat[0].copy(), 1
-            turned[0] = -_dot(first_rate_radps[None], _up_in_sensor_frame(quat[:1]))[0] / self.rate_hz
+            turned[0] = -_row_dots(first_rate_radps[None], _up_in_sensor_frame(quat[:1]))[0] / self.rate_hz
         while start < len(quat):
             real, along = _real_and_along_up(quat[start:], reference)
             (too_far,) = (real * real + along * along < 0.5 * (1.0 + _MAX_TILT_COS)).nonzero()
@@ -336,7 +336,7 @@ class AttitudeEstimator:
         )
 
 
-def _rows(waiting: FloatArray, block: UniformBlock) -> FloatArray:
+def _buffer_with_block(waiting: FloatArray, block: UniformBlock) -> FloatArray:
     """Return the buffered samples followed by the samples of a block, with attitudes and headings not yet filled in."""
     rows = np.empty((len(waiting) + len(block.time_s), waiting.shape[1]))
     rows[: len(waiting)], new = waiting, rows[len(waiting) :]
@@ -351,7 +351,7 @@ def _bias_window(rows: FloatArray) -> BiasWindow:
     mean = np.add.reduce(rows) / len(rows)
     away = rows[:, :6] - mean[:6]
     rate_x, rate_y, rate_z, force_x, force_y, force_z = (np.add.reduce(away * away) / len(rows)).tolist()
-    up, field_ut = _mean_rotated(rows[:, _QUAT], rows[:, _FIELD_AND_ONE], mean[_FIELD])
+    up, field_ut = _mean_up_and_vector(rows[:, _QUAT], rows[:, _FIELD_AND_ONE], mean[_FIELD])
     return BiasWindow(
         angular_rate_radps=mean[_RATE],
         angular_rate_std_radps=math.sqrt(rate_x + rate_y + rate_z),
@@ -377,7 +377,7 @@ def _real_and_along_up(quat: FloatArray, reference: FloatArray) -> tuple[FloatAr
     return w * a + x * b + y * c + z * d, -w * d - x * c + y * b + z * a
 
 
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
+def _row_dots(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the dot products of rows (N, 3), written out so that the order of additions is fixed."""
     return a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
 
@@ -411,7 +411,7 @@ def _horizontal(quat: FloatArray, vector: FloatArray) -> FloatArray:
     return horizontal
 
 
-def _mean_rotated(
+def _mean_up_and_vector(
     quat: FloatArray, vector_and_one: FloatArray, mean_vector: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the mean up vector (3,) in the sensor frame, and the mean (3,) of vectors rotated to east, north and up.

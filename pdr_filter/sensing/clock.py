@@ -215,7 +215,7 @@ def sorted_note(n_sorted: int, n: int) -> str:
     )
 
 
-def _sorted(stream: Samples) -> tuple[Samples, int]:
+def _sorted_stream(stream: Samples) -> tuple[Samples, int]:
     """Return a stream whose samples are sorted by time unless they are late, and how many were behind an earlier one.
 
     A late sample keeps its place after the latest one before it.
@@ -325,7 +325,7 @@ def _with_sorted_samples(recording: Recording) -> Recording:
         return recording
     changed, notes = {name: _without_late(stream) for name, stream in fall.items()}, recording.notes
     if "accelerometer" in fall:
-        changed["accelerometer"], n_sorted = _sorted(recording.accelerometer)
+        changed["accelerometer"], n_sorted = _sorted_stream(recording.accelerometer)
         notes += (sorted_note(n_sorted, len(recording.accelerometer)),) if n_sorted else ()
     return dataclasses.replace(recording, **changed, notes=notes)
 

@@ -388,7 +388,7 @@ class Conditioner:
         for part in block.parts(_ROWS_AT_ONCE):
             state, found = self._update_part(state, part)
             outputs += found
-        return state, _joined(outputs)
+        return state, _blocks_between_gaps(outputs)
 
     def finish(self, state: ConditionerState) -> tuple[ConditionerState, list[UniformBlock]]:
         """Return the new state and the remainder of the last hop, when no further sample will come.
@@ -443,7 +443,7 @@ class Conditioner:
         raw = np.empty((len(block.time_s), 10))
         raw[:, 0], raw[:, _FORCE] = block.time_s, block.specific_force_mps2
         raw[:, _RATE], raw[:, _FIELD] = block.angular_rate_radps, block.magnetic_field_ut
-        usable, n_not_finite, n_implausible, n_wild_field = _usable(raw)
+        usable, n_not_finite, n_implausible, n_wild_field = _usable_rows(raw)
         accepted = accept_rows(state.clock, usable, self.max_gap_s)
         timed = accepted.rows
         measured, n_dead_force, n_dead_rate, n_dead_field = timed[:, _VALUES], 0, 0, 0
@@ -550,7 +550,7 @@ class Conditioner:
         return new, [output]
 
 
-def _joined(blocks: Sequence[UniformBlock]) -> list[UniformBlock]:
+def _blocks_between_gaps(blocks: Sequence[UniformBlock]) -> list[UniformBlock]:
     """Return the blocks with consecutive ones concatenated unless a gap separates them."""
     runs: list[list[UniformBlock]] = []
     for block in blocks:
@@ -558,17 +558,17 @@ def _joined(blocks: Sequence[UniformBlock]) -> list[UniformBlock]:
             runs[-1].append(block)
         else:
             runs.append([block])
-    return [_concatenated(run) if len(run) > 1 else run[0] for run in runs]
+    return [_one_block(run) if len(run) > 1 else run[0] for run in runs]
 
 
-def _concatenated(run: Sequence[UniformBlock]) -> UniformBlock:
+def _one_block(run: Sequence[UniformBlock]) -> UniformBlock:
     """Return consecutive blocks as one block."""
     names = [f.name for f in fields(UniformBlock) if f.name != "gap_before_s"]
     joined = {name: np.concatenate([getattr(block, name) for block in run]) for name in names}
     return UniformBlock(**joined, gap_before_s=run[0].gap_before_s)
 
 
-def _usable(raw: FloatArray) -> tuple[FloatArray, int, int, int]:
+def _usable_rows(raw: FloatArray) -> tuple[FloatArray, int, int, int]:
     """Return the usable rows (N, 10) of time, force, rate and field, and three counts.
 
     Rows without a finite time and force and rows with an implausible force are dropped. An implausible angular rate or
@@ -678,8 +678,8 @@ def merge_streams(recording: Recording, max_gap_s: float = MAX_GAP_S) -> ImuBloc
     return ImuBlock(
         time_s=time_s,
         specific_force_mps2=recording.accelerometer.values,
-        angular_rate_radps=_interpolated(recording.gyroscope, time_s, max_gap_s),
-        magnetic_field_ut=_interpolated(recording.magnetometer, time_s, max_gap_s),
+        angular_rate_radps=_values_at(recording.gyroscope, time_s, max_gap_s),
+        magnetic_field_ut=_values_at(recording.magnetometer, time_s, max_gap_s),
     )
 
 
@@ -700,7 +700,7 @@ def _check_clock(sensor: str, stream: Samples | None, at_s: FloatArray, max_gap_
     )
 
 
-def _interpolated(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
+def _values_at(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
     """Return the values of a stream at some times (M,), shape (M, 3), interpolated as by `at_times`.
 
     Rows that are not finite or not increasing are ignored. Without a stream all values are NaN.

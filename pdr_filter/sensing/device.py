@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, check_array, limits, pickled, read_only
+from pdr_filter.values import FloatArray, check_array, limits, read_only, reduction
+from pdr_filter.values.safe_files import read_json, write_text
 
 # Random walk of the bias per square root of a day, and change of the bias per kelvin. Data sheets of phone gyroscopes
 # state 0.01 to 0.05 degrees/s per kelvin, 0.0002 to 0.0009 rad/s. Phones subtract most of the slow part themselves.
@@ -56,7 +57,7 @@ class Device:
     bias_radps: FloatArray = field(default_factory=lambda: read_only(np.zeros(3)))
     bias_cov_radps2: FloatArray = field(default_factory=lambda: read_only(0.005**2 * np.eye(3)))
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def __post_init__(self) -> None:
         bias, cov = np.asarray(self.bias_radps, dtype=float), np.asarray(self.bias_cov_radps2, dtype=float)
@@ -110,9 +111,6 @@ class Device:
         Path
             Path of the file.
         """
-        # Imported here because importing `sensing` must not import the packages that read and write files.
-        from pdr_filter.data.io.files.safe_files import write_text
-
         content = {"bias_radps": self.bias_radps.tolist(), "bias_cov_radps2": self.bias_cov_radps2.tolist()}
         return write_text(path, json.dumps({"pdr_filter_device": 1, **content}, indent=1) + "\n")
 
@@ -135,8 +133,6 @@ class Device:
         ValueError
             If the file is missing or damaged, or is not a device file. The message names the file.
         """
-        from pdr_filter.data.io.files.safe_files import read_json
-
         try:
             content = read_json(Path(path), limits.MAX_SMALL_BYTES)
             if content["pdr_filter_device"] != 1:

@@ -91,6 +91,16 @@ class SensingState:
     carrying_mode: int
     processed_s: float
 
+    @property
+    def gate(self) -> object:
+        """State of the gate, or None without one."""
+        return self.of_steps.get("gate")
+
+    @property
+    def heading(self) -> object:
+        """State of the heading stage, or None without one."""
+        return self.of_steps.get("heading")
+
 
 @dataclass(frozen=True, eq=False)
 class Sensing:
@@ -311,8 +321,8 @@ class Sensing:
         Device
             Bias and covariance.
         """
-        error_rad, error_var = drift_in_time(self.heading, state.of_steps.get("heading"))
-        return self.attitude.bias.learnt(self.attitude.bias_state(state.attitude), error_rad, error_var)
+        error_rad, error_var = drift_in_time(self.heading, state.heading)
+        return self.attitude.bias.learnt_device(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
         """Return the new state and the events of one uniform block without a gap.
@@ -324,8 +334,10 @@ class Sensing:
         context_state, windows = None, list[tuple[int, WindowContext]]()
         if self.contexts:
             context_state, windows = self.contexts.update(state.contexts, part, attitude)
-        context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
-        carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
+        context = _held_values(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
+        carrying_mode = _held_values(
+            state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n
+        )
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
         step_state, steps = self.steps.update(state.steps, part, attitude, contexts)
         of_steps = dict[str, object]()
@@ -429,7 +441,7 @@ def _likely(prob: FloatArray) -> int:
     return best if prob[best] >= 0.5 else -1
 
 
-def _held(before: int, changes: list[tuple[int, int]], n: int) -> IntArray:
+def _held_values(before: int, changes: list[tuple[int, int]], n: int) -> IntArray:
     """Return values (n,) of a quantity that changes at some samples and stays constant in between.
 
     `before` is the value before the first change. `changes` are pairs of sample index and new value.

@@ -166,11 +166,11 @@ def _segments(acceleration: Samples, gyroscope: Samples | None) -> list[_Segment
         ends = [0, *(np.flatnonzero(np.diff(known)) + 1), len(known)]
         for rows in (slice(*pair) for pair in itertools.pairwise(ends) if known[pair[0]]):
             rate = block.angular_rate_radps[rows] if is_known else np.zeros_like(block.angular_rate_radps[rows])
-            found.append(_Segment(block.time_s[rows], block.specific_force_mps2[rows], rate, _turned(rate)))
+            found.append(_Segment(block.time_s[rows], block.specific_force_mps2[rows], rate, _rotation_matrices(rate)))
     return found
 
 
-def _turned(rate: FloatArray) -> FloatArray:
+def _rotation_matrices(rate: FloatArray) -> FloatArray:
     """Return rotation matrices (N, 3, 3) from the sensor to the frame of the first sample, from the gyroscope alone."""
     vqf = VQF(1 / _RATE_HZ, motionBiasEstEnabled=False, restBiasEstEnabled=False)
     return rotation_matrix(vqf.updateBatchFullState(np.ascontiguousarray(rate), np.zeros_like(rate))["gyrQuat"])
@@ -179,14 +179,14 @@ def _turned(rate: FloatArray) -> FloatArray:
 def _up(segments: Sequence[_Segment]) -> tuple[FloatArray, FloatArray, float]:
     """Return times (K,), up in the sensor frame (K, 3), and the mean agreement of the cues for its sense."""
     times, ups, senses = list[FloatArray](), list[FloatArray](), list[FloatArray]()
-    walked = [_windows(segment) for segment in segments]
+    walked = [_walked_windows(segment) for segment in segments]
     all_rms = np.array([w.rms_mps2 for windows in walked for w in windows])
     for segment, walked_here in zip(segments, walked, strict=True):
         windows = [w for w in walked_here if w.rms_mps2 < _SHAKEN * median(all_rms)]
         if not windows:
             continue
         at_s = np.array([w.time_s for w in windows])
-        up, sense = _smoothed(at_s, np.array([w.axis for w in windows]), np.array([w.sense for w in windows]))
+        up, sense = _local_up(at_s, np.array([w.axis for w in windows]), np.array([w.sense for w in windows]))
         times.append(segment.time_s)
         ups.append(np.einsum("nji,nj->ni", segment.turned, interpolated(segment.time_s, at_s, up)))
         senses.append(sense)
@@ -199,7 +199,7 @@ def _up(segments: Sequence[_Segment]) -> tuple[FloatArray, FloatArray, float]:
     return np.concatenate(times), np.concatenate(ups), float(found.mean())
 
 
-def _windows(segment: _Segment) -> list[_Window]:
+def _walked_windows(segment: _Segment) -> list[_Window]:
     """Return the cues of the walked windows of a segment."""
     n, hop, n_turn = (round(s * _RATE_HZ) for s in (_WINDOW_S, _HOP_S, _TURN_S))
     accelerations, rates = (np.einsum("nij,nj->ni", segment.turned, x) for x in (segment.acceleration, segment.rate))
@@ -241,7 +241,7 @@ def _windows(segment: _Segment) -> list[_Window]:
     return found
 
 
-def _smoothed(at_s: FloatArray, axes: FloatArray, senses: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _local_up(at_s: FloatArray, axes: FloatArray, senses: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return up (W, 3) and the agreement (W,) of the cues with it, from all windows near each window."""
     up, agreement = np.empty((len(at_s), 3)), np.empty(len(at_s))
     for k, time_s in enumerate(at_s):

@@ -39,8 +39,8 @@ from functools import cached_property
 import numpy as np
 
 from pdr_filter.sensing.device import Device
-from pdr_filter.sensing.heading.heading_offset import UNKNOWN_VAR_RAD2
 from pdr_filter.values import FloatArray, check_numbers, read_only, replace_unchecked
+from pdr_filter.values.angles import UNKNOWN_VAR_RAD2
 from pdr_filter.values.mixtures import combine, possible_outlier
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s, direction of the magnetic field in the
@@ -385,7 +385,7 @@ class GyroBias:
         weight = np.exp(state.log_weight)
         return float(weight[0] / np.add.reduce(weight))
 
-    def learnt(self, state: GyroBiasState, error_rad: float = 0.0, error_var_rad2: float = math.inf) -> Device:
+    def learnt_device(self, state: GyroBiasState, error_rad: float = 0.0, error_var_rad2: float = math.inf) -> Device:
         """Return the bias and its covariance for the next recording of the phone.
 
         `error_rad` is a measurement of the heading error from another source, such as the axes of a building. An
@@ -397,7 +397,7 @@ class GyroBias:
         bias, bias_cov = _mixture(bank)
         return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
-    def learnt_from_smoothed(
+    def device_from_smoothed(
         self,
         state: GyroBiasState,
         error_rad: float,
@@ -438,7 +438,7 @@ class GyroBias:
         """
         bank = state.mean, state.cov, state.log_weight
         if var_rad2 > 0.25 * state.heading_error_var_rad2:
-            return self.learnt(state)
+            return self.learnt_device(state)
         # h' x is the error at the earlier time, because the error has grown by up' (bias in use - bias) a second.
         h = np.array([*(ago_s * up_sensor), 0.0, 1.0])
         innovation = error_rad + ago_s * _dot(up_sensor, state.bias_radps) - bank[0].dot(h)
@@ -464,7 +464,7 @@ class GyroBias:
             innovation, noise = rate - bank[0][:, _BIAS], std**2 * np.eye(3)
             rotating_noise = noise + self.turning_radps**2 * window.up_sensor[:, None] * window.up_sensor
             odds = self.even_turn_prob / (1.0 - self.even_turn_prob)
-            still, rotating = (_predicted(bank, innovation, cov) for cov in (noise, rotating_noise))
+            still, rotating = (_innovation_density(bank, innovation, cov) for cov in (noise, rotating_noise))
             is_rotating = _likelihood(bank, still) < odds * _likelihood(bank, rotating)
             outlier = _outlier_log_density(_dot(rate, rate), 3, self.turning_radps)
             bank = _update_bias(bank, innovation, rotating if is_rotating else still, self.still_outlier_prob, outlier)
@@ -537,10 +537,10 @@ class GyroBias:
         scatter = self.field_scatter_weight * variance_ut2 / horizontal_ut**2
         variance = inflation * (scatter + self.field_std_rad**2)
         mean, _, _ = bank
-        change_rad = 0.0 if before is None else float(_wrapped(direction_rad - before.direction_rad, 2 * math.pi))
+        change_rad = 0.0 if before is None else float(_wrap(direction_rad - before.direction_rad, 2 * math.pi))
         jump_rad = max(self.field_jump_rad, self.field_jump_scatter * math.sqrt(variance_ut2) / horizontal_ut)
         if state.field_tracked and abs(change_rad) < jump_rad:
-            innovation = _wrapped(direction_rad - mean[:, _FIELD], 2 * math.pi)
+            innovation = _wrap(direction_rad - mean[:, _FIELD], 2 * math.pi)
             outlier = _uniform_log_density(2 * math.pi)
             bank, inlier = _update(bank, _H_FIELD, innovation, variance, self.field_outlier_prob, outlier)
             weight = np.exp(bank[2])
@@ -549,7 +549,7 @@ class GyroBias:
             if n_outliers * self.window_s < 2 * self.field_correlation_s:
                 return bank, field, True, n_outliers
             # Persistent outliers mean that the field differs at this place: start again.
-        return _restarted(bank, _FIELD, direction_rad, variance), field, True, 0
+        return _with_measured_element(bank, _FIELD, direction_rad, variance), field, True, 0
 
     def _scatter(
         self, field: FieldScatter | None, horizontal_ut: float, up_ut: float, direction_rad: float
@@ -628,8 +628,8 @@ def _update_bias(
     """Return the bank of M Kalman filters (see `_Bank`) after a measurement of the gyroscope bias (3,), in rad/s.
 
     The measurement may be an outlier, with probability `outlier_prob` and log density `outlier_log_density`. Each
-    filter has its innovation, (M, 3), and `predicted` is the result of `_predicted`. Each filter is updated with the
-    mixture of an accepted and a rejected measurement, and its weight with the likelihood of the mixture.
+    filter has its innovation, (M, 3), and `predicted` is the result of `_innovation_density`. Each filter is updated
+    with the mixture of an accepted and a rejected measurement, and its weight with the likelihood of the mixture.
     """
     mean, cov, log_weight = bank
     hp = cov[:, _BIAS]
@@ -650,7 +650,7 @@ def _relative(log_weight: FloatArray) -> FloatArray:
     return np.maximum(log_weight - np.maximum.reduce(log_weight), _MIN_LOG_WEIGHT)
 
 
-def _predicted(bank: _Bank, innovation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _innovation_density(bank: _Bank, innovation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the inverse innovation covariances (M, 3, 3) of a bias measurement, and its log densities (M,).
 
     `noise` (3, 3) is the covariance of the measurement. The log densities lack a common constant.
@@ -662,11 +662,11 @@ def _predicted(bank: _Bank, innovation: FloatArray, noise: FloatArray) -> tuple[
 
 
 def _likelihood(bank: _Bank, predicted: tuple[FloatArray, FloatArray]) -> float:
-    """Return the likelihood of a `_predicted` measurement under the mixture of all filters, up to a constant factor."""
+    """Return the likelihood of a measurement under the mixture of all filters, up to a constant factor."""
     return float(np.add.reduce(np.exp(bank[2] + predicted[1])))
 
 
-def _restarted(bank: _Bank, index: int, start: float, variance: float) -> _Bank:
+def _with_measured_element(bank: _Bank, index: int, start: float, variance: float) -> _Bank:
     """Return the bank of filters with one element of each state reset to a measured value.
 
     The element is then uncorrelated with the other elements.
@@ -692,7 +692,7 @@ def _uniform_log_density(width: float) -> float:
     return 0.5 * math.log(2 * math.pi) - math.log(width)
 
 
-def _wrapped(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
+def _wrap(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
     """Return an angle wrapped to half a period on either side of zero."""
     return angle_rad - period_rad * np.rint(angle_rad / period_rad)
 

@@ -49,7 +49,7 @@ def butterworth(order: int, cutoff_hz: float, rate_hz: float) -> FloatArray:
     return np.asarray(butter(order, cutoff_hz, fs=rate_hz, output="sos"))
 
 
-def filtered(sos: FloatArray, rows: FloatArray, zi: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+def filtered_rows(sos: FloatArray, rows: FloatArray, zi: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Return the filtered rows (R, N) and the new filter state (n_sections, R, 2).
 
     Parameters
@@ -72,8 +72,8 @@ def filtered(sos: FloatArray, rows: FloatArray, zi: FloatArray | None) -> tuple[
     Examples
     --------
     >>> import numpy as np
-    >>> from pdr_filter.sensing.signal_filters import butterworth, filtered
-    >>> rows, state = filtered(butterworth(2, 3.0, 100.0), np.full((1, 4), 9.81), None)
+    >>> from pdr_filter.sensing.signal_filters import butterworth, filtered_rows
+    >>> rows, state = filtered_rows(butterworth(2, 3.0, 100.0), np.full((1, 4), 9.81), None)
     >>> rows.round(2), state.shape
     (array([[9.81, 9.81, 9.81, 9.81]]), (1, 1, 2))
     """

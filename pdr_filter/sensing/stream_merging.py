@@ -239,7 +239,7 @@ class StreamMerger:
         """
         for sensor in SENSORS:  # the accelerometer comes first, because its times decide which other samples are needed
             if sensor in samples:
-                state = self._buffered(state, sensor, np.column_stack(samples[sensor]))
+                state = self._with_rows(state, sensor, np.column_stack(samples[sensor]))
         force = state.stream("accelerometer")
         further_s = [abs(state.stream(s).last_s - state.looked_s[SENSORS.index(s)]) for s in samples]
         # With a clock that stands still no sensor advances, so the size of the buffer also triggers a release.
@@ -254,18 +254,18 @@ class StreamMerger:
         awaited_s = [p for p in passed_s.values() if frontier_s - max(p, first_s) <= self.wait_s]
         ready_s = min([frontier_s, *awaited_s]) - self.reorder_s
         n = min(int(np.searchsorted(force.rows[:, 0], ready_s, side="right")), n_whole)
-        return self._released(state, max(n, len(force.rows) - _MAX_ROWS), passed_s["barometer"] - self.reorder_s)
+        return self._release(state, max(n, len(force.rows) - _MAX_ROWS), passed_s["barometer"] - self.reorder_s)
 
     def finish(self, state: MergerState) -> tuple[MergerState, Merged]:
         """Return the new state and all samples that are still buffered."""
-        return self._released(state, len(state.stream("accelerometer").rows), np.inf)
+        return self._release(state, len(state.stream("accelerometer").rows), np.inf)
 
     def absences(self, state: MergerState) -> list[Note]:
         """Return notes about sensors that began later or stopped earlier than others by more than `wait_s`."""
         streams = zip(SENSORS, state.streams, strict=True)
         return absences({name: (s.first_s, s.last_s) for name, s in streams if math.isfinite(s.first_s)}, self.wait_s)
 
-    def _buffered(self, state: MergerState, sensor: Sensor, new: FloatArray) -> MergerState:
+    def _with_rows(self, state: MergerState, sensor: Sensor, new: FloatArray) -> MergerState:
         """Return the state with new rows (N, 1 + d) of a sensor buffered in order of time and late rows dropped.
 
         Rows without a finite time are dropped, and so are rows of other sensors than the accelerometer if any value is
@@ -302,7 +302,7 @@ class StreamMerger:
 
         Samples of the accelerometer alone show that the clock was set back. The state is then restarted.
         """
-        is_late, n_sorted = self._late(state, sensor, rows)
+        is_late, n_sorted = self._late_rows(state, sensor, rows)
         if sensor == "accelerometer" and not is_late.any():
             if len(rows):
                 first_s = float(rows[:, 0].min()) if np.isnan(state.first_s) else state.first_s
@@ -313,10 +313,10 @@ class StreamMerger:
                 late_s = (float(np.fmin(begin_s, time_s)), float(np.fmax(end_s, time_s))) if late else _NO_LATE
                 state = replace_unchecked(state, late_s=late_s)
                 if late_s[1] - late_s[0] > _SET_BACK_S:
-                    return self._without_late(self._restarted(state), sensor, rows[i:])
+                    return self._without_late(self._state_after_restart(state), sensor, rows[i:])
         return state, rows[~is_late], n_sorted
 
-    def _late(self, state: MergerState, sensor: Sensor, rows: FloatArray) -> tuple[BoolArray, int]:
+    def _late_rows(self, state: MergerState, sensor: Sensor, rows: FloatArray) -> tuple[BoolArray, int]:
         """Return which rows of a sensor are late, shape (N,), and how many others are behind an earlier one."""
         stream, released_s = state.stream(sensor), state.pressure_s if sensor == "barometer" else state.released_s
         before_s = state.released_s if sensor == "accelerometer" else -np.inf
@@ -333,7 +333,7 @@ class StreamMerger:
         is_late = is_behind(time_s, latest_s, self.reorder_s) | (time_s <= released_s)
         return is_late, int((~is_late & (time_s < latest_s)).sum())
 
-    def _restarted(self, state: MergerState) -> MergerState:
+    def _state_after_restart(self, state: MergerState) -> MergerState:
         """Return the initial state, with the counts of samples of the present state."""
         pairs = zip(self.init().streams, state.streams, strict=True)
         counts = ((new, {n: getattr(s, n) for n in ("n_received", "n_late", "n_sorted")}) for new, s in pairs)
@@ -375,7 +375,7 @@ class StreamMerger:
         interpolates = stream.rows.shape[1] > 2
         return float(time_s[n - 1]) if n > interpolates else -np.inf
 
-    def _released(self, state: MergerState, n: int, pressure_until_s: float) -> tuple[MergerState, Merged]:
+    def _release(self, state: MergerState, n: int, pressure_until_s: float) -> tuple[MergerState, Merged]:
         """Return the state and the released samples: the first n accelerometer rows, and pressures up to a time."""
         force, pressure = state.stream("accelerometer"), state.stream("barometer")
         due = int(pressure.rows[:, 0].searchsorted(pressure_until_s, side="right"))

@@ -107,7 +107,7 @@ def remove_stuck_values(
     begins[0] = 0
     low, high = np.minimum.reduceat(values, begins), np.maximum.reduceat(values, begins)
     low[0], high[0] = np.minimum(low[0], state.low), np.maximum(high[0], state.high)
-    resolution = _resolution(state, values, begins)
+    resolution = _resolutions(state, values, begins)
     n_whole, n_rows = divmod(state.n_rows + len(values), _WINDOW_ROWS)
     result, ends = values, [*begins[1:].tolist(), len(values)]
     is_constant = np.asarray((high - low <= _CONSTANT).any(axis=1))
@@ -119,7 +119,7 @@ def remove_stuck_values(
                 result[begin : ends[k], axes] = np.nan
         start_s = start_s if k == 0 and state.n_rows else float(time_s[begin])
         if k < n_whole and is_constant[k]:
-            judged = _judged(judged, low[k], high[k], resolution[k], start_s, float(time_s[ends[k] - 1]))
+            judged = _state_after_window(judged, low[k], high[k], resolution[k], start_s, float(time_s[ends[k] - 1]))
         elif k < n_whole:
             judged = replace_unchecked(judged, still_since_s=_NEVER_S, moved=_NONE, turned_rad=_NO_TURN_RAD, dead=_NONE)
     fresh = init_watchdog()
@@ -128,7 +128,7 @@ def remove_stuck_values(
     return replace_unchecked(judged, n_rows=n_rows, low=open_low, high=open_high, **kept), result
 
 
-def _resolution(state: WatchdogState, values: FloatArray, begins: IntArray) -> FloatArray:
+def _resolutions(state: WatchdogState, values: FloatArray, begins: IntArray) -> FloatArray:
     """Return the resolution (W, 2) of accelerometer and gyroscope at the end of each window."""
     change = np.abs(np.diff(values[:, :6], axis=0, prepend=state.last[None, :6]))
     change[~(change > _CONSTANT)] = np.inf
@@ -137,7 +137,7 @@ def _resolution(state: WatchdogState, values: FloatArray, begins: IntArray) -> F
     return np.minimum.accumulate(smallest)
 
 
-def _judged(
+def _state_after_window(
     state: WatchdogState, low: FloatArray, high: FloatArray, resolution: FloatArray, start_s: float, end_s: float
 ) -> WatchdogState:
     """Return the state after a complete window with an axis that is constant.

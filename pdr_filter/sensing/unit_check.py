@@ -94,11 +94,11 @@ def check_units(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> Un
     times_s, start = rows[:, 0], 0
     while len(rows) - start >= _WINDOW_ROWS and times_s[-1] - times_s[start] >= _WINDOW_S:
         end = max(int(times_s.searchsorted(times_s[start] + _WINDOW_S)) + 1, start + _WINDOW_ROWS)
-        state, start = _judged(state, rows[start:end]), end
+        state, start = _units_after_window(state, rows[start:end]), end
     return replace_unchecked(state, rows=rows[start:])
 
 
-def _judged(state: UnitsState, rows: FloatArray) -> UnitsState:
+def _units_after_window(state: UnitsState, rows: FloatArray) -> UnitsState:
     """Return the state of the unit check after the rows (R, 4) of one complete window."""
     _, force, z, rate = rows.T
     known = rate[np.isfinite(rate)]

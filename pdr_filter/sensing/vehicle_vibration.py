@@ -223,7 +223,7 @@ class VehicleVibration:
         run_s, before_run_s, moves = self._after_waiting(state, since_s)
         rest = state.rest[None, : len(state.rest) // self._n_mean * self._n_mean]
         if rest.shape[1] >= _MIN_MEANS * self._n_mean:
-            moves = self._moves(*self._spread(rest)[0])
+            moves = self._moves(*self._jitter_and_std(rest)[0])
         rest_s = until_s - max(state.start_s + state.n_samples // round(self.rate_hz), since_s)
         return before_run_s + run_s + (rest_s if moves and rest_s > 0 else 0.0)
 
@@ -292,7 +292,7 @@ class VehicleVibration:
             rest=magnitude[n_whole * n :],
         )
         events, n_known = list[tuple[int, Step | Stepless | Undecided]](), 0
-        spreads_mps2 = self._spread(magnitude[: n_whole * n].reshape(n_whole, n)) if n_whole else []
+        spreads_mps2 = self._jitter_and_std(magnitude[: n_whole * n].reshape(n_whole, n)) if n_whole else []
         for second, spread_mps2 in enumerate(spreads_mps2):
             end = (first + second + 1) * n
             until = bisect_left(steps, end, lo=n_known, key=itemgetter(0))
@@ -386,7 +386,7 @@ class VehicleVibration:
         """Samples in each mean of |f|."""
         return round(self.rate_hz / _JITTER_HZ)
 
-    def _spread(self, magnitude: FloatArray) -> list[tuple[float, float]]:
+    def _jitter_and_std(self, magnitude: FloatArray) -> list[tuple[float, float]]:
         """Return jitter and standard deviation in m/s2 of the specific force, with magnitudes (S, N), of S times."""
         means = magnitude.reshape(len(magnitude), -1, self._n_mean).mean(axis=2)
         jitter = np.sqrt((np.diff(means) ** 2).mean(axis=1))

@@ -8,15 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from pdr_filter.values import (
-    CONTEXTS,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    check_array,
-    check_numbers,
-    check_step_length,
-)
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, check_array, check_numbers, check_step_length
 from pdr_filter.values.recording import check_height
 
 STAIR_RISE_M = 0.17

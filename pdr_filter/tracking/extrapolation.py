@@ -227,7 +227,7 @@ def _with_candidates(config: Config, state: State) -> tuple[StepUpdate | None, t
     the filter's states.
     """
     (*_, tracker), last, steps = states_of(state.chain), state.last.update, list[ProvisionalStep]()
-    for step in () if state.finished else _candidates(state.sensing.of_steps.get("gate")):
+    for step in () if state.finished else _candidates(state.sensing.gate):
         tracker, updates = config.tracker.on_step(tracker, step)
         last = config.tracker.provisional(tracker) or updates[-1]
         steps.append(ProvisionalStep(step.time_s, (last.of_start or last).position_m))
@@ -351,7 +351,7 @@ def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
     )
 
 
-def _candidates(gate: object) -> list[Step]:
+def _candidates(gate: Any) -> list[Step]:
     """Return the candidate steps of the gate, if walking is more probable than not.
 
     A gate without the attribute `candidates` has none.
@@ -361,7 +361,7 @@ def _candidates(gate: object) -> list[Step]:
 
 def _is_walking(config: Config, state: State, last: StepUpdate, is_candidate: bool) -> bool:
     """True if the pedestrian still walks after the last step: the next step is not overdue, and the phone moves."""
-    sensing, gate = config.sensing, state.sensing.of_steps.get("gate")
+    sensing, gate = config.sensing, state.sensing.gate
     latency_s = sensing.steps.latency_s if is_candidate else sensing.step_latency_s
     if not state.sensing.processed_s - last.step.time_s <= latency_s + last.step.duration_s:
         return False

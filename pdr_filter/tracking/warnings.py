@@ -12,14 +12,14 @@ from pdr_filter.filter.chain.two_hypotheses import Hypotheses
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height import height_filter as height
-from pdr_filter.filter.pedestrian.frame_rotation import MAX_NORTH_STD_RAD
+from pdr_filter.filter.pedestrian.frame_rotation import MAX_ANGLE_STD_RAD
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.clock import sorted_note
 from pdr_filter.sensing.stream_merging import SENSORS
 from pdr_filter.tracking import step_statistics as criteria
 from pdr_filter.tracking.filtering import State
 from pdr_filter.tracking.step_statistics import UNKNOWN_HEADING_RAD, StepCounts, WindowCounts
-from pdr_filter.values import FloatArray, Note, how_many, replace_unchecked
+from pdr_filter.values import MAX_NORTH_STD_RAD, FloatArray, Note, how_many, replace_unchecked
 
 # A warning about windows appears if more than this share of all windows, and more than this number, are affected.
 _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
@@ -144,9 +144,10 @@ def _frame_notes(config: Config, state: State) -> Iterator[Note]:
     frame, where = state.pedestrian.frame, state.locations
     if where.n_unusable:
         yield Note("fixes", where.unusable())
-    if state.finished and where.origin is not None and frame.alignment is None:
-        words = "the locations do not determine the rotation of the track, so that the most probable north is used: "
-        yield Note("fixes", words + "give heading_rad or more locations")
+    if state.finished and frame.alignment is None and (frame.is_known or where.origin is not None):
+        std_rad = math.sqrt(frame.rotation_var_rad2) if frame.is_known else math.pi
+        if std_rad > MAX_ANGLE_STD_RAD:
+            yield Note("fixes", rotation_note("position fixes" if where.origin is None else "locations", std_rad))
     if frame.is_north_wrong:
         words = "position fixes contradict an earlier heading fix, which is no longer used: check its time, its unit "
         yield Note("fixes", words + "(rad) and its zero (north, clockwise)")
@@ -156,6 +157,16 @@ def _frame_notes(config: Config, state: State) -> Iterator[Note]:
         yield Note("fixes", words + "ride, or when the first fixes were wrong): earlier positions were not changed")
     if state.finished and (frame.name == "north" or (frame.name == "start" and config.sensing.north is not None)):
         yield Note("heading", north_note(math.inf if frame.compass is None else frame.compass.std_rad))
+
+
+def rotation_note(what: str, std_rad: float) -> str:
+    """Return the warning that the positions named `what` leave the rotation of a track with a standard deviation."""
+    figure = f"± {math.degrees(min(std_rad, math.pi)):.0f} degrees, one standard deviation"
+    words = f"the {what} do not determine the rotation of the track ({figure}), probably because they are too few or "
+    return (
+        words
+        + f"too close to each other: give {'heading_rad' if what == 'locations' else 'a heading fix'} or more {what}"
+    )
 
 
 NORTH_UNKNOWN = "the magnetic field does not determine north"

@@ -12,14 +12,15 @@ from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.filter.pedestrian.alignment import Place
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.pedestrian.person import Person
+from pdr_filter.recipes.calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.recipes.config import Config, check_config
-from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.context_stage import with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Sensing, SensingState
+from pdr_filter.sensing.heading.heading_stage import knows_north
 from pdr_filter.sensing.stream_merging import absences_in
 from pdr_filter.tracking.filtering import (
     Output,
@@ -64,10 +65,10 @@ from pdr_filter.values import (
 )
 from pdr_filter.values.interpolation import interpolated
 from pdr_filter.values.recording import MissingSensorError, Recording, Truth
-from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, documented
+from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, document_placement
 
 
-@documented
+@document_placement
 def track(
     recording: Recording,
     config: Config | None = None,
@@ -145,7 +146,10 @@ def track(
     results = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
     return run.placed(
         collected(
-            recording, config, aligned(recording, results, config.model.context_set) if gnss == "align" else results
+            recording,
+            config,
+            aligned(recording, results, config.model.context_set) if gnss == "align" else results,
+            placement.place,
         )
     )
 
@@ -209,6 +213,12 @@ def prepared_run(
     ValueError if arguments contradict each other.
     """
     config = given_or_default(recording, config).placed(placement)
+    if placement.states_north and knows_north(config.sensing.heading):
+        raise ValueError(
+            f"heading_rad, or turn_rad of origin, states north, which the heading stage "
+            f"{type(config.sensing.heading).__name__} knows already: omit it, or set knows_north of the stage to False "
+            "if its directions are not clockwise from north"
+        )
     fixes = all_fixes(fixes)
     for fix in fixes:
         check_fix(fix, config.on_plan is not None)
@@ -290,8 +300,13 @@ def outputs(
     yield finish(config, state)
 
 
-def collected(recording: Recording, config: Config, results: Iterable[tuple[State, Output]]) -> Track:
-    """Return the track of a recording from its `outputs`. Only final steps are rows of the track."""
+def collected(
+    recording: Recording, config: Config, results: Iterable[tuple[State, Output]], place: Origin | None = None
+) -> Track:
+    """Return the track of a recording from its `outputs`. Only final steps are rows of the track.
+
+    `place` is the given origin of the frame of the fixes. Locations define their own.
+    """
     state, whole = init(config), Output()
     for new_state, output in results:
         state = new_state
@@ -307,9 +322,9 @@ def collected(recording: Recording, config: Config, results: Iterable[tuple[Stat
     if config.on_foot or not recording.is_on_foot:
         misplaced = ()
     frame = state.pedestrian.frame
-    origin = state.locations.origin if frame.is_known else None
+    origin = (state.locations.origin or place) if frame.is_known else None
     if origin is not None:
-        frame = frame.at_most_probable_rotation()
+        frame = frame.at_most_probable_rotation() if state.locations.origin is not None else frame
         origin = state.height.start_altitude.of(frame.origin(origin))
     updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows, config.model.context_set))

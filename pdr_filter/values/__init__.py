@@ -14,10 +14,10 @@ from pdr_filter.values.arrays import (
     check_columns,
     check_cov,
     check_transition_prob,
-    frozen,
+    make_read_only,
     median,
-    pickled,
     read_only,
+    reduction,
     table,
 )
 from pdr_filter.values.checks import (
@@ -90,7 +90,7 @@ from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.schema import check_declared, check_members, check_whole
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, reference_headings, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
-from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
+from pdr_filter.values.uncertainty import MAX_NORTH_STD_RAD, RADIUS_68, RADIUS_95
 from pdr_filter.values.wifi import Wifi, WifiScan, address_text, loudness
 from pdr_filter.values.windows import WindowContext, Windows, known_context
 
@@ -101,6 +101,7 @@ __all__ = [
     "DEFAULT_CONTEXTS",
     "HARDLY_AGREE",
     "INDEPENDENT_SHARE",
+    "MAX_NORTH_STD_RAD",
     "N_BEFORE",
     "RADIUS_68",
     "RADIUS_95",
@@ -168,7 +169,6 @@ __all__ = [
     "error_correlation",
     "error_given_before",
     "feature_set_of",
-    "frozen",
     "has_frame",
     "has_position",
     "heading_from_yaw",
@@ -178,13 +178,14 @@ __all__ = [
     "interpolated_near",
     "known_context",
     "loudness",
+    "make_read_only",
     "measured",
     "median",
-    "pickled",
     "range_log_densities",
     "range_residuals",
     "read_only",
     "received_s",
+    "reduction",
     "reference_headings",
     "repeated_cov_m2",
     "repetition",

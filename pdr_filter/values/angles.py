@@ -8,6 +8,10 @@ import numpy as np
 
 from pdr_filter.values.arrays import FloatArray
 
+# Standard deviation of an unknown angle, which is uniform on the circle.
+UNKNOWN_STD_RAD = math.pi / math.sqrt(3.0)
+UNKNOWN_VAR_RAD2 = UNKNOWN_STD_RAD**2
+
 
 def wrap_angle(angle_rad: FloatArray | float) -> FloatArray:
     """Wrap angles to [-pi, pi).

@@ -55,16 +55,16 @@ def median(values: FloatArray) -> float:
 
 def read_only(values: ArrayLike, name: str = "values") -> FloatArray:
     """Return a read-only contiguous float64 copy of the values."""
-    return frozen(np.array(as_floats(values, name), order="C"))
+    return make_read_only(np.array(as_floats(values, name), order="C"))
 
 
-def frozen(array: FloatArray) -> FloatArray:
+def make_read_only(array: FloatArray) -> FloatArray:
     """Make an array read-only and return it. For arrays that no other code refers to."""
     array.flags.writeable = False
     return array
 
 
-def pickled(self: Any) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+def reduction(self: Any) -> tuple[Callable[..., Any], tuple[Any, ...]]:
     """Implement `__reduce__` for a dataclass whose arrays must stay read-only after pickling and copying.
 
     NumPy does not preserve the read-only flag.
@@ -75,7 +75,7 @@ def pickled(self: Any) -> tuple[Callable[..., Any], tuple[Any, ...]]:
 def _restored_copy(cls: type[Any], values: Mapping[str, Any]) -> Any:
     value = object.__new__(cls)
     for name, own in values.items():
-        object.__setattr__(value, name, frozen(own.view()) if isinstance(own, np.ndarray) else own)
+        object.__setattr__(value, name, make_read_only(own.view()) if isinstance(own, np.ndarray) else own)
     return value
 
 

@@ -65,6 +65,8 @@ HEIGHT_RANGE_M = (0.4, 2.8)
 # Steps of toddlers and of people who shuffle are 0.1 to 0.3 m long, those of sprinters up to 2.7 m. Lengths in
 # centimetres are outside of the range.
 STEP_LENGTH_RANGE_M = (0.05, 3.0)
+# Largest mean step length of a walk without running. Race walkers, the longest walking steps, have 1.1 to 1.3 m.
+MAX_WALKING_STEP_M = 1.4
 MAX_SPEED_MPS = 12.5  # nobody has run faster than 12.4 m/s
 
 # Minimum number of samples of a recording. Fewer cannot contain a step at any plausible rate.

@@ -9,17 +9,8 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
-from pdr_filter.values import (
-    Samples,
-    Table,
-    Wifi,
-    check_array,
-    check_step_length,
-    check_walked,
-    limits,
-    pickled,
-    table,
-)
+from pdr_filter.values import Samples, Table, Wifi, check_array, check_step_length, check_walked, limits
+from pdr_filter.values.arrays import reduction, table
 from pdr_filter.values.sanitise import printable
 
 
@@ -111,7 +102,7 @@ class Truth:
     segments: Table | None = None
     labels: Table | None = None
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def present(self) -> tuple[str, ...]:
         """Return the names of the tables that are not None.

@@ -97,7 +97,7 @@ class TrackPlacement:
                 f'gnss="{self.gnss}" takes position and north from the locations of the recording, got {names} too: '
                 f"leave out gnss or {names}"
             )
-        if self.asks_for_north and (self.heading_rad is not None or turn_rad is not None):
+        if self.asks_for_north and self.states_north:
             raise ValueError(
                 f'heading_rad, or turn_rad of origin, and north="{self.north}" both define north: leave one of them out'
             )
@@ -113,6 +113,11 @@ class TrackPlacement:
     def is_given(self) -> bool:
         """True if the caller gives the position or the heading of the track."""
         return self.origin is not None or self.heading_rad is not None
+
+    @property
+    def states_north(self) -> bool:
+        """True if the caller gives the direction of north, by the heading or the turn of the origin."""
+        return self.heading_rad is not None or (self.place is not None and self.place.turn_rad is not None)
 
     @property
     def asks_for_locations(self) -> bool:
@@ -187,7 +192,7 @@ def texts() -> Mapping[str, str]:
     return {name: " ".join(text.split()) for name, text in entries}
 
 
-def documented(function: F) -> F:
+def document_placement(function: F) -> F:
     """Insert the parameters of `TrackPlacement` into the docstring of a function, at the line that names them."""
     line = f"{', '.join(field.name for field in fields(TrackPlacement))} : fields of `TrackPlacement`"
     if function.__doc__ is not None:

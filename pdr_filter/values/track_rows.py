@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, pickled, read_only
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only, reduction
 from pdr_filter.values.checks import check_array
 from pdr_filter.values.fixes import FixResult
 from pdr_filter.values.floor_passage import FloorPassage
@@ -18,7 +18,7 @@ from pdr_filter.values.origin import Origin
 from pdr_filter.values.plan import Plan
 from pdr_filter.values.plan_estimate import Cluster
 from pdr_filter.values.step import steps_of
-from pdr_filter.values.uncertainty import floor_prob, is_floor_unknown, worst_std_m
+from pdr_filter.values.uncertainty import MAX_NORTH_STD_RAD, floor_prob, is_floor_unknown, worst_std_m
 from pdr_filter.values.windows import Windows
 
 _WINDOW_S = 2.0  # duration of a context window
@@ -69,7 +69,7 @@ class TrackRows:
     is_smoothed: bool = False
     effective_sample_size: FloatArray = field(default_factory=lambda: read_only(np.zeros(0)))  # (K,)
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def __repr__(self) -> str:
         return f"Track({self.name!r}, {self.n_steps} steps, {self.how_far}, {self.weighting})"
@@ -159,7 +159,13 @@ class TrackRows:
 
     @property
     def knows_north(self) -> bool:
-        """True if the north of the frame is true north."""
+        """True if directions are from true north, with a standard deviation of up to 45 degrees."""
+        std_rad = None if self.origin is None else self.origin.turn_std_rad
+        return self._has_true_axes and (std_rad is None or std_rad <= MAX_NORTH_STD_RAD)
+
+    @property
+    def _has_true_axes(self) -> bool:
+        """True if the north of the frame is true north, even if the rotation of the walk in it is unknown."""
         return self.frame == "north" or (self.frame != "start" and self.origin is not None)
 
     def turned(self, turn_rad: float, std_rad: float | None = None) -> Self:
@@ -181,7 +187,7 @@ class TrackRows:
         Raises
         ------
         ValueError
-            If the north is true north already, or the track is in the frame of a floor plan.
+            If the axes of the frame are true already, or the track is in the frame of a floor plan.
 
         Notes
         -----
@@ -189,7 +195,7 @@ class TrackRows:
         """
         check_array("turn_rad", turn_rad)
         check_array("std_rad", std_rad or 0.0, "0 or more")
-        if self.knows_north:
+        if self._has_true_axes:
             raise ValueError(
                 f"the north of {self.name!r} is already true north, got turn_rad={turn_rad}: do not rotate the track"
             )
@@ -231,6 +237,9 @@ class TrackRows:
         """
         new_origin = Origin.of(origin)
         if self.frame in ("fixes", "plan"):
+            if self.origin is not None and new_origin.turn_rad is None:
+                was = self.origin
+                new_origin = replace(new_origin, turn_rad=was.turn_rad, turn_std_rad=was.turn_std_rad)
             return replace(self, origin=new_origin)
         turned = self
         if new_origin.turn_rad is not None and self.frame == "start":
@@ -250,19 +259,20 @@ class TrackRows:
     @property
     def about_frame(self) -> str:
         """Description of origin and north of the frame, as a sentence."""
-        place, sure = self.origin, ""
+        place, sure, turned = self.origin, "", ""
         at = "" if place is None else f" at {place.latitude_deg:.6f}, {place.longitude_deg:.6f}"
         if place is not None and place.turn_std_rad is not None:
             sure = f", ± {min(degrees(place.turn_std_rad), 180.0):.0f} degrees"
+            turned = f"; the direction of the walk is {'known' if self.knows_north else 'unknown'}{sure}"
         if self.frame == "north":
             zero = "the origin of the fixes" if self.start_position_m.any() else "the start of the walk"
+            sure = sure if self.knows_north else turned
             return f"East and north are metres from {zero}{at}; north is true north, as given or measured{sure}."
         if self.frame == "plan":
             return f"East and north are metres in the frame of the floor plan{at and f', whose zero is{at}'}."
-        if self.frame == "fixes" and sure:
-            return f"East and north are metres from the first location{at}; true north is from the locations{sure}."
         if self.frame == "fixes":
-            return f"East and north are metres in the frame of the fixes{at and f', whose origin is{at}'}."
+            at = f", whose origin is{at}; north is true north{turned}" if at else ""
+            return f"East and north are metres in the frame of the fixes{at}."
         words = f"East and north are metres from the start of the walk{at}; north is"
         if self.frame == "heading fixes":
             return f"{words} that of the heading fixes."

@@ -12,7 +12,9 @@ from pdr_filter.values.arrays import BoolArray, FloatArray
 # sqrt(-2 log(1 - p)) with p = 0.683 and 0.95. Phones report the first as their accuracy.
 RADIUS_68 = 1.515
 RADIUS_95 = 2.4477
-
+# Largest standard deviation of a known north: half a quadrant. Beyond it, north may as well be east or west at one
+# standard deviation. A compass is then only a prior for fixes and plans.
+MAX_NORTH_STD_RAD = math.pi / 4.0
 
 # Half of a usual storey height, m: a larger error of the height leads to another storey.
 _HALF_STOREY_M = 1.9

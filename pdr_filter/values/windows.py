@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray, pickled, read_only
+from pdr_filter.values.arrays import FloatArray, read_only, reduction
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 
 _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
@@ -174,7 +174,7 @@ class Windows:
     model: tuple[str, ...]
     standing_contexts: tuple[str, ...] = ("stationary",)
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def to_pandas(self) -> Any:
         """Return a pandas DataFrame with one row per window; needs the extra `parquet`.

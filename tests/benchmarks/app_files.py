@@ -16,10 +16,10 @@ from pathlib import Path
 
 import pdr_filter as pdr
 from pdr_filter.data.io.describe import reading_report
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.tables.column_values import constant_part, turning
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
+from pdr_filter.values.errors import RecordingError
 from tests.benchmarks.common import DATA, ROOT, Tables, run
 
 

@@ -26,6 +26,7 @@ from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
 from pdr_filter.filter.step_length.models import KimStepLength, WeinbergStepLength
+from pdr_filter.offline.calibration.assembly import scale_std_of
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate_segments
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, estimate_jointly
@@ -40,9 +41,9 @@ from pdr_filter.offline.calibration.segments import (
     segments_of,
     truth_fixes,
 )
-from pdr_filter.offline.calibration.smoothed_calibration import calibration_walk, scale_std_of
+from pdr_filter.offline.calibration.smoothed_calibration import calibration_walk
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
-from pdr_filter.recipes.step_length_calibration import Calibration
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS, table
 from pdr_filter.values.recording import Recording, Truth

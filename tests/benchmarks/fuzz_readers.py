@@ -78,8 +78,8 @@ def cut(text: bytes) -> bytes:
 
 def fuzz(form: str, inputs: int, seed: int, apps: Path) -> Counter[str]:
     """Counts of what happened, and the memory by which the process grew."""
-    from pdr_filter.data.io.files.errors import RecordingError
     from pdr_filter.data.io.formats import read
+    from pdr_filter.values.errors import RecordingError
 
     warnings.simplefilter("error")
     counts: Counter[str] = Counter()

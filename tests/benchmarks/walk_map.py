@@ -23,7 +23,15 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.apps.walk_map.chains import Chain, chain_of
-from pdr_filter.apps.walk_map.placing import SURE, UNKNOWN_NORTH, PlacedGroup, Pose, ScannedWalks, locate, turned
+from pdr_filter.apps.walk_map.placing import (
+    SURE,
+    UNKNOWN_NORTH,
+    PlacedGroup,
+    Pose,
+    ScannedWalks,
+    locate,
+    rotation_matrix,
+)
 from pdr_filter.apps.walk_map.walk_map import DECLINATION_STD_RAD, _mapped
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
@@ -114,7 +122,7 @@ def matched(walks: Sequence[Walk], found: pdr.WalkMap, known: set[str]) -> list[
 def aligned(mapped_m: np.ndarray, true_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Matrix M and shift d for which mapped @ M + d fits the true positions best, without scale."""
     a, b = (mapped_m - mapped_m.mean(axis=0)) @ [1, 1j], (true_m - true_m.mean(axis=0)) @ [1, 1j]
-    turn = turned(-float(np.angle(np.vdot(a, b))))
+    turn = rotation_matrix(-float(np.angle(np.vdot(a, b))))
     return turn, true_m.mean(axis=0) - mapped_m.mean(axis=0) @ turn
 
 
@@ -143,7 +151,9 @@ def true_pose(walk: Walk) -> Pose:
     a, b = (own - own.mean(axis=0)) @ [1, 1j], (walk.points[:, 1:] - walk.points[:, 1:].mean(axis=0)) @ [1, 1j]
     ratio = np.vdot(a, b) / np.vdot(a, a) if np.abs(b).max() > 5.0 else np.exp(-1j * CITY.declination_rad())
     turn_rad, scale = -float(np.angle(ratio)), float(abs(ratio))
-    return Pose(turn_rad, walk.points[:, 1:].mean(axis=0) - scale * own.mean(axis=0) @ turned(turn_rad), 0, scale)
+    return Pose(
+        turn_rad, walk.points[:, 1:].mean(axis=0) - scale * own.mean(axis=0) @ rotation_matrix(turn_rad), 0, scale
+    )
 
 
 def among_true(walks: Sequence[Walk]) -> str:
@@ -211,7 +221,9 @@ ABOUT_NUMBERS = (
 def with_true_direction(walk: Walk) -> Walk:
     """The walk and the direction of its magnetometer, rotated to the true direction."""
     turn_rad, chain = true_pose(walk).turn_rad - CITY.declination_rad(), walk.chain
-    mean = np.column_stack([chain.mean[:, :2] @ turned(turn_rad), chain.mean[:, 2] + turn_rad, chain.mean[:, 3]])
+    mean = np.column_stack(
+        [chain.mean[:, :2] @ rotation_matrix(turn_rad), chain.mean[:, 2] + turn_rad, chain.mean[:, 3]]
+    )
     problem, observed = chain.problem, chain.problem.states
     start_mean = problem.start_mean + turn_rad * (np.arange(len(problem.start_mean)) == HEADING_OFFSET)
     states = replace(observed, value=observed.value + turn_rad * (observed.state == HEADING_OFFSET))

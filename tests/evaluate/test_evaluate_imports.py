@@ -22,7 +22,7 @@ def packages_of(path: Path) -> set[str]:
 @pytest.mark.parametrize(
     ("package", "below", "apart"),
     [
-        ("evaluate", {"values", "classifiers"}, {"runs.py", "conformance.py", "__init__.py"}),
+        ("evaluate", {"values", "classifiers"}, {"runs.py", "__init__.py"}),
         ("simulate", {"values"}, set()),
         ("apps/report", {"values", "data/io", "apps/maps", "tracking"}, set()),
     ],

@@ -7,7 +7,13 @@ import pytest
 from helpers import cut_uniform
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, AttitudeState, _horizontal, _mean_rotated
+from pdr_filter.sensing.attitude import (
+    AttitudeBlock,
+    AttitudeEstimator,
+    AttitudeState,
+    _horizontal,
+    _mean_up_and_vector,
+)
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.gyroscope_bias import GyroBias
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
@@ -328,7 +334,7 @@ def test_rotated_vectors_agree_with_the_rotations_of_scipy() -> None:
     quat, vectors = rng.normal(size=(40, 4)), rng.normal(size=(40, 3))
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)
     attitude = Rotation.from_quat(quat[:, [1, 2, 3, 0]])
-    up_sensor, mean = _mean_rotated(quat, np.column_stack([vectors, np.ones(40)]), vectors.mean(axis=0))
+    up_sensor, mean = _mean_up_and_vector(quat, np.column_stack([vectors, np.ones(40)]), vectors.mean(axis=0))
     np.testing.assert_allclose(mean, attitude.apply(vectors).mean(axis=0), atol=1e-12)
     np.testing.assert_allclose(up_sensor, attitude.inv().apply([0.0, 0.0, 1.0]).mean(axis=0), atol=1e-12)
     np.testing.assert_allclose(_horizontal(quat, vectors), attitude.apply(vectors)[:, :2], atol=1e-12)

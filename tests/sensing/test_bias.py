@@ -340,7 +340,7 @@ def test_a_smoothed_heading_error_is_a_measurement_of_the_bias() -> None:
     phone = Phone.of(0.003 * READING, ONE_PRIOR)
     for _ in range(100):
         phone.see(phone.window(turn_radps=0.5))
-    learnt = ONE_PRIOR.learnt_from_smoothed(phone.state, phone.heading_error_rad, 1e-4, 4e-4, 0.0, READING)
+    learnt = ONE_PRIOR.device_from_smoothed(phone.state, phone.heading_error_rad, 1e-4, 4e-4, 0.0, READING)
     # independent errors of smoothing and drift over the time, and the random walk of the bias since the mean bias
     var = (1e-4 + 4e-4) / 100.0**2 + ONE_PRIOR.walk_radps_per_sqrt_s**2 * 100.0 / 3
     assert READING @ learnt.bias_radps == pytest.approx(0.003, abs=np.sqrt(var))
@@ -352,9 +352,9 @@ def test_a_smoothed_heading_error_is_a_measurement_of_the_bias() -> None:
 def test_a_smoothed_error_that_is_hardly_better_than_the_gyroscope_teaches_nothing() -> None:
     phone = Phone.of(0.003 * READING)
     phone.walk(corridors([1.0, -1.9, 0.8]))
-    expected, var_rad2 = phone.estimator.learnt(phone.state), phone.state.heading_error_var_rad2
+    expected, var_rad2 = phone.estimator.learnt_device(phone.state), phone.state.heading_error_var_rad2
     for share, teaches in ((0.3, False), (0.2, True)):
-        learnt = phone.estimator.learnt_from_smoothed(phone.state, 0.0, share * var_rad2, 0.0, 0.0, READING)
+        learnt = phone.estimator.device_from_smoothed(phone.state, 0.0, share * var_rad2, 0.0, 0.0, READING)
         assert np.array_equal(learnt.bias_cov_radps2, expected.bias_cov_radps2) != teaches
 
 
@@ -363,7 +363,7 @@ def test_the_error_of_an_earlier_time_teaches_the_same_bias_as_that_of_the_end()
     for _ in range(120):
         phone.see(phone.window(turn_radps=0.5))
         errors_rad.append(phone.heading_error_rad)
-    learnt = ONE_PRIOR.learnt_from_smoothed(phone.state, errors_rad[99], 1e-6, 0.0, 20.0, READING)
+    learnt = ONE_PRIOR.device_from_smoothed(phone.state, errors_rad[99], 1e-6, 0.0, 20.0, READING)
     assert READING @ learnt.bias_radps == pytest.approx(0.003, abs=2e-4)
 
 

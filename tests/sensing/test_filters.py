@@ -6,7 +6,7 @@ from scipy.signal import firwin
 
 from pdr_filter.sensing.signal_filters import (
     butterworth,
-    filtered,
+    filtered_rows,
     low_pass_kernel,
     phase_delay_s,
     running_sums,
@@ -16,14 +16,14 @@ from pdr_filter.sensing.signal_filters import (
 
 def test_a_constant_passes_from_its_first_sample_on() -> None:
     rows = np.repeat([[3.0], [-1.0]], 50, axis=1)
-    smooth, _ = filtered(butterworth(10, 3.0, 100.0), rows, None)
+    smooth, _ = filtered_rows(butterworth(10, 3.0, 100.0), rows, None)
     np.testing.assert_allclose(smooth, rows, atol=1e-9)
 
 
 def test_the_phase_delay_is_how_much_later_a_sinusoid_leaves_the_filter() -> None:
     sos, frequency_hz, t = butterworth(10, 3.0, 100.0), np.linspace(0.01, 3.0, 300), np.arange(3000) / 100
     delay_s = float(np.interp(1.5, frequency_hz, phase_delay_s(sos, frequency_hz, 100.0)))
-    smooth, _ = filtered(sos, np.sin(2 * np.pi * 1.5 * t)[None], None)
+    smooth, _ = filtered_rows(sos, np.sin(2 * np.pi * 1.5 * t)[None], None)
     late = np.sin(2 * np.pi * 1.5 * (t[2000:] - delay_s))
     np.testing.assert_allclose(smooth[0, 2000:] / smooth[0, 2000:].max(), late, atol=0.01)
 

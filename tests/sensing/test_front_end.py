@@ -13,6 +13,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.front_end import Gap, Sensing
 from pdr_filter.sensing.steps.step_detector import ContextBlock
+from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, Step, WindowContext, known_context
 
@@ -135,6 +136,31 @@ def test_events_come_in_the_order_in_which_they_became_known_and_steps_before_th
     assert events[gap][1].duration_s == pytest.approx(5.0, abs=0.2)
     assert all(e.time_s < 12.1 for _, e in events[:gap] if isinstance(e, Step))
     assert all(e.time_s > 17.0 for _, e in events[gap:] if isinstance(e, Step))
+
+
+class Askew(StepStage):
+    """Heading stage of a person who walks 0.4 rad to the right of the pointing axis of the phone."""
+
+    def finish(self, state: None, steps: list[tuple[int, Step]]) -> tuple[None, list[tuple[int, Step]]]:
+        def told(step: Step) -> Step:
+            heading_rad = step.device_heading_rad + 0.4
+            return replace(step, walking_heading_rad=heading_rad, walking_heading_std_rad=0.3)
+
+        return state, [(number, told(step)) for number, step in steps]
+
+
+class AskewWithOffsets(Askew):
+    learns_directions = True
+
+
+@pytest.mark.parametrize(("stage", "shown"), [(Askew(), (0.4, 0.3)), (AskewWithOffsets(), (0.0, np.inf))])
+def test_only_steps_of_a_heading_stage_without_own_offsets_get_theirs_from_the_walking_heading(
+    stage: StepStage, shown: tuple[float, float]
+) -> None:
+    walk = pdr.merge_streams(simulate([Leg("walking", distance_m=6.0)]))
+    steps = [e for _, e in sensed(Sensing(steps=WaveletStepDetector(), heading=stage), [walk]) if isinstance(e, Step)]
+    assert len(steps) > 5
+    assert [(s.shown_offset_rad, s.shown_offset_std_rad) for s in steps] == [pytest.approx(shown)] * len(steps)
 
 
 def test_stages_of_different_rates_are_refused() -> None:

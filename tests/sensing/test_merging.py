@@ -16,15 +16,7 @@ from hypothesis import strategies as st
 import pdr_filter as pdr
 from pdr_filter.data.io.describe import describe
 from pdr_filter.sensing.clock import MAX_GAP_S, ClockState, accept_rows, one_clock
-from pdr_filter.sensing.stream_merging import (
-    _MAX_ROWS,
-    SENSORS,
-    Merged,
-    Sensor,
-    StreamMerger,
-    absences,
-    absences_in,
-)
+from pdr_filter.sensing.stream_merging import _MAX_ROWS, SENSORS, Merged, Sensor, StreamMerger, absences, absences_in
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, ImuBlock, Samples
 from pdr_filter.values.recording import Recording

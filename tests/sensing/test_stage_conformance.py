@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.evaluate.conformance import StageSamples, bits, stage_samples
 from pdr_filter.recipes.zhou2019.steps import ReferenceLineStepDetector
 from pdr_filter.sensing.steps.step_detector import BaseStepDetector
+from pdr_filter.testing import StageSamples, bits, stage_samples
 from pdr_filter.values import Step
 
 SENSING = {name: recipe(recipes.Subject(height_m=1.75)).sensing for name, recipe in recipes.RECIPES.items()}

@@ -194,7 +194,9 @@ def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Reco
     np.testing.assert_array_equal(track.position_m, placed.position_m)
     assert placed.frame == "fixes"
     assert track.about_frame == "East and north are metres in the frame of the fixes."
-    assert placed.about_frame.endswith("in the frame of the fixes, whose origin is at 48.137000, 11.575000.")
+    where = "in the frame of the fixes, whose origin is at 48.137000, 11.575000; north is true north; the direction"
+    assert where in placed.about_frame
+    assert placed.knows_north
     # the frame of the start does not affect the frame of the fixes
     as_it_is = track.placed(Origin(*HERE, turn_rad=1.0, turn_std_rad=0.2, position_std_m=9.0))
     np.testing.assert_array_equal(as_it_is.position_m, track.position_m)

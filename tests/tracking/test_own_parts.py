@@ -13,6 +13,7 @@ from own_parts import FIT, Crossings, CrossingState, DeviceHeading, Exponential,
 
 import pdr_filter as pdr
 from pdr_filter.filter.step_length.models import bounce_fit
+from pdr_filter.offline.smoothing.smooth import SmoothingMemory
 from pdr_filter.sensing.contexts.context_stage import WindowStageState
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import FloatArray, Origin, Samples
@@ -68,6 +69,27 @@ def test_steps_lead_along_the_directions_that_a_stage_states(recording: pdr.Reco
         fixes = [pdr.PositionFix(track.time_s[k], turned_m[k], 0.01 * np.eye(2)) for k in range(5, track.n_steps, 10)]
         smoothed = pdr.smooth(recording, fixes, config=config).track
         np.testing.assert_allclose(smoothed.position_m, turned_m, atol=0.25)
+
+
+def test_a_direction_that_the_user_states_is_refused_with_a_stage_that_knows_north(recording: pdr.Recording) -> None:
+    config = pdr.recipes.default().with_heading(HeadingRule())
+    for given in ({"heading_rad": 1.0}, {"origin": Origin(48.0, 11.0, turn_rad=0.3)}):
+        with pytest.raises(ValueError, match="stage HeadingRule knows already: omit it, or set knows_north"):
+            pdr.smooth(recording, config=config, **given)
+
+
+def test_a_memory_of_smoothing_compares_parts_of_other_packages() -> None:
+    class Local(DeviceHeading):
+        pass
+
+    short, memory = simulate([Leg("walking", distance_m=9.0)]), SmoothingMemory()
+    fixes = [pdr.PositionFix(t, [0.0, t], np.eye(2)) for t in (1.0, 5.0)]
+    config = own_config()
+    pdr.smooth(short, config=config, memory=memory)
+    again = pdr.smooth(short, fixes, config=config, memory=memory).track.position_m
+    np.testing.assert_array_equal(again, pdr.smooth(short, fixes, config=config).track.position_m)
+    with pytest.raises(ValueError, match="omit memory"):
+        pdr.smooth(short, config=config.with_heading(Local()), memory=memory)
 
 
 def test_tracks_with_parts_of_other_packages_are_smoothed_and_drawn(recording: pdr.Recording, tmp_path: Any) -> None:
@@ -167,7 +189,7 @@ def test_a_state_that_has_its_own_classes_from_the_first_on_comes_back(
     config = pdr.recipes.default().with_heading(LateHeading(before, after))
     online = pdr.OnlineFilter(config)
     pushed(online, recording, end=900)
-    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.of_steps["heading"] == {"bout": after}
+    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.heading == {"bout": after}
 
 
 @dataclass(frozen=True)
@@ -196,7 +218,7 @@ def test_a_state_that_gets_its_own_classes_late_comes_back_if_its_fields_declare
     config = pdr.recipes.default().with_heading(LateHeading(Walked(), LATE))
     online = pdr.OnlineFilter(config)
     pushed(online, recording, end=900)
-    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.of_steps["heading"] == {"bout": LATE}
+    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.heading == {"bout": LATE}
 
 
 @dataclass(frozen=True)
@@ -213,8 +235,7 @@ def test_own_classes_with_equal_fields_come_back_as_they_were(recording: pdr.Rec
     config = pdr.recipes.default().with_heading(LateHeading(Either(Bout(0)), Either(Turn(1))))
     online = pdr.OnlineFilter(config)
     pushed(online, recording, end=900)
-    loaded = pdr.OnlineFilter.load(online.save(), config=config)
-    assert loaded.state.sensing.of_steps["heading"] == {"bout": Either(Turn(1))}
+    assert pdr.OnlineFilter.load(online.save(), config=config).state.sensing.heading == {"bout": Either(Turn(1))}
 
 
 @pytest.mark.parametrize(("before", "after"), [(Walked(), Walked(undeclared=Turn(1))), (Bout(0), Turn(1))])

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.sanitise import csv_cell, file_name, of_csv_cell, printable, printable_lines
 
 LIVE = ["=1+1", "+1", "-1", "@SUM(1)", " =1", "\t=1", "a;=1", "a; -1"]

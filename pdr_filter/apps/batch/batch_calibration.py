@@ -15,19 +15,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pdr_filter.apps.batch.workers import Failure, each
-from pdr_filter.data.io.files.safe_files import whole_file
 from pdr_filter.data.io.folders import recordings_of
 from pdr_filter.data.io.formats import known_format, read
 from pdr_filter.offline.calibration.segments import AnySegment, SummedSegment, segments_of, with_distinct_names
 from pdr_filter.offline.robust_loss import LOSSES
 from pdr_filter.tracking import whole_recording as recording_run
+from pdr_filter.values.safe_files import whole_file
 from pdr_filter.values.serialisation import from_bytes, to_bytes
 from pdr_filter.version import __version__
 
 if TYPE_CHECKING:
     from pdr_filter.filter.step_length.models import StepLengthModel
     from pdr_filter.offline.calibration.priors import StepLengthPrior
-    from pdr_filter.recipes.step_length_calibration import Calibration
+    from pdr_filter.recipes.calibration import Calibration
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import IO, Any
 
 from pdr_filter.apps.batch.worker_process import reason_of
-from pdr_filter.data.io.files.safe_files import whole_file
 from pdr_filter.data.io.files.track_writers import pandas_for_parquet
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS
+from pdr_filter.values.safe_files import whole_file
 from pdr_filter.values.sanitise import csv_cell, of_csv_cell
 
 _DONE, _FAILED = "done", "failed"

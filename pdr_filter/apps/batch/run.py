@@ -19,7 +19,7 @@ from pdr_filter.data.io.folders import recordings_of
 from pdr_filter.data.io.formats import known_format, read
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.recipes import check_name, contexts_of, for_recording
-from pdr_filter.recipes.step_length_calibration import read_person
+from pdr_filter.recipes.calibration import read_person
 from pdr_filter.tracking import whole_recording as recording_run
 from pdr_filter.values.recording import check_height
 from pdr_filter.values.track_placement import GnssUse, check_gnss

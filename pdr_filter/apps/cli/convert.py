@@ -41,11 +41,11 @@ def convert(
     from pdr_filter.data.io.describe import reading_report
     from pdr_filter.data.io.detection import detect
     from pdr_filter.data.io.files.archive import outside
-    from pdr_filter.data.io.files.safe_files import write_text
     from pdr_filter.data.io.folders import only_recording_in
     from pdr_filter.data.io.formats import read
     from pdr_filter.data.io.tables.any_table import read_guessed, read_mapped
     from pdr_filter.data.io.tables.column_mapping import read_mapping
+    from pdr_filter.values.safe_files import write_text
 
     with console.one_line_errors():
         if mapping is not None and platform is not None:

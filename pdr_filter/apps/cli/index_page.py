@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from pdr_filter.apps.cli import console
-from pdr_filter.data.io.files.safe_files import write_text
+from pdr_filter.values.safe_files import write_text
 from pdr_filter.values.sanitise import printable
 
 if TYPE_CHECKING:

@@ -206,7 +206,7 @@ def track(
     """
     import pdr_filter as pdr
     from pdr_filter.filter.pedestrian.person import MAX_SESSION_STD
-    from pdr_filter.recipes.step_length_calibration import Calibration, read_person
+    from pdr_filter.recipes.calibration import Calibration, read_person
 
     with console.one_line_errors():
         if workers.make_one_table():

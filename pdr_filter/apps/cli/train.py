@@ -107,12 +107,13 @@ def _person_of(path: Path, folder: Path) -> str:
 
 def _estimate_transitions(sequences: Path, out: Path) -> None:
     """Estimate transitions and exponents for the shipped model from recordings, and write them to the folder `out`."""
+    from pdr_filter.data.io.formats import read
     from pdr_filter.offline.training import transition_training as training
 
     with console.one_line_errors(), console.progress("training") as show:
-        changing = training.changing_recordings(console.recordings_of([sequences]))
+        changing = training.changing_recordings(console.recordings_of([sequences]), read)
         card = training.train_evidence(
-            changing, out, training.shipped_model_without, lambda what, fraction: show(fraction, what)
+            changing, read, out, training.shipped_model_without, lambda what, fraction: show(fraction, what)
         )
     typer.echo(out / "transitions.json")
     for what in ("transition_prob", "exponents"):

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pdr_filter.apps.batch.worker_process import LostError, dask_errors
-from pdr_filter.apps.live.parts import Part, Request, Said, Save
+from pdr_filter.apps.live.parts import Command, Part, Request, Response
 from pdr_filter.apps.live.settings import Settings
 
 _CONNECT_S = 20.0
@@ -83,7 +83,7 @@ class Actor:
         self._future = future  # the actor lives as long as this reference
         self._actor, self._address = actor, address
 
-    async def ask(self, requests: Sequence[Request]) -> list[Said]:
+    async def ask(self, requests: Sequence[Request]) -> list[Response]:
         """Return an answer to each request. LostError if the worker is gone or does not answer within 60 s."""
         asked = asyncio.create_task(self._asked(requests))
         until = time.monotonic() + _ANSWER_S
@@ -97,7 +97,7 @@ class Actor:
             raise LostError(f"dask worker {self._address} is gone or does not answer: start it again")
         return asked.result()
 
-    async def _asked(self, requests: Sequence[Request]) -> list[Said]:
+    async def _asked(self, requests: Sequence[Request]) -> list[Response]:
         try:
             return await self._actor.answer(list(requests))
         except Exception as error:  # a lost worker raises many kinds
@@ -105,5 +105,5 @@ class Actor:
 
     async def close(self) -> None:
         """Save all sessions and end the actor."""
-        await self.ask([Save()])
+        await self.ask([Command.SAVE])
         self._future.release()

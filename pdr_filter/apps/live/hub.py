@@ -12,7 +12,7 @@ from pdr_filter.apps.live.access import MAX_BODY_BYTES, Rates
 from pdr_filter.apps.live.broadcast import Broadcast
 from pdr_filter.apps.live.cluster import DaskCluster
 from pdr_filter.apps.live.messages import MessageError, parse
-from pdr_filter.apps.live.parts import Answer, Take
+from pdr_filter.apps.live.parts import Answer, MessageBatch
 from pdr_filter.apps.live.settings import Event, Settings
 from pdr_filter.apps.live.workers import Process, Starter, Workers
 
@@ -50,7 +50,7 @@ class Live:
 
     async def tracks(self) -> dict[str, Event]:
         """`track` events of all sessions, by the id of the session."""
-        return {event["id"]: event for event in await self.workers.whole() if event["event"] == "track"}
+        return {event["id"]: event for event in await self.workers.snapshots() if event["event"] == "track"}
 
     async def stop(self) -> None:
         """Save all sessions and end the workers."""
@@ -78,7 +78,7 @@ class Live:
         name = next(iter(names), device)
         if not self.rates.allows(name, len(body)):
             return Answer(429, {"error": f"{name} sends too much; a phone may send 1 MB a second"})
-        return await self.workers.take(Take(name, messages, time.time()))
+        return await self.workers.take(MessageBatch(name, messages, time.time()))
 
     def _shown(self, text: str) -> None:
         """Pass an event of a worker, as JSON text, on to all pages and clients.
@@ -96,4 +96,4 @@ class Live:
 
     def events(self) -> AsyncIterator[str]:
         """Yield the present state of all sessions, then each event, and an empty text now and then between events."""
-        return self.broadcast.events(self.workers.whole)
+        return self.broadcast.events(self.workers.snapshots)

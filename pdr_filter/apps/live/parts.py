@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import Enum, auto
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from pdr_filter.apps.live.settings import BusyError, Event, FixError, Settings
 
 
 @dataclass(frozen=True, slots=True)
-class Take:
+class MessageBatch:
     """Request to process the messages that one device sent in one HTTP body, received at `received_s`."""
 
     device: str
@@ -25,22 +26,15 @@ class Take:
     received_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Whole:
-    """Request for all sessions, with their paths and present estimates."""
+class Command(Enum):
+    """Request about all sessions of a worker."""
+
+    LIST = auto()  # return all sessions, with their paths and present estimates
+    MAINTAIN = auto()  # about once per second: filter what waits, save changed sessions and forget silent phones
+    SAVE = auto()  # the last request: save all sessions
 
 
-@dataclass(frozen=True, slots=True)
-class Tick:
-    """Request, about once per second, to filter what waits, to save changed sessions and to forget silent phones."""
-
-
-@dataclass(frozen=True, slots=True)
-class Save:
-    """Last request to a worker: save all sessions."""
-
-
-Request = Take | Whole | Tick | Save
+Request = MessageBatch | Command
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +46,7 @@ class Answer:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class Response:
     """Response of a part to one request: the answer for the sender, and the events for the open web pages.
 
     The events are JSON texts, for all changes since the previous response.
@@ -76,59 +70,60 @@ class Part:
     """
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
-        from pdr_filter.apps.live.devices import Devices  # here, because the server must not load the filter
+        from pdr_filter.apps.live.sessions import Sessions  # here, because the server must not load the filter
 
         if not folder.is_dir():
             raise ValueError(f"no folder {folder} here: the server and all workers need the same one")
         self._events: list[str] = []
-        self._devices = Devices(settings, folder, self._emit, part, n_parts)
+        self._sessions = Sessions(settings, folder, self._emit, part, n_parts)
 
     def _emit(self, event: Event) -> None:
         self._events.append(json.dumps(event, allow_nan=False))
 
-    def answer(self, requests: Sequence[Request]) -> list[Said]:
-        """Return a `Said` for each request, in order. Consecutive messages are filtered and saved together."""
-        said: list[Said] = []
+    def answer(self, requests: Sequence[Request]) -> list[Response]:
+        """Return a `Response` for each request, in order. Consecutive messages are filtered and saved together."""
+        responses: list[Response] = []
         taken: list[tuple[Answer, set[str]]] = []
         for request in requests:
-            if isinstance(request, Take):
-                taken.append(self._taken(request))
+            if isinstance(request, MessageBatch):
+                taken.append(self._accept(request))
             else:
-                said += self._settled(taken)
+                responses += self._filtered_responses(taken)
                 taken = []
-                said.append(Said(self._answer(request), self._shown()))
-        return [*said, *self._settled(taken)]
+                responses.append(Response(self._answer(request), self._new_events()))
+        return [*responses, *self._filtered_responses(taken)]
 
-    def _settled(self, taken: Sequence[tuple[Answer, set[str]]]) -> list[Said]:
-        """Return a `Said` for each message, after the sessions were saved and those that are due were filtered.
+    def _filtered_responses(self, taken: Sequence[tuple[Answer, set[str]]]) -> list[Response]:
+        """Return a `Response` for each message, after the sessions were saved and those that are due were filtered.
 
-        If a session failed, its error becomes the answer to its messages. The first `Said` has all events.
+        If a session failed, its error becomes the answer to its messages. The first `Response` has all events.
         """
-        failed = self._devices.settle()
+        failed = self._sessions.settle()
         answers: list[Answer] = []
         for answer, keys in taken:
             errors = [failed[key] for key in keys if key in failed]
             answers.append(_refusal(errors[0]) if errors and answer.status == 200 else answer)
-        events = self._shown()
-        return [Said(answer, events if i == 0 else []) for i, answer in enumerate(answers)]
+        events = self._new_events()
+        return [Response(answer, events if i == 0 else []) for i, answer in enumerate(answers)]
 
-    def _shown(self) -> list[str]:
+    def _new_events(self) -> list[str]:
+        """Return the events since the previous call."""
         events, self._events = self._events, []
         return events
 
-    def _answer(self, request: Whole | Tick | Save) -> Answer:
-        devices = self._devices
-        if isinstance(request, Whole):
-            return Answer(200, devices.whole())
-        if isinstance(request, Tick):
-            devices.tick()
+    def _answer(self, command: Command) -> Answer:
+        sessions = self._sessions
+        if command is Command.LIST:
+            return Answer(200, sessions.snapshots())
+        if command is Command.MAINTAIN:
+            sessions.maintain()
         else:
-            devices.close()
+            sessions.close()
         return Answer(200, None)
 
-    def _taken(self, request: Take) -> tuple[Answer, set[str]]:
+    def _accept(self, request: MessageBatch) -> tuple[Answer, set[str]]:
         try:
-            content, keys = self._devices.accept(request.messages, request.received_s)
+            content, keys = self._sessions.accept(request.messages, request.received_s)
         except (ValueError, BusyError, OSError) as error:
             return _refusal(error), set()
         return Answer(200, content), keys
@@ -142,7 +137,7 @@ def _refusal(error: Exception) -> Answer:
 
 def answers_of_part(
     settings: Settings, folder: Path, part: int, n_parts: int
-) -> Callable[[Sequence[Request]], list[Said]]:
+) -> Callable[[Sequence[Request]], list[Response]]:
     """Load one part of the devices, and return the function that answers requests for this part.
 
     A worker process calls this function once when it starts. The returned function is `Part.answer`.

@@ -435,7 +435,7 @@ class DeviceSession:
         """
         return self._now(is_due=True, is_live=False) if self._is_untold else []
 
-    def whole(self) -> list[Event]:
+    def snapshot(self) -> list[Event]:
         """Return the events that show the whole session to a newly opened page."""
         track = {**self.track(), "history": list(self._history)}
         return [track, self._drawn_path(), *self._now(is_due=True, is_live=False)]

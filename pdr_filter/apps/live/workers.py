@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Protocol
 
 from pdr_filter.apps.batch.worker_process import LostError, WorkerProcess
-from pdr_filter.apps.live.parts import Answer, Request, Said, Save, Take, Tick, Whole, answers_of_part
+from pdr_filter.apps.live.parts import Answer, Command, MessageBatch, Request, Response, answers_of_part
 from pdr_filter.apps.live.settings import Event, Settings, part_of
 
 # Requests that wait for one worker at most: a second of 200 phones that send five times a second.
@@ -46,7 +46,7 @@ class Share(Protocol):
     `Process` implements it with a process on this computer, and `cluster.Actor` with an actor of a Dask cluster.
     """
 
-    async def ask(self, requests: Sequence[Request]) -> list[Said]:
+    async def ask(self, requests: Sequence[Request]) -> list[Response]:
         """Return an answer to each request. LostError if the process or actor has died. Calls must not overlap."""
         ...
 
@@ -69,13 +69,13 @@ class Process:
         await made.ask([])
         return made
 
-    async def ask(self, requests: Sequence[Request]) -> list[Said]:
+    async def ask(self, requests: Sequence[Request]) -> list[Response]:
         """Return an answer to each request; LostError if the process is gone."""
         return await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, requests)
 
     async def close(self) -> None:
         """Save all sessions and end the process."""
-        await self.ask([Save()])
+        await self.ask([Command.SAVE])
         self._process.close()
 
 
@@ -137,7 +137,7 @@ class _Worker:
             batch = list(islice(self._waiting, 1 if self._n_alone else _AT_ONCE))
             requests = [waiting.request for waiting in batch]
             if time.monotonic() - ticked_at > _TICK_S:
-                requests.append(Tick())
+                requests.append(Command.MAINTAIN)
                 ticked_at = time.monotonic()
             if not requests:
                 self._filled.clear()
@@ -212,13 +212,13 @@ class Workers:
         """Start all workers, and return when they are ready."""
         await asyncio.gather(*(worker.start() for worker in self._workers))
 
-    async def take(self, request: Take) -> Answer:
+    async def take(self, request: MessageBatch) -> Answer:
         """Return the answer of the worker of a device to its message."""
         return await self._workers[part_of(request.device, len(self._workers))].ask(request)
 
-    async def whole(self) -> list[Event]:
+    async def snapshots(self) -> list[Event]:
         """Return the events with the path and the present estimate of each session."""
-        answers = await asyncio.gather(*(worker.ask(Whole()) for worker in self._workers))
+        answers = await asyncio.gather(*(worker.ask(Command.LIST) for worker in self._workers))
         return [event for answer in answers if answer.status == 200 for event in answer.content]
 
     async def close(self) -> None:

@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from pdr_filter.apps.maps.geojson import read_plan
+from pdr_filter.apps.maps.particle_filter import ParticleFilter
+from pdr_filter.apps.maps.plan_smoothing import smooth_on_plan
+from pdr_filter.apps.maps.start_area import start_of
 from pdr_filter.apps.maps.storey import Storey
-from pdr_filter.values import Origin, TrackRows
+from pdr_filter.values import Origin, PositionFix, TrackRows
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +97,31 @@ class FloorPlan:
             The storey, or None if the plan does not have it.
         """
         return next((s for s in self.storeys if s.floor == floor), None)
+
+    def stage(self, start: PositionFix | str | None = None, seed: int = 0) -> ParticleFilter:
+        """Return the particle filter that keeps a track on the plan.
+
+        Parameters
+        ----------
+        start : PositionFix or str, optional
+            Start position, the name of an area of the plan, or "anywhere" for all walkable cells of a storey. None, the
+            default, starts from the position of the tracker.
+        seed : int, default 0
+            Seed of the random numbers.
+
+        Returns
+        -------
+        ParticleFilter
+            Filter with default costs and numbers of particles.
+
+        Raises
+        ------
+        ValueError
+            If the plan does not have the start.
+        """
+        return ParticleFilter(self, None if start is None else start_of(self, start), seed=seed)
+
+    smoothed = staticmethod(smooth_on_plan)
 
     def __repr__(self) -> str:
         floors = ", ".join(str(s.floor) for s in self.storeys)

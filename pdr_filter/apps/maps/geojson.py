@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.apps.maps.storey import CELL_M, FREE, LIFT, MARGIN_M, OUTSIDE, ROOM, STAIRS, WALL, Feature, Storey
-from pdr_filter.data.io.files.safe_files import read_json
 from pdr_filter.values import FloatArray, IntArray, Origin, limits, read_only
+from pdr_filter.values.safe_files import read_json
 
 # Accepted values of the property "type", by kind of feature.
 _KINDS = {

@@ -24,13 +24,13 @@ from typing import TYPE_CHECKING, Any
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.data.io.files.archive import outside
-from pdr_filter.data.io.files.safe_files import open_regular, read_json, read_small, whole_file
 from pdr_filter.data.io.fix_files import FIX_STD_M, LOOP_CLOSURE_STD_M, fixes_of_file, loop_closures_of_file
 from pdr_filter.data.io.folders import only_recording_in
 from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.values import Origin, limits
 from pdr_filter.values.recording import Recording, check_height
+from pdr_filter.values.safe_files import open_regular, read_json, read_small, whole_file
 from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:

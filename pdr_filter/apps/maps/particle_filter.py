@@ -49,7 +49,6 @@ import numpy as np
 from numpy.random import Generator, Philox
 
 from pdr_filter.apps.maps.crossing_costs import Ground, Terrain
-from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.maps.particle_clusters import Alternative, n_needed, on_plan
 from pdr_filter.apps.maps.particle_motion import (
     CROSSED,
@@ -64,7 +63,8 @@ from pdr_filter.apps.maps.particle_motion import (
     extended_path,
     rotated,
 )
-from pdr_filter.apps.maps.start_area import ANYWHERE, Start, start_of
+from pdr_filter.apps.maps.start_area import Start, anywhere_on
+from pdr_filter.apps.maps.storey import Storeys
 from pdr_filter.filter.chain.handler import FixUse
 from pdr_filter.filter.chain.with_plan import PlanEvent as ChainPlanEvent
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, stepless_var_m2
@@ -80,7 +80,6 @@ from pdr_filter.values import (
     Measurement,
     Note,
     OnPlan,
-    Plan,
     PositionFix,
     RangeFix,
     SpeedFix,
@@ -262,6 +261,7 @@ class ParticleFilter:
     See Also
     --------
     pdr_filter.Config.with_plan : Configuration with a floor plan; the usual way to use this filter.
+    pdr_filter.FloorPlan.stage : Filter for a plan, with default costs and numbers of particles.
 
     Notes
     -----
@@ -276,19 +276,18 @@ class ParticleFilter:
     --------
     >>> import json, pdr_filter as pdr
     >>> from pathlib import Path
-    >>> from pdr_filter.apps.maps.particle_filter import ParticleFilter
     >>> corners = [[-9, -9], [9, -9], [9, 9], [-9, 9], [-9, -9]]
     >>> hall = {"type": "Feature", "properties": {"type": "floor", "name": "hall"},
     ...         "geometry": {"type": "Polygon", "coordinates": [corners]}}
     >>> _ = Path("hall.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [hall]}))
-    >>> particles = ParticleFilter.of(pdr.FloorPlan.read("hall.geojson"), start="hall")
+    >>> particles = pdr.FloorPlan.read("hall.geojson").stage(start="hall")
     >>> particles.n_least, particles.n_most
     (1000, 50000)
     >>> len(particles.init().weight)  # particles are drawn at the first step
     0
     """
 
-    plan: FloorPlan
+    plan: Storeys
     start: Start | None = None
     terrain: Terrain = field(default_factory=Terrain)
     n_least: int = 1000
@@ -299,36 +298,6 @@ class ParticleFilter:
         check_numbers(self, zero=("seed",))
         if self.n_least > self.n_most:
             raise ValueError(f"n_least must not be above n_most, got {self.n_least} and {self.n_most}")
-
-    @classmethod
-    def of(cls, plan: Plan, start: PositionFix | str | None = None, seed: int = 0) -> ParticleFilter:
-        """Return the filter for a plan, with an optional start.
-
-        Parameters
-        ----------
-        plan : FloorPlan
-            The floor plan.
-        start : PositionFix or str, optional
-            Start position, the name of an area of the plan, or "anywhere" for all walkable cells of a storey. None, the
-            default, starts from the position of the tracker.
-        seed : int, default 0
-            Seed of the random numbers.
-
-        Returns
-        -------
-        ParticleFilter
-            Filter with default costs and numbers of particles.
-
-        Raises
-        ------
-        ValueError
-            If `plan` is not a `FloorPlan`, or the plan does not have the start.
-        """
-        if not isinstance(plan, FloorPlan):
-            raise ValueError(
-                f"plan must be a FloorPlan, got {plan!r}: read one from a file with pdr_filter.FloorPlan.read(path)"
-            )
-        return cls(plan, None if start is None else start_of(plan, start), seed=seed)
 
     @cached_property
     def _grounds(self) -> dict[int, Ground]:
@@ -794,8 +763,7 @@ class ParticleFilter:
         state = replace(state, events=events, n_lost=state.n_lost + 1)
         if pedestrian.frame.is_joined or pedestrian.frame.rotation is not None or ground is None:
             return self._from_tracker(state, pedestrian, ground, rng, scale_std)
-        anywhere = start_of(FloorPlan("", (ground.storey,)), ANYWHERE)
-        return self._from_start(state, anywhere, pedestrian, model, rng, scale_std)
+        return self._from_start(state, anywhere_on(ground.storey), pedestrian, model, rng, scale_std)
 
     def _resampled(self, state: ParticleState, rng: Generator, must_count: bool) -> ParticleState:
         """Return the state resampled to the number of particles needed, or unchanged if resampling is not necessary.

@@ -132,11 +132,30 @@ def smooth_on_plan(
     with_location: bool = False,
     progress: Callable[[float], None] | None = None,
 ) -> SmoothedOnPlan:
-    """Return the track of a configuration with a floor plan, smoothed over the whole recording.
+    """Return the track on a floor plan, smoothed over a whole recording. `pdr_filter.smooth` uses it.
 
-    Raises ValueError if the configuration has no particle filter, the recording has no steps, or nothing places it on
-    the plan. `progress` is called with the fraction done, 0 to 1. `with_location` uses the locations of the recording
-    too.
+    Parameters
+    ----------
+    recording : Recording
+        Recording of the walk.
+    config : Config
+        Configuration with a particle filter on the plan.
+    fixes : tuple of fixes
+        Measurements from outside, in the frame of the plan.
+    with_location : bool, default False
+        Whether the locations of the recording are used too.
+    progress : callable, optional
+        Function that is called with the fraction done, 0 to 1.
+
+    Returns
+    -------
+    SmoothedOnPlan
+        Smoothed track, with heading offset and step scale after each step.
+
+    Raises
+    ------
+    ValueError
+        If the configuration has no particle filter, the recording has no steps, or nothing places it on the plan.
     """
     online = config.on_plan
     if not isinstance(online, ParticleFilter):

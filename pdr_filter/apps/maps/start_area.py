@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from pdr_filter.apps.maps.floor_plan import FloorPlan
-from pdr_filter.apps.maps.storey import CELL_M, LIFT, ROOM
-from pdr_filter.values import FloatArray, IntArray, PositionFix, read_only
+from pdr_filter.apps.maps.storey import CELL_M, LIFT, ROOM, Storey, Storeys
+from pdr_filter.values import BoolArray, FloatArray, IntArray, PositionFix, read_only
 
 ANYWHERE = "anywhere"
 
@@ -46,7 +45,7 @@ class Start:
         return self.position_m + CELL_M * (of + rng.random((n, 2)))
 
 
-def start_of(plan: FloorPlan, start: PositionFix | str) -> Start:
+def start_of(plan: Storeys, start: PositionFix | str) -> Start:
     """Return the start distribution for a position fix, "anywhere", or the name of an area.
 
     "anywhere" is uniform over the walkable cells of storey 0, or of the only storey. An area is all polygons of this
@@ -70,21 +69,30 @@ def start_of(plan: FloorPlan, start: PositionFix | str) -> Start:
         storey = plan.storeys[0] if len(plan.storeys) == 1 else plan.storey(0)
         if storey is None:
             raise ValueError(f"the plan {plan.name!r} has no storey: draw the outline of one")
-        where = storey.cells <= LIFT
-    else:
-        found = [(s, f) for s in plan.storeys for f in s.features if f.name == start and f.is_area]
-        if not found:
-            names = sorted({f.name for s in plan.storeys for f in s.features if f.name and f.is_area})
-            some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "") if names else "no named area"
-            raise ValueError(
-                f'start must be a PositionFix, "anywhere" or the name of an area, got {start!r}; the plan has {some}'
-            )
-        storey = found[0][0]
-        inside = np.zeros(storey.cells.shape, dtype=bool)
-        for s, feature in found:
-            if s is storey:
-                inside |= feature.contains(storey.middles_m)
-        where = inside & (storey.cells <= ROOM)
+        return anywhere_on(storey)
+    found = [(s, f) for s in plan.storeys for f in s.features if f.name == start and f.is_area]
+    if not found:
+        names = sorted({f.name for s in plan.storeys for f in s.features if f.name and f.is_area})
+        some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "") if names else "no named area"
+        raise ValueError(
+            f'start must be a PositionFix, "anywhere" or the name of an area, got {start!r}; the plan has {some}'
+        )
+    storey = found[0][0]
+    inside = np.zeros(storey.cells.shape, dtype=bool)
+    for s, feature in found:
+        if s is storey:
+            inside |= feature.contains(storey.middles_m)
+    where = inside & (storey.cells <= ROOM)
+    return _start_in(storey, where, start)
+
+
+def anywhere_on(storey: Storey) -> Start:
+    """Return the uniform start distribution over the walkable cells of a storey."""
+    return _start_in(storey, storey.cells <= LIFT, ANYWHERE)
+
+
+def _start_in(storey: Storey, where: BoolArray, start: str) -> Start:
+    """Return the uniform distribution over cells of a storey. ValueError names `start` if there are none."""
     row, column = np.nonzero(where)
     if len(row) == 0:
         raise ValueError(

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.values import BoolArray, FloatArray, IntArray
+from pdr_filter.values import BoolArray, FloatArray, IntArray, Plan
 
 # Kinds of cells. Cells up to `LIFT` are walkable.
 FREE, STAIRS, LIFT, ROOM, WALL, OUTSIDE = range(6)
@@ -136,3 +136,16 @@ class Storey:
             return "wall", ""
         about = [f for f in self.features if f.kind == "room" and f.contains(position_m)]
         return "room", about[-1].name if about else ""
+
+
+class Storeys(Plan, Protocol):
+    """Floor plan with storeys, such as a `pdr_filter.FloorPlan`."""
+
+    @property
+    def storeys(self) -> tuple[Storey, ...]:
+        """Storeys, the lowest first."""
+        ...
+
+    def storey(self, floor: int) -> Storey | None:
+        """Return the storey with a number, or None if the plan does not have it."""
+        ...

@@ -24,10 +24,10 @@ from pdr_filter.apps.maps.floor_plan import FloorPlan, plan_of
 from pdr_filter.apps.report import palette
 from pdr_filter.apps.report.page_data import track_data
 from pdr_filter.data.io.describe import ReadingReport, reading_report
-from pdr_filter.data.io.files.safe_files import write_text
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.values import TrackRows, how_many
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.safe_files import write_text
 
 # A context that never exceeds this probability is invisible in the chart, and is not listed.
 _VISIBLE_PROB = 0.01

@@ -230,9 +230,9 @@ def _positions_at(track: TrackRows, shown: IntArray, at_s: FloatArray) -> FloatA
 def _locations(track: TrackRows, recording: Recording) -> dict[str, Any]:
     """Return the locations of the phone in the frame of the track, with their accuracies in m.
 
-    The result is empty without locations, or if the track has no geographic origin or does not know north.
+    The result is empty without locations, or if the frame of the track has no geographic origin or no true axes.
     """
-    if recording.location is None or track.origin is None or not track.knows_north:
+    if recording.location is None or track.origin is None or track.frame == "start":
         return {}
     values = recording.location.values
     place_m = track.origin.east_north_m(values[:, 0], values[:, 1])

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.data.io.files.safe_files import write_files
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE
 from pdr_filter.offline.smoothing.preintegration import scaled_rotation
 from pdr_filter.offline.smoothing.problem import Problem
 from pdr_filter.values import FloatArray, IntArray, Wifi, loudness
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.safe_files import write_files
 from pdr_filter.values.serialisation import from_bytes, to_bytes
 from pdr_filter.version import __version__
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from pdr_filter.apps.walk_map.mapped_walk import MappedWalk
 from pdr_filter.values import FloatArray
 from pdr_filter.values.uncertainty import worst_std_m
-
-if TYPE_CHECKING:
-    from pdr_filter.apps.walk_map.walk_map import MappedWalk
 
 # Half of the width of a narrow corridor. The largest standard deviations for the density and for the outline.
 _HALF_WIDTH_M, _MOST_STD_M, _MOST_AROUND_M = 1.5, 5.0, 15.0

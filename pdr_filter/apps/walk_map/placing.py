@@ -68,10 +68,10 @@ class Pose:
 
     def of(self, own_m: FloatArray) -> FloatArray:
         """Return the positions (n, 2), in the frame of the group, of points (n, 2) in the frame of the walk alone."""
-        return self.scale * own_m @ turned(self.turn_rad) + self.shift_m
+        return self.scale * own_m @ rotation_matrix(self.turn_rad) + self.shift_m
 
 
-def turned(angle_rad: float) -> FloatArray:
+def rotation_matrix(angle_rad: float) -> FloatArray:
     """Return the matrix M for which x @ M is the row vector x turned clockwise."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s], [s, c]])
@@ -239,7 +239,9 @@ def _peak(
     total = np.empty((len(turns), nx + 2 * pad, ny + 2 * pad), dtype=np.float32)
     for r, turn in enumerate(turns.tolist()):
         total[r] = log_prior[r]
-        for k, (dx, dy) in enumerate(np.round((own_m - centre) @ turned(turn + north_rad) / _CELL_M).astype(int)):
+        for k, (dx, dy) in enumerate(
+            np.round((own_m - centre) @ rotation_matrix(turn + north_rad) / _CELL_M).astype(int)
+        ):
             total[r, pad - dx : pad - dx + nx, pad - dy : pad - dy + ny] += maps[k]
     log_max = float(total.max())
     density = np.exp(total - log_max)
@@ -251,7 +253,7 @@ def _peak(
     of_turn = near.sum(axis=(1, 2))
     turn = north_rad + math.atan2(float(of_turn @ np.sin(turns)), float(of_turn @ np.cos(turns)))
     centre_m = low_m + _CELL_M * (at - pad)
-    pose = Pose(turn, centre_m - centre @ turned(turn), int(up))
+    pose = Pose(turn, centre_m - centre @ rotation_matrix(turn), int(up))
     return log_max, mass, Candidate(of_place / mass, pose, centre_m)
 
 

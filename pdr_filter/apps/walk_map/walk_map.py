@@ -14,7 +14,9 @@ from pdr_filter.apps.batch.workers import Failure, each
 from pdr_filter.apps.maps.marks import read_marks
 from pdr_filter.apps.maps.radio.radio_map import RadioMap
 from pdr_filter.apps.walk_map.chains import Chain, cached_chain, without_times
+from pdr_filter.apps.walk_map.drawing import density, plan_text, report_text
 from pdr_filter.apps.walk_map.joint import Known, States, contradicting, solve_group, step_positions
+from pdr_filter.apps.walk_map.mapped_walk import MappedWalk
 from pdr_filter.apps.walk_map.placing import (
     MOST_TOGETHER,
     PACES,
@@ -27,14 +29,14 @@ from pdr_filter.apps.walk_map.placing import (
     drop_doubtful_storeys,
     grow,
     log_evidence,
+    rotation_matrix,
     settle,
-    turned,
 )
-from pdr_filter.data.io.files.safe_files import read_json, read_small, write_files
 from pdr_filter.offline.smoothing.observations import OUTSIDE_S
-from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, limits, read_only
+from pdr_filter.values import FloatArray, HeadingFix, PositionFix, limits, read_only
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.safe_files import read_json, read_small, write_files
 from pdr_filter.values.serialisation import from_bytes, to_bytes
 from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.version import __version__
@@ -48,69 +50,6 @@ DECLINATION_STD_RAD = 0.05
 # joined: the median over their knots, where 1.96 is the 97.5 % quantile of the normal distribution.
 _ACCURATE_M = 15.0
 _MOST_STD_M = _ACCURATE_M / 1.96
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MappedWalk:
-    """One walk on a map.
-
-    Attributes
-    ----------
-    name : str
-        Name of the walk.
-    group : int
-        Number of its group. Walks of one group share a frame.
-    time_s : array (K,)
-        Times of the steps, in s. Empty on a map that was saved without times.
-    position_m : array (K + 1, 2)
-        East and north of the start and after each step, in m.
-    position_cov_m2 : array (K + 1, 2, 2)
-        Covariances of the positions, in m^2.
-    floor : array (K + 1,)
-        Storey at the start and after each step.
-
-    Examples
-    --------
-    >>> import numpy as np, pdr_filter as pdr
-    >>> from dataclasses import replace
-    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=10.0)])
-    >>> heard_s = np.repeat([2.0, 5.0], 5)
-    >>> wifi = pdr.Wifi(heard_s, np.tile(np.arange(5), 2), np.full(10, -60.0), np.full(10, 2412.0))
-    >>> start = pdr.PositionFix(0.0, (3.0, 4.0), np.eye(2))
-    >>> walk_map = pdr.map_walks([replace(walk, wifi=wifi)], [(walk.name, start)])
-    >>> walk_map.walks[0].at(0.0)[0].round(1)
-    array([3., 4.])
-    """
-
-    name: str
-    group: int
-    time_s: FloatArray
-    position_m: FloatArray
-    position_cov_m2: FloatArray
-    floor: IntArray
-
-    def at(self, time_s: float) -> tuple[FloatArray, FloatArray]:
-        """Return the position (2,) and its covariance (2, 2) at a time.
-
-        Parameters
-        ----------
-        time_s : float
-            Time since the first sample, in s.
-
-        Returns
-        -------
-        tuple of array
-            Position and covariance after the last step before this time.
-
-        Raises
-        ------
-        ValueError
-            If the map was saved without times.
-        """
-        if not len(self.time_s):
-            raise ValueError(f"{self.name} has no times: save the map with times=True, or map the recordings again")
-        k = int(np.searchsorted(self.time_s, time_s, side="right"))
-        return self.position_m[k], self.position_cov_m2[k]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,8 +193,6 @@ class WalkMap:
         ValueError
             If there is no such group or storey.
         """
-        from pdr_filter.apps.walk_map.drawing import density
-
         return density(self._walks_of(group), floor, cell_m)
 
     def write_plan(self, path: str | Path, group: int = 0) -> Path:
@@ -280,8 +217,6 @@ class WalkMap:
         ImportError
             If shapely is not installed.
         """
-        from pdr_filter.apps.walk_map.drawing import plan_text
-
         write_files({Path(path): plan_text(self._walks_of(group)).encode()})
         return Path(path)
 
@@ -298,8 +233,6 @@ class WalkMap:
         Path
             The written file.
         """
-        from pdr_filter.apps.walk_map.drawing import report_text
-
         write_files({Path(path): report_text(self.walks, self.apart, self.moved_access_points, self.notes).encode()})
         return Path(path)
 
@@ -790,7 +723,7 @@ def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
         a, b = (own - own.mean(axis=0)) @ [1, 1j], (at - at.mean(axis=0)) @ [1, 1j]
         turn_rad = -float(np.angle(np.vdot(a, b)))
     floors = [f.floor - int(chain.floor[chain.step_at(f.time_s)]) for f in places if f.floor is not None]
-    return Pose(turn_rad, at.mean(axis=0) - own.mean(axis=0) @ turned(turn_rad), floors[0] if floors else 0)
+    return Pose(turn_rad, at.mean(axis=0) - own.mean(axis=0) @ rotation_matrix(turn_rad), floors[0] if floors else 0)
 
 
 def _result(

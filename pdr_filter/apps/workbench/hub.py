@@ -17,7 +17,7 @@ from pdr_filter.apps.batch.worker_process import LostError, WorkerProcess
 from pdr_filter.apps.live.broadcast import Broadcast
 from pdr_filter.apps.workbench.walks import HIDDEN, Walk, Walks
 from pdr_filter.apps.workbench.worker import Request, make_worker, progress_of
-from pdr_filter.data.io.files.safe_files import write_text
+from pdr_filter.values.safe_files import write_text
 
 # Between two searches for new recordings.
 _SCAN_S = 5.0

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.data.io.files.safe_files import read_small, whole_file
+from pdr_filter.values.safe_files import read_small, whole_file
 
 MAX_PICTURE_BYTES = 64 * 1024**2
 # A scan of A0 at 300 dpi has 139 million pixels; larger claims are mistakes or attacks.

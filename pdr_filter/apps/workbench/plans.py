@@ -19,8 +19,8 @@ import numpy as np
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.maps.plan_checks import problems_of
 from pdr_filter.apps.workbench.walks import PLANS, ConflictError
-from pdr_filter.data.io.files.safe_files import read_json, whole_file
 from pdr_filter.values import FloatArray, Origin, limits
+from pdr_filter.values.safe_files import read_json, whole_file
 from pdr_filter.values.sanitise import file_name
 
 # Two points disagree with the scale of the picture if their distances differ by more.

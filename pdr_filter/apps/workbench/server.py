@@ -27,9 +27,9 @@ from pdr_filter.apps.workbench.pictures import MAX_PICTURE_BYTES
 from pdr_filter.apps.workbench.plans import Plans
 from pdr_filter.apps.workbench.walks import PEOPLE, ConflictError, Walk
 from pdr_filter.apps.workbench.worker import EXPORTS
-from pdr_filter.data.io.files.safe_files import read_json
 from pdr_filter.recipes import RECIPES
 from pdr_filter.values import limits
+from pdr_filter.values.safe_files import read_json
 from pdr_filter.values.sanitise import file_name
 
 PAGE = Path(__file__).parent / "page"

@@ -25,9 +25,9 @@ from pdr_filter.apps.maps.marks import (
     version_of,
     write_mark_files,
 )
-from pdr_filter.data.io.files.safe_files import read_json, write_text
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.values import limits
+from pdr_filter.values.safe_files import read_json, write_text
 from pdr_filter.values.sanitise import file_name, printable
 
 _MAX_UNDO = 200

@@ -26,7 +26,6 @@ from pdr_filter.apps.maps.marks import NAMES, checksum_of, mark_files, marks_fol
 from pdr_filter.apps.report.html import html_report
 from pdr_filter.apps.workbench.pictures import convert, rectify
 from pdr_filter.data.io.files.archive import outside
-from pdr_filter.data.io.files.safe_files import read_small, write_text
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory, smooth
@@ -34,6 +33,7 @@ from pdr_filter.recipes import for_recording
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import limits
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.safe_files import read_small, write_text
 from pdr_filter.version import __version__
 
 # Points of the small picture of a path.

@@ -19,9 +19,9 @@ from typing import Any
 from pdr_filter.data.datasets import from_raw
 from pdr_filter.data.datasets.ms_indoor_walks import WALKS
 from pdr_filter.data.io.files.archive import open_members
-from pdr_filter.data.io.files.safe_files import whole_file, write_text
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.safe_files import whole_file, write_text
 
 _GITHUB = "https://raw.githubusercontent.com"
 _RAW = ".raw"  # the readers skip names that begin with a dot

@@ -16,13 +16,13 @@ import numpy as np
 
 from pdr_filter.data.io.apps.indoor_location import read_indoor_location
 from pdr_filter.data.io.files.archive import json_object
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.files.safe_files import read_small
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
 from pdr_filter.data.io.tables.any_table import read_table
 from pdr_filter.values import FloatArray, Table, limits, table
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording, Truth
+from pdr_filter.values.safe_files import read_small
 
 _MIN_LEG_M = 5.0
 # Corridors are parallel to the axes of the plan. The landmarks of a leg along a corridor deviate by less than this,

@@ -11,12 +11,12 @@ import numpy as np
 
 from pdr_filter.data.io.checks import checked_streams, up_cosine
 from pdr_filter.data.io.describe import READING_KEY
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.files.own_format_writer import RESTORED_GRAVITY_KEY, TIME_COLUMNS
-from pdr_filter.data.io.row_times import in_order, spread
+from pdr_filter.data.io.row_times import in_order, streams_with_own_times
 from pdr_filter.data.io.wifi_rows import wifi_of
 from pdr_filter.sensing.gravity import with_gravity
 from pdr_filter.values import FloatArray, Samples, limits, table
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording, Truth
 
 
@@ -57,7 +57,7 @@ class Parsed:
             raise RecordingError(f"{where}: no accelerometer with gravity; record it and export again")
         first_s = self.streams["accelerometer"][0][:1]
         self.streams = in_order(self.streams, "", self.notes)
-        self.streams = spread(self.streams, self.is_clock, self.rate_hz, self.notes)
+        self.streams = streams_with_own_times(self.streams, self.is_clock, self.rate_hz, self.notes)
         if self.linear:
             self._restore_gravity(where)
         time_s = self.streams["accelerometer"][0]

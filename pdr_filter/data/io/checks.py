@@ -8,9 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from pdr_filter.data.io.describe import describe_stream, median_norm
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.tables.text_table import finite
+from pdr_filter.data.io.text_table import finite
 from pdr_filter.values import BoolArray, FloatArray, Samples, limits
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.plausibility import wrong_angular_rate, wrong_rate, wrong_specific_force
 from pdr_filter.values.quaternions import rotation_matrix
 

@@ -9,7 +9,6 @@ from pathlib import Path, PurePosixPath
 from pdr_filter.data.io.apps import get_sensor_data, indoor_location, ros_bag, sensor_logger
 from pdr_filter.data.io.apps.ronin import SIGNATURE
 from pdr_filter.data.io.files.archive import Members, open_members
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.files.own_format import OTHERS, REQUIRED
 from pdr_filter.data.io.tables import json_tables
 from pdr_filter.data.io.tables.any_table import TEXTS, sensors_of
@@ -18,6 +17,7 @@ from pdr_filter.data.io.tables.matlab import is_matlab
 from pdr_filter.data.io.tables.spreadsheet import is_spreadsheet
 from pdr_filter.data.io.tables.text_sheets import text_sheet
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
 
 BINARIES = (".sqlite", ".db", ".mat")  # files in a zip or folder whose content is looked at, as that of texts is
 

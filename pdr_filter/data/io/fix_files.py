@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.data.io.files.safe_files import read_json, read_small
-from pdr_filter.data.io.tables.text_table import TextTable, text_rows
+from pdr_filter.data.io.text_table import TextTable, text_rows
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.values import FloatArray, HeadingFix, Origin, PositionFix, RangeFix, limits
+from pdr_filter.values.safe_files import read_json, read_small
 
 # Standard deviations in m of fixes and loop closures in files without the column std_m.
 FIX_STD_M, LOOP_CLOSURE_STD_M = 1.0, 0.5

@@ -8,22 +8,14 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from pdr_filter.data.io.apps import sensor_logger
+from pdr_filter.data.io.column_names import ACCELERATION, GRAVITY, LINEAR, RATE, VECTORS, quantity_of_file, trial_of
 from pdr_filter.data.io.detection import BINARIES, detect, detect_file
 from pdr_filter.data.io.files.archive import IN_PLACE, Members, open_members, zips_among
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.tables.any_table import TEXTS, sensors_of
 from pdr_filter.data.io.tables.column_mapping import mapping_beside
-from pdr_filter.data.io.tables.column_names import (
-    ACCELERATION,
-    GRAVITY,
-    LINEAR,
-    RATE,
-    VECTORS,
-    quantity_of_file,
-    trial_of,
-)
 from pdr_filter.data.io.tables.json_tables import SUFFIXES
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
 
 _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", *BINARIES, *IN_PLACE}

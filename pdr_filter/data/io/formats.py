@@ -11,10 +11,10 @@ from pdr_filter.data.io.apps.ronin import read_ronin
 from pdr_filter.data.io.apps.ros_bag import read_ros_bag
 from pdr_filter.data.io.apps.sensor_logger import read_sensor_logger
 from pdr_filter.data.io.detection import detect
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.files.own_format import read_recording
 from pdr_filter.data.io.folders import only_recording_in
 from pdr_filter.data.io.tables.any_table import read_generic_csv, read_table
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
@@ -96,7 +96,7 @@ def read(path: str | Path, format: str | None = None, platform: str | None = Non
     >>> pdr.read("walk_2.zip")
     Traceback (most recent call last):
         ...
-    pdr_filter.data.io.files.errors.RecordingError: walk_2.zip: no such file or folder; check the path
+    pdr_filter.values.errors.RecordingError: walk_2.zip: no such file or folder; check the path
     """
     path = Path(path)
     if platform is not None and platform not in PLATFORMS:

@@ -47,7 +47,7 @@ def in_order(streams: Streams, suffix: str, notes: list[str]) -> dict[str, tuple
     return found
 
 
-def spread(
+def streams_with_own_times(
     streams: Streams, is_clock: bool, rate_hz: float, notes: list[str]
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return streams in which samples that share one time get individual times.

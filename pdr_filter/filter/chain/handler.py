@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 from pdr_filter.filter.chain.tracker import Tracker, TrackerState
@@ -70,12 +70,24 @@ Output = StepUpdate | FixUse | FloorPassage | PathChanges | Fork
 
 
 class HandlerState(Protocol):
-    """State of a handler, a frozen dataclass. A handler around another one has the state of that one as `inner`."""
+    """State of a handler, a frozen dataclass."""
 
     @property
     def pedestrian(self) -> PedestrianState:
         """Estimates of the tracker after the last event."""
         ...
+
+
+@dataclass(frozen=True, eq=False)
+class Around:
+    """State of a handler around another one, whose state is `inner`."""
+
+    inner: Any
+
+    @property
+    def pedestrian(self) -> PedestrianState:
+        """Estimates of the tracker after the last event."""
+        return self.inner.pedestrian
 
 
 S = TypeVar("S", bound=HandlerState)

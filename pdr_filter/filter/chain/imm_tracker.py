@@ -121,9 +121,13 @@ class ImmTracker:
 
         Notes
         -----
-        One cycle of the IMM estimator consists of interaction (mixing), mode-matched filtering, update of the mode
-        probabilities, and combination. The measurement of each mode is the walking heading. Context windows and the
-        step itself are evidence for the modes.
+        One cycle of the IMM estimator, in the order and with the numbers of "One step" in docs/methods/imm.md:
+
+        1. interaction (`imm.mix`), 2. heading and 3. displacement of each mode (`step_cycle`), 4. mode probabilities by
+        the evidence of step and context window (`imm.update_mode_prob`), 5. combination (`imm.combine`).
+
+        The measured heading gives no mode likelihood: it is the direction that the body faces, which all modes predict
+        alike.
 
         References
         ----------
@@ -131,15 +135,14 @@ class ImmTracker:
         section 11.6.6.
         """
         model, imm = self.model, self.arithmetic
-        previous = before_step(without_changes(state.pedestrian), step)
-        mixed, lengths = self._mixed(previous.estimates), model.lengths(step)
-        own = lengths.length_m, lengths.residual_var_m2
-        since = since_last_step(previous, step)
-        cycle = step_cycle(mixed, previous.heading_zero, step, since, own, model.directions, model.noise)
+        previous, lengths = before_step(without_changes(state.pedestrian), step), model.lengths(step)
+        mixed = self._mixed(previous.estimates)  # 1
+        own, since = (lengths.length_m, lengths.residual_var_m2), since_last_step(previous, step)
+        cycle = step_cycle(mixed, previous.heading_zero, step, since, own, model.directions, model.noise)  # 2 and 3
         window = window_before(state.windows, step.time_s)
         state, log_evidence = self._with_evidence(state, step, window)
-        prob = imm.update_mode_prob(mixed.prob, log_evidence)
-        combined = imm.combine(cycle.ahead.mean, cycle.ahead.cov, prob)
+        prob = imm.update_mode_prob(mixed.prob, log_evidence)  # 4
+        combined = imm.combine(cycle.ahead.mean, cycle.ahead.cov, prob)  # 5
 
         walked = self._walked(step, lengths, cycle.motion, prob, combined[0])
         context_prob = model.context_prob(prob) if window is None else window.prob

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.chain.handler import Event, FixUse, Fork, Handler, Output
+from pdr_filter.filter.chain.handler import Around, Event, FixUse, Fork, Handler, Output
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate, past_position, present_position
 from pdr_filter.filter.pedestrian.range_placement import MIN_LOG_ODDS
@@ -16,7 +16,7 @@ from pdr_filter.values import FloatArray, PositionFix, read_only, replace_unchec
 
 
 @dataclass(frozen=True, eq=False)
-class Hypotheses:
+class Hypotheses(Around):
     """States of two hypotheses of the inner handler.
 
     Attributes
@@ -31,15 +31,9 @@ class Hypotheses:
         Position fixes that contradict the track.
     """
 
-    inner: Any
     rival: Any = None
     rival_log_odds: float = -math.inf
     conflict: FixConflict = field(default_factory=FixConflict)
-
-    @property
-    def pedestrian(self) -> PedestrianState:
-        """Estimates of the tracker in the more probable hypothesis."""
-        return self.inner.pedestrian
 
     def with_spread(self, position_m: FloatArray, cov_m2: FloatArray) -> FloatArray:
         """Return the covariance (2, 2) of a position, including the possibility that another hypothesis is true.

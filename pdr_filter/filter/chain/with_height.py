@@ -8,21 +8,21 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.chain.handler import End, Event, FixUse, Handler, Output, Places, Window
+from pdr_filter.filter.chain.handler import Around, End, Event, FixUse, Handler, Output, Places, Window
 from pdr_filter.filter.fixes.gnss import place_at
 from pdr_filter.filter.height import height_filter
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.height.vertical_modes import N_MODES
 from pdr_filter.filter.imm.weighting import context_log_evidence
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
-from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.sensing.contexts.context_stage import with_stairs_in_thirds
 from pdr_filter.sensing.features.barometer import Climb
 from pdr_filter.values import FloatArray, GridFix, PositionFix, WindowContext, replace_unchecked
 
 
 @dataclass(frozen=True, eq=False)
-class HeightTrack:
+class HeightTrack(Around):
     """State of the inner handler, of the height filter, and recent accurate locations.
 
     Attributes
@@ -35,14 +35,8 @@ class HeightTrack:
         Recent accurate locations (`gnss.good_places`), which distinguish hills from storeys.
     """
 
-    inner: Any
     height: HeightState
     places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
-
-    @property
-    def pedestrian(self) -> PedestrianState:
-        """Estimates of the tracker."""
-        return self.inner.pedestrian
 
 
 def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:

@@ -6,23 +6,16 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from pdr_filter.filter.chain.handler import Event, Fork, Handler, Output, PathChanges
+from pdr_filter.filter.chain.handler import Around, Event, Fork, Handler, Output, PathChanges
 from pdr_filter.filter.pedestrian.past_path import PastPath
-from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState
 from pdr_filter.values import replace_unchecked
 
 
 @dataclass(frozen=True, eq=False)
-class PathState:
+class PathState(Around):
     """State of the inner handler, and the path of all steps that belongs to it."""
 
-    inner: Any
     path: PastPath
-
-    @property
-    def pedestrian(self) -> PedestrianState:
-        """Estimates of the tracker."""
-        return self.inner.pedestrian
 
 
 class WithPath:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from pdr_filter.filter.chain.handler import Event, FixUse, Handler, Output
+from pdr_filter.filter.chain.handler import Around, Event, FixUse, Handler, Output
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.sensing.front_end import Gap
@@ -63,16 +63,10 @@ class PlanStage(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class PlanTrack:
+class PlanTrack(Around):
     """State of the inner handler, and of the stage on the plan."""
 
-    inner: Any
     particles: Any
-
-    @property
-    def pedestrian(self) -> PedestrianState:
-        """Estimates of the tracker."""
-        return self.inner.pedestrian
 
 
 class WithPlan:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
-from pdr_filter.values import FloatArray, frozen
+from pdr_filter.values import FloatArray, make_read_only
 
 # Rows of `consider_error_m`.
 ALONG_AND_ACROSS, LENGTH_PARAMETERS = slice(2), slice(2, None)
@@ -106,4 +106,4 @@ def position_cov(P: FloatArray, consider_cov_m2: FloatArray) -> FloatArray:
     (xx, xy, _, _), (yx, yy, _, _) = P[:2].tolist()
     (consider_xx, consider_xy), (_, consider_yy) = consider_cov_m2.tolist()
     xy = 0.5 * (xy + yx) + consider_xy
-    return frozen(np.array(((xx + consider_xx, xy), (xy, yy + consider_yy))))
+    return make_read_only(np.array(((xx + consider_xx, xy), (xy, yy + consider_yy))))

@@ -1,8 +1,9 @@
 """One step in each of F filters: drift of the heading, its measurement, and displacement.
 
-This is the mode-matched filtering of the IMM cycle, between interaction (`imm.mix`) and the update of the mode
-probabilities (`imm.update_mode_prob`). `ImmTracker` has one filter for each mode, `WeightedTracker` a single one for
-the weighted step. The state of a filter is (east in m, north in m, heading offset in rad, log step scale).
+This is the mode-matched filtering of the IMM cycle, steps 2 and 3 of "One step" in docs/methods/imm.md, between
+interaction (1, `imm.mix`) and the update of the mode probabilities (4, `imm.update_mode_prob`). `ImmTracker` has one
+filter for each mode, `WeightedTracker` a single one for the weighted step. The state of a filter is (east in m, north
+in m, heading offset in rad, log step scale).
 """
 
 from __future__ import annotations

@@ -12,7 +12,6 @@ from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
 from pdr_filter.filter.pedestrian.alignment import Alignment, Place
 from pdr_filter.filter.pedestrian.frame_rotation import (
     MAX_ANGLE_STD_RAD,
-    MAX_NORTH_STD_RAD,
     MAX_PAIRS,
     Compass,
     PairedPoint,
@@ -24,7 +23,7 @@ from pdr_filter.filter.pedestrian.frame_rotation import (
     rotation_density,
     thinned,
 )
-from pdr_filter.values import FloatArray, Origin, wrap_angle
+from pdr_filter.values import MAX_NORTH_STD_RAD, FloatArray, Origin, wrap_angle
 
 # One in twenty correct headings has a larger conflict with the positions. Above it the frame is not joined until more
 # positions are available.

@@ -29,10 +29,6 @@ from pdr_filter.values.uncertainty import STUDENT_DOF, variance_factor
 
 # Standard deviation (15 degrees) up to which the filter treats the rotation as an angle and refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
-# Largest standard deviation of a compass that names a direction: half a quadrant. Beyond it, north may as well be east
-# or west at one standard deviation. The compass is then only a prior for fixes and plans.
-MAX_NORTH_STD_RAD = math.pi / 4.0
-
 
 # Largest number of stored pairs. Beyond it they are thinned to even intervals.
 MAX_PAIRS = 24

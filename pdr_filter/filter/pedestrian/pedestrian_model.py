@@ -23,8 +23,8 @@ from pdr_filter.values import (
     Step,
     check_numbers,
     check_transition_prob,
-    pickled,
     read_only,
+    reduction,
 )
 
 
@@ -139,7 +139,7 @@ class PedestrianModel:
     frame: Frame = START_FRAME
     contexts: tuple[str, ...] = CONTEXTS
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def __post_init__(self) -> None:
         if not self.modes:

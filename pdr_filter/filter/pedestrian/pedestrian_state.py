@@ -40,7 +40,7 @@ from pdr_filter.values import (
     RangeFix,
     Step,
     as_plain,
-    frozen,
+    make_read_only,
     read_only,
     replace_unchecked,
     wrap_angle,
@@ -549,22 +549,22 @@ def _step_update(
     # the history after a step has its speed
     speed, n_steps = cast(WalkingSpeed, updated.steps.speed), previous.steps.n_final
     cov_m2 = bounded_position_cov(position_cov(P, updated.estimates.consider_cov_m2), updated.reach_m)
-    of_start = Place(frozen(x[:2].copy()), cov_m2, walked.heading_rad, n_steps)
+    of_start = Place(make_read_only(x[:2].copy()), cov_m2, walked.heading_rad, n_steps)
     place = of_start if updated.frame.is_joined else updated.frame.world(of_start)
     return StepUpdate(
         index=n_steps,
         step=step,
         is_final=is_final,
-        position_m=frozen(place.position_m),
-        position_cov_m2=frozen(within_reach(place.cov_m2, updated.frame, updated.reach_m)),
+        position_m=make_read_only(place.position_m),
+        position_cov_m2=make_read_only(within_reach(place.cov_m2, updated.frame, updated.reach_m)),
         of_start=None if updated.frame.is_joined else of_start,
         step_length_m=walked.length_m,
         walked_m=updated.estimates.distance_m,
         walking_heading_rad=place.heading_rad,
         speed=speed,
-        context_prob=frozen(estimate.context_prob),
+        context_prob=make_read_only(estimate.context_prob),
         contexts=model.contexts,
-        mode_prob=frozen(estimate.mode_prob),
+        mode_prob=make_read_only(estimate.mode_prob),
         gap_before_s=previous.steps.gap_s,
         reach_m=updated.reach_m,
     )

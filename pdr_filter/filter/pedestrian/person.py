@@ -31,6 +31,7 @@ from pdr_filter.values import (
     limits,
 )
 from pdr_filter.values.fix_error_correlation import MAX_SHRINKAGE, SHRINKAGE_STD
+from pdr_filter.values.safe_files import read_json, write_text
 
 # Largest relative standard deviation of the step length that is learnt from a walk. Less certain walks are not
 # stored. The value is that of step lengths among people of unknown height, because a less certain walk says less
@@ -155,9 +156,6 @@ class Person:
         Path
             Path of the written file.
         """
-        # Imported here because the filter package must not depend on file access.
-        from pdr_filter.data.io.files.safe_files import write_text
-
         content = {"pdr_filter_person": 1, "sessions": [asdict(session) for session in self.sessions]}
         return write_text(path, json.dumps(content, indent=1) + "\n")
 
@@ -180,8 +178,6 @@ class Person:
         ValueError
             If the file cannot be read or is not a person file.
         """
-        from pdr_filter.data.io.files.safe_files import read_json
-
         try:
             content = read_json(Path(path), limits.MAX_SMALL_BYTES)
             if content["pdr_filter_person"] != 1:

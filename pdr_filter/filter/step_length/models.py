@@ -24,8 +24,8 @@ from pdr_filter.values import (
     check_numbers,
     check_step_length,
     limits,
-    pickled,
     read_only,
+    reduction,
 )
 
 
@@ -934,7 +934,7 @@ class StepLengthFit:
     theta_cov: FloatArray
     residual_std_m: float
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("residual_std_m",))

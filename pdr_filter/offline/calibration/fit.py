@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from pdr_filter.offline.calibration.assembly import assembled
+from pdr_filter.filter.step_length.calibration_result import UNNAMED
+from pdr_filter.offline.calibration.assembly import assembled, impossible_steps, length_warnings
 from pdr_filter.offline.calibration.estimation import ParameterEstimate
 from pdr_filter.offline.calibration.model_forms import (
     MIN_GROUPS,
@@ -33,8 +34,8 @@ from pdr_filter.offline.calibration.segments import (
 )
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.offline.smoothing.observations import LoopClosure
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.step_length_calibration import UNNAMED, Calibration
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, Fix, FloatArray, Table, check_array, check_number, table
@@ -160,7 +161,7 @@ def calibrate(
         raise ValueError(f"got {len(known)} tracks for {len(chosen)} recordings: give one track for each recording")
     check_subject(subject, each_a_person)
     _check_stds(recording_std, anchor_std_m)
-    priors, contexts, walking, separate = _of_configuration(config, priors, model, prior_std)
+    priors, contexts, walking, running, separate = _of_configuration(config, priors, model, prior_std)
     forms = forms_of(priors, model, prior_std, contexts, walking)  # raises its errors before the slow tracking
     if smooth:
         if known != [None] * len(known):
@@ -216,23 +217,27 @@ def calibrate(
         recording_std=recording_std,
         notes=(*name_notes, *notes),
         walking=walking,
+        running=running,
         mode_contexts=separate,
     )
 
 
 def _of_configuration(
     config: Config | None, priors: Mapping[str, StepLengthPrior] | None, model: str | None, prior_std: float | None
-) -> tuple[Mapping[str, StepLengthPrior] | None, tuple[str, ...], str, dict[str, str]]:
-    """Return priors, names of the step lengths, the context of level walking, and contexts of separate modes.
+) -> tuple[Mapping[str, StepLengthPrior] | None, tuple[str, ...], str, tuple[str, ...], dict[str, str]]:
+    """Return priors, names of the step lengths, of that of level walking, of those of running, and `separate_modes`.
 
     The priors are those given in addition to the step-length models of the configuration.
     """
     if config is None:
-        return priors, CONTEXTS, "walking", {}
+        return priors, CONTEXTS, "walking", ("running",), {}
     walking = next((c.name for c in config.model.context_set.contexts if c.is_level_walking), "walking")
     joined = {*(priors or {}), *([] if model is None else [walking])}
     own, separate = own_priors(config.model, joined), separate_modes(config.model, joined)
     contexts = (*(c for c in config.contexts if c not in separate.values()), *separate)
+    running = tuple(
+        name for m in config.model.modes if m.meaning.runs for name in (m.context, *({m.name} & separate.keys()))
+    )
     if prior_std is not None and walking in separate.values():
         raise ValueError(
             f"prior_std (--prior) is for one step length, but modes of {walking} have different ones: set "
@@ -240,7 +245,7 @@ def _of_configuration(
         )
     if model is not None or own.get(walking) is DEFAULT_PRIORS["walking"]:
         own.pop(walking, None)
-    return {**own, **(priors or {})}, contexts, walking, separate
+    return {**own, **(priors or {})}, contexts, walking, running, separate
 
 
 def _for_each(name: str, given: Iterable[Iterable[Any]] | None, recordings: Sequence[Recording]) -> list[list[Any]]:
@@ -298,12 +303,14 @@ def calibrate_segments(
     recording_std: float = RECORDING_STD,
     notes: Sequence[str] = (),
     walking: str = "walking",
+    running: Collection[str] = ("running",),
     mode_contexts: Mapping[str, str] = MappingProxyType({}),
 ) -> Calibration:
     """Return the calibration of segments that `segments_of` has already extracted.
 
-    The parameters are the same as of `calibrate`. `walking` is the name of the context of level walking, and
-    `mode_contexts` has the contexts of modes that the segments distinguish.
+    The parameters are the same as of `calibrate`. `walking` is the name of the context of level walking, `running`
+    are those of running, and `mode_contexts` has the contexts of modes that the segments distinguish. Recordings with
+    impossible step lengths are not used, with a note; ValueError if all have such lengths.
     """
     _check_stds(recording_std)
     if not segments:
@@ -322,6 +329,22 @@ def calibrate_segments(
     sums = integrate(segments, models_of(full), start_of(full))
     found = estimate_segments(segments, sums, full, loss, recording_std)
     rows = _table(segments, sums, found, np.concatenate([prior.mean for prior in full.values()]))
+    if impossible := _impossible(segments, rows, running):
+        left = [segment for segment in segments if segment.recording not in impossible]
+        if not left:
+            raise ValueError("nothing to calibrate with: " + "; ".join(impossible.values()))
+        return calibrate_segments(
+            left,
+            priors,
+            model=model,
+            prior_std=prior_std,
+            loss=loss,
+            recording_std=recording_std,
+            notes=(*(f"WARNING: not used: {text}" for text in impossible.values()), *notes),
+            walking=walking,
+            running=running,
+            mode_contexts=mode_contexts,
+        )
     noise_factor = dict(zip(segments[0].context_names, found.noise_factor.tolist(), strict=True))
     heights = {s.subject: s.height_m for s in segments}
     return assembled(
@@ -330,12 +353,29 @@ def calibrate_segments(
         {name: heights[name] for name in sums.subjects},
         rows,
         # warnings about the calibration come before those about single recordings
-        (*bias_warnings(rows, recording_std), *choice, *held, *_notes(rows, found, full), *notes),
+        (
+            *bias_warnings(rows, recording_std),
+            *length_warnings(rows, rows.predicted_m, full, recording_std),
+            *choice,
+            *held,
+            *_notes(rows, found, full),
+            *notes,
+        ),
         n_recordings=len(sums.recordings),
         residual_std_m={name: float(p.step_std_m * np.sqrt(noise_factor[name])) for name, p in full.items()},
         n_segments=_segments_per_context(segments, full),
         mode_contexts=mode_contexts,
     )
+
+
+def _impossible(segments: Sequence[AnySegment], rows: Table, running: Collection[str]) -> dict[str, str]:
+    """Return a text for each recording whose segments that were not rejected have impossible step lengths."""
+    runs = np.array([name in running for name in segments[0].context_names])
+    good = np.array([(s.distance_m, s.n_steps, float(s.steps_in[runs].sum())) for s in segments])
+    good = np.where(rows.distrusted[:, None], 0.0, good)
+    names = dict.fromkeys(rows.recording[~rows.distrusted].tolist())
+    texts = {name: impossible_steps(*good[rows.recording == name].sum(axis=0).tolist()) for name in names}
+    return {name: f"{name}: {text}" for name, text in texts.items() if text}
 
 
 def _held(segments: Sequence[AnySegment], priors: Mapping[str, StepLengthPrior]) -> list[str]:

@@ -16,6 +16,7 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.step_length.calibration_result import of_height, slices_of
 from pdr_filter.filter.step_length.models import StepLengthFit, length_and_jacobian
 from pdr_filter.offline.calibration.model_forms import hierarchy_of
 from pdr_filter.offline.calibration.priors import StepLengthPrior
@@ -33,8 +34,8 @@ from pdr_filter.offline.smoothing.linear_graph import cov_of
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, preintegrate
 from pdr_filter.offline.smoothing.smooth import ReckonedWalk
 from pdr_filter.offline.smoothing.smoothed import Smoothed
+from pdr_filter.offline.smoothing.solve import solved_from
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.step_length_calibration import of_height, slices_of
 from pdr_filter.values import FloatArray, IntArray, TrackRows, reference_headings, steps_of
 
 # The step lengths are linearised again until no parameter changes by more than this share of its standard deviation.
@@ -237,7 +238,7 @@ def estimate_jointly(
     prior = hierarchy_of(priors, recording_std, tuple(priors))
     guesses = [w.walk.found for w in walks]
     outliers = [[False] * len(w.segments) for w in walks]
-    iteration, converged = 0, False
+    iteration, converged, is_tested = 0, False, loss != "gnc"
     linearised, values = list[_Linearised](), gtsam.Values()
     tree: Any = None
     while iteration < _MAX_ITERATIONS and not converged:
@@ -280,6 +281,14 @@ def estimate_jointly(
                 for of_walk, wrong in zip(lengths, before_outliers, strict=True)
             ]
         converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS and outliers == before_outliers
+        if converged and not is_tested:
+            # outliers were found with the step lengths of each walk alone
+            tested = [
+                solved_from(of_one.graph.problem, guess.states, guess.frame_rad, guess.weight)
+                for of_one, guess in zip(linearised, guesses, strict=True)
+            ]
+            converged = all(np.array_equal(a.weight, b.weight) for a, b in zip(tested, guesses, strict=True))
+            guesses, is_tested = tested, True
         if not converged:
             scatter = _scatter(values, tree, parameters, keys.values())
             square = sum(_scale_square(values, tree, of_one.graph) for of_one in linearised)

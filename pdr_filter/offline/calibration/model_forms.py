@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pdr_filter.filter.step_length.calibration_result import slices_of
 from pdr_filter.filter.step_length.models import RECORDING_STD, StepLengthModel
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.hierarchy import SingularError
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, candidates, with_relative_std
 from pdr_filter.offline.calibration.segments import AnySegment, SegmentSums, integrate
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
-from pdr_filter.recipes.step_length_calibration import slices_of
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
 # The default model is used below these numbers of segments, people or recordings. Above them, the chosen model is no

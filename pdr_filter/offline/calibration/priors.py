@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pdr_filter.filter.imm.motion_model import IRREGULAR, Mode
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.models import (
+    TYPICAL_STEP,
     USUAL_HEIGHT_M,
     BounceStepLength,
     ChenStepLength,
@@ -31,7 +32,6 @@ from pdr_filter.filter.step_length.models import (
     scale_std,
 )
 from pdr_filter.recipes.modes import context_modes
-from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
 from pdr_filter.values import FloatArray, Step, check_array, read_only
 
 # relative standard deviation of step lengths between people of known height, 7 %

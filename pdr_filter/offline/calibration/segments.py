@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from pdr_filter.filter.step_length.calibration_result import UNNAMED, of_height, slices_of
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
-from pdr_filter.recipes.step_length_calibration import UNNAMED, of_height, slices_of
 from pdr_filter.values import (
     CONTEXTS,
     RADIUS_68,
@@ -97,7 +97,7 @@ class Segment:
     --------
     >>> import numpy as np
     >>> from pdr_filter.offline.calibration.segments import Segment
-    >>> from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
     >>> walking = np.eye(6)[[1, 1]]  # two steps in the context "walking"
     >>> segment = Segment("anna", "corridor", 1.3, (TYPICAL_STEP,) * 2, np.array([1.0, 0.5]), None, walking)
     >>> segment.n_steps, segment.is_along

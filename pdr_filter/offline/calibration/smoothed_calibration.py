@@ -3,28 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
+from pdr_filter.filter.step_length.calibration_result import of_height, slices_of
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
-from pdr_filter.offline.calibration.assembly import assembled
+from pdr_filter.offline.calibration.assembly import assembled, impossible_steps, length_warnings, scale_std_of
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
 from pdr_filter.offline.calibration.priors import StepLengthPrior
-from pdr_filter.offline.calibration.segments import (
-    MIN_WAYPOINT_DISTANCE_M,
-    has_known_lengths,
-    segments_of,
-    truth_fixes,
-)
+from pdr_filter.offline.calibration.segments import MIN_WAYPOINT_DISTANCE_M, has_known_lengths, segments_of, truth_fixes
 from pdr_filter.offline.robust_loss import LOSSES
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.offline.smoothing.smooth import reckoned_walk
+from pdr_filter.offline.smoothing.smoothed import Smoothed
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.step_length_calibration import Calibration, of_height, slices_of, typical_step_m
 from pdr_filter.values import Fix, FloatArray, SpeedFix, Step, Table, steps_of, table
-from pdr_filter.values.recording import Recording
+from pdr_filter.values.recording import Recording, Truth
 
 
 def calibrate_by_smoothing(
@@ -70,6 +68,16 @@ def calibrate_by_smoothing(
             progress(0.5 + 0.5 * share)
 
     found = estimate_jointly(walks, priors, separate, recording_std, loss, of_estimate)
+    wrong = [_why_impossible(of, smoothed) for of, smoothed in zip(walks, found.smoothed, strict=True)]
+    if all(wrong):
+        raise ValueError("nothing to calibrate with: " + "; ".join(wrong))
+    if any(wrong):
+        remarks += [f"WARNING: not used: {why}" for why in wrong if why]
+        for i, (recording, name) in enumerate(zip(recordings, people, strict=True)):
+            if wrong[i]:
+                bare = replace(recording, truth=Truth(), location=None)
+                walks[i], _ = calibration_walk(bare, name, config, [], [], separate, measure, anchor_std_m, scale_std)
+        found = estimate_jointly(walks, priors, separate, recording_std, loss, of_estimate)
     if progress is not None:
         progress(1.0)
     if not found.converged:
@@ -86,7 +94,7 @@ def calibrate_by_smoothing(
         found,
         heights_m,
         rows,
-        remarks,
+        (*length_warnings(rows, rows.distance_m, priors, recording_std), *remarks),
         n_recordings=len(walks),
         counts={"observations": sum(int((w.walk.found.weight > 0).sum()) + len(w.segments) for w in walks)},
         residual_std_m={name: float(p.step_std_m) for name, p in priors.items()},
@@ -128,24 +136,18 @@ def calibration_walk(
     return CalibrationWalk(subject, recording.subject.height_m, walk, segments), notes
 
 
-def scale_std_of(prior: StepLengthPrior | None, recording_std: float) -> float:
-    """Return the prior standard deviation of the log step scale of an unknown person in one recording."""
-    if prior is None:
-        return recording_std
-    cov = np.diag(prior.std**2 + prior.between_std**2)
-    length_m, std_m = typical_step_m(prior.model, prior.mean, cov)
-    return float(np.hypot(min(std_m / max(length_m, 1e-3), 1.0), recording_std))
-
-
 def _why_without_scale(of: CalibrationWalk) -> str:
     """Return why the observations of a walk do not determine its step lengths, with a remedy, or an empty string."""
     problem, is_used = of.walk.posed.problem, of.walk.found.weight > 0
     positions = problem.positions
-    n_places = len(np.unique(positions.node[positions.other < 0]))
-    if not (n_places > 1 or len(problem.measurements) or of.segments):
+    is_place = positions.other < 0
+    n_places = len(np.unique(positions.node[is_place]))
+    apart_m = float(np.hypot(*np.ptp(positions.position_m[is_place], axis=0))) if n_places > 1 else 0.0
+    if not (apart_m >= MIN_WAYPOINT_DISTANCE_M or len(problem.measurements) or of.segments):
         return (
-            "it has no two positions (fixes, locations, waypoints), no range or another measurement of the position, "
-            "and no stretch of known length: give one of them, because loop closures alone have no scale"
+            f"it has no two positions (fixes, locations, waypoints) that are {MIN_WAYPOINT_DISTANCE_M:g} m apart with "
+            "steps between them, no range or another measurement of the position, and no stretch of known length: give "
+            "one of them, because loop closures alone have no scale"
         )
     n_used, n_rejected = int(is_used.sum()), int((~is_used).sum())
     if of.segments or not FixConflict(n_used, n_rejected).is_doubtful:
@@ -157,6 +159,14 @@ def _why_without_scale(of: CalibrationWalk) -> str:
         f"the walk contradicts {n_rejected} of its {len(is_used)} observations: {cause}; check them, or give "
         "positions, or ranges to more anchors"
     )
+
+
+def _why_impossible(of: CalibrationWalk, smoothed: Smoothed) -> str:
+    """Return why nobody takes the smoothed steps of a walk, with a remedy, or an empty string."""
+    track, runs = smoothed.track, [mode.meaning.runs for mode in of.walk.config.model.modes]
+    n_running = float(track.mode_prob[:, runs].sum())
+    text = impossible_steps(track.distance_m, float(track.n_steps), n_running)
+    return f"{track.name}: {text}" if text else ""
 
 
 def _table(

@@ -141,7 +141,7 @@ def observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) -
     unknown angle. `sensing` is the state at the end of the recording. If its direction of the phone is unknown, or with
     fewer than two steps, the bias is that of the sensing alone.
     """
-    bias, heading = config.sensing.attitude.bias, sensing.of_steps.get("heading")
+    bias, heading = config.sensing.attitude.bias, sensing.heading
     steps, turned_rad = smoothed.track.steps, np.unwrap(smoothed.heading_offset_rad)
     if not isinstance(heading, WalkingHeadingState) or heading.place is None or len(steps) < 2:
         return config.sensing.device(sensing)
@@ -153,4 +153,4 @@ def observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) -
     k = int(np.argmin((var + other_var) / lasted_s**2))
     error_rad = float(turned_rad[0] - turned_rad[1 + k])
     ago_s, up = sensing.processed_s - float(steps.time_s[1 + k]), np.array(heading.place.up)
-    return bias.learnt_from_smoothed(sensing.attitude.bias, error_rad, float(var[k]), float(other_var[k]), ago_s, up)
+    return bias.device_from_smoothed(sensing.attitude.bias, error_rad, float(var[k]), float(other_var[k]), ago_s, up)

@@ -7,6 +7,7 @@ States are estimated at anchors only. The steps between two anchors are summed i
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -83,8 +84,8 @@ from pdr_filter.offline.smoothing.smoothed_place import aligned_walk, on_earth, 
 from pdr_filter.offline.smoothing.solve import Solution, response, solve, sum_of_squares
 from pdr_filter.offline.smoothing.usable import Used, start_end_closure, usable
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.recipes.config import Config
-from pdr_filter.recipes.step_length_calibration import Calibration
 from pdr_filter.sensing.device import Device
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath
@@ -311,10 +312,7 @@ def smooth(
         config, _ = with_first_pass(recording, asked, first_pass)
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
             config = config.in_world_frame()
-        # imported late, because the package for maps depends on this one
-        from pdr_filter.apps.maps.plan_smoothing import smooth_on_plan
-
-        found = smooth_on_plan(recording, config, run.fixes, run.with_location, second_pass)
+        found = asked.on_plan.plan.smoothed(recording, config, run.fixes, run.with_location, second_pass)
         places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
         return with_given_place(run, _on_plan(found, Observations(places)))
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
@@ -326,7 +324,7 @@ def smooth(
     if memory is None:
         config, track, sensing, stood_steps = reckoned()
     else:
-        key = to_bytes((asked.with_model(frame=START_FRAME), stood, placement.north or "", run.with_location))
+        key = _key_of((asked.with_model(frame=START_FRAME), stood, placement.north, run.with_location))
         config, track, sensing, stood_steps = memory.of(given, key, reckoned)
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
@@ -360,6 +358,21 @@ def smooth(
         observed = _on_clock(observed, clocks)
         locations = observed.locations
     return with_given_place(run, on_earth(smoothed, where, locations, observed))
+
+
+def _key_of(value: object) -> bytes:
+    """Return the content of a value as bytes. Only a value with parts of other classes is pickled, which is slower."""
+    try:
+        return to_bytes(value)
+    except TypeError:  # classes of other packages
+        pass
+    try:
+        return pickle.dumps(value)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise ValueError(
+            f"memory cannot compare configurations with a part that cannot be pickled ({error}): define its class in a "
+            "module, without lambda functions, or omit memory"
+        ) from error
 
 
 def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track, FloatArray, Problem]:

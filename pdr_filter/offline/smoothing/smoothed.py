@@ -8,31 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.imm.motion_model import (
-    HEADING_OFFSET,
-    LOG_SCALE,
-)
+from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
 from pdr_filter.offline.smoothing.location_errors import mean_place
-from pdr_filter.offline.smoothing.observations import (
-    FloorChange,
-    Observations,
-)
+from pdr_filter.offline.smoothing.observations import FloorChange, Observations
 from pdr_filter.offline.smoothing.solve import Solution
 from pdr_filter.offline.smoothing.usable import Used, name_list
 from pdr_filter.tracking.step_statistics import HEADING_UNKNOWN, LATE, UNKNOWN_HEADING_RAD, StepCounts
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.warnings import NORTH_UNKNOWN, heading_notes, north_note
-from pdr_filter.values import (
-    FixResult,
-    FloatArray,
-    IntArray,
-    PositionFix,
-    Table,
-    how_many,
-    pickled,
-    read_only,
-    table,
-)
+from pdr_filter.values import FixResult, FloatArray, IntArray, PositionFix, Table, how_many, read_only, reduction, table
 
 _KINDS = ("fix", "location", "loop closure", "known heading")
 # Variance of the first heading above which the observations do not determine the direction of the walk.
@@ -103,7 +87,7 @@ class Smoothed:
     notes: tuple[str, ...]
     values: Any = None
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     @property
     def scale(self) -> float:

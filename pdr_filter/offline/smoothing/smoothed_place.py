@@ -11,18 +11,17 @@ from pdr_filter.filter.fixes.gnss import LocationState
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height.height_filter import Altitude
 from pdr_filter.filter.pedestrian.alignment import Place
-from pdr_filter.offline.smoothing.observations import (
-    Observations,
-)
+from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import scaled_rotation
 from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.offline.smoothing.storeys import with_named_floors
 from pdr_filter.tracking.gnss_alignment import DeadReckoning, align_dead_reckoning
 from pdr_filter.tracking.step_statistics import is_moving
-from pdr_filter.tracking.warnings import notes_of_rides
+from pdr_filter.tracking.warnings import notes_of_rides, rotation_note
 from pdr_filter.tracking.whole_recording import Run
 from pdr_filter.values import (
     FloatArray,
+    Origin,
     PositionFix,
     Samples,
     read_only,
@@ -53,7 +52,7 @@ def aligned_walk(
     if found.frame.alignment is not None:
         cov_m2 = way.own_var_m2(found.frame.agreeing)[:, None, None] * np.eye(2)
     else:
-        notes = (*notes, "the locations do not determine the rotation of the track: the most probable north is used")
+        notes = (*notes, rotation_note("locations", found.frame.rotation_var_rad2**0.5))
     frame = found.frame.at_most_probable_rotation()
     rows = zip(track.position_m, cov_m2, track.walking_heading_rad.tolist(), strict=True)
     places = [frame.world(Place(*row, k)) for k, row in enumerate(rows)]
@@ -98,12 +97,7 @@ def on_earth(
     notes = (*notes, *(note.text for note in notes_of_rides(rides, vertices)))
     origin, altitude = track.origin, Altitude()
     if origin is None and where.origin is not None and track.frame == "fixes" and track.n_steps:
-        origin = replace(
-            where.origin,
-            turn_rad=float(smoothed.heading_offset_rad[0]),
-            turn_std_rad=float(smoothed.heading_offset_std_rad.min()),
-            position_std_m=float(track.position_std_m.min()),
-        )
+        origin = replace(_turned(where.origin, smoothed), position_std_m=float(track.position_std_m.min()))
     if origin is not None and track.n_steps:
         for fix in locations:
             k = max(int(np.searchsorted(track.time_s, fix.time_s)) - 1, 0)
@@ -114,12 +108,23 @@ def on_earth(
     return replace(smoothed, track=with_named_floors(track, observed.fixes), notes=notes)
 
 
+def _turned(origin: Origin, smoothed: Smoothed) -> Origin:
+    """Return an origin with the rotation of a smoothed walk into the frame of its fixes."""
+    return replace(
+        origin,
+        turn_rad=float(smoothed.heading_offset_rad[0]),
+        turn_std_rad=float(smoothed.heading_offset_std_rad.min()),
+    )
+
+
 def with_given_place(run: Run, smoothed: Smoothed) -> Smoothed:
     """Return a smoothed walk with the geographic position and heading given by the caller of `smooth`.
 
     It is unchanged if neither is given.
     """
     before, track = smoothed.track, run.placed(smoothed.track)
+    if track.frame == "fixes" and track.origin is not None and before.origin is None and track.n_steps:
+        track = replace(track, origin=_turned(track.origin, smoothed))
     turn_rad = (
         track.origin.turn_rad if track.origin is not None and before.frame == "start" else run.placement.heading_rad
     )

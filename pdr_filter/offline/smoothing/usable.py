@@ -9,7 +9,7 @@ from itertools import compress
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, Mode
-from pdr_filter.filter.pedestrian.frame_rotation import MAX_NORTH_STD_RAD, agreement_limit
+from pdr_filter.filter.pedestrian.frame_rotation import agreement_limit
 from pdr_filter.filter.pedestrian.repeated_fixes import Repetition, repetitions
 from pdr_filter.offline.smoothing.location_errors import (
     MOST_SCATTER,
@@ -22,6 +22,7 @@ from pdr_filter.offline.smoothing.observations import LoopClosure, Observations,
 from pdr_filter.offline.smoothing.preintegration import Increments
 from pdr_filter.offline.smoothing.problem import ObservedStates, mode_offsets, nearest_contact
 from pdr_filter.values import (
+    MAX_NORTH_STD_RAD,
     BoolArray,
     FloatArray,
     HeadingFix,

@@ -13,7 +13,6 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -44,14 +43,6 @@ STAIRS = ("upstairs", "downstairs")
 STAIRS_SHARPNESS = 8.0
 FEATURE_LIMIT = 4.0  # standard deviations at which features are clipped, because larger deviations carry no information
 _LEAST_STD = 1e-6  # a smaller standard deviation is rounding noise of a constant feature
-
-
-def read_recording(path: Path) -> Recording:
-    """Return the recording of a file, for training."""
-    # imported late, because fitting needs recordings but no file formats
-    from pdr_filter.data.io.formats import read
-
-    return read(path)
 
 
 def source_of(recording: Recording) -> tuple[str, str]:

@@ -27,14 +27,7 @@ from pdr_filter.offline.training.context_sequences import (
     fit_tempering,
     log_loss_by_person,
 )
-from pdr_filter.offline.training.cross_validation import (
-    Progress,
-    TextArray,
-    provenance,
-    read_recording,
-    silent,
-    source_of,
-)
+from pdr_filter.offline.training.cross_validation import Progress, TextArray, provenance, silent, source_of
 from pdr_filter.recipes import default, with_context_model
 from pdr_filter.sensing.front_end import Gap, Sensing
 from pdr_filter.tracking.whole_recording import run_sensing
@@ -53,6 +46,8 @@ HALF_WINDOW_S = 1.0
 STEPS_PER_WINDOW = 2  # one window and 1.6 to 2 steps per second
 # Function that returns the context model trained without the given people.
 ModelWithout = Callable[[Sequence[str]], ContextModel]
+# Function that reads the recording of a file, such as `pdr_filter.read`.
+Reader = Callable[[Path], Recording]
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,26 +81,30 @@ class LabelledSequences:
 
 
 def train_evidence(
-    changing: Mapping[Path, str], out_dir: Path, model_without: ModelWithout, progress: Progress = silent
+    changing: Mapping[Path, str],
+    read: Reader,
+    out_dir: Path,
+    model_without: ModelWithout,
+    progress: Progress = silent,
 ) -> dict[str, Any]:
     """Estimate transitions and exponents, save them to `out_dir` as `transitions.json`, and return their card.
 
     `changing` maps recordings in which the context changes to their persons (`changing_recordings`). `model_without`
     returns the default's context model trained without the given people.
     """
-    found = estimate(labelled_sequences(changing, model_without, progress), default().model)
+    found = estimate(labelled_sequences(changing, read, model_without, progress), default().model)
     found.save(out_dir)
     return found.card
 
 
-def changing_recordings(paths: Sequence[Path]) -> dict[Path, str]:
+def changing_recordings(paths: Sequence[Path], read: Reader) -> dict[Path, str]:
     """Return the recordings with a gyroscope and more than one known context in their labels, with their persons.
 
     Recordings without a gyroscope use another model, but the exponents are for the default's model.
     """
     found: dict[Path, str] = {}
     for path in dict.fromkeys(path.resolve() for path in paths):
-        recording = read_recording(path)
+        recording = read(path)
         labels = recording.truth.labels
         known = set() if labels is None else {str(c) for c in labels["context"]} & set(CONTEXTS)
         if recording.gyroscope is not None and len(known) > 1:
@@ -129,7 +128,7 @@ def shipped_model_without(people: Sequence[str]) -> ContextModel:
 
 
 def labelled_sequences(
-    changing: Mapping[Path, str], model_without: ModelWithout, progress: Progress = silent
+    changing: Mapping[Path, str], read: Reader, model_without: ModelWithout, progress: Progress = silent
 ) -> LabelledSequences | None:
     """Return steps and windows of recordings, classified by models trained without their persons.
 
@@ -142,7 +141,7 @@ def labelled_sequences(
     for fold in (people[k::N_FOLDS] for k in range(min(N_FOLDS, len(people)))):
         model = model_without(fold)
         for path in (path for path, person in changing.items() if person in fold):
-            recording, person = read_recording(path), changing[path]
+            recording, person = read(path), changing[path]
             sensing = with_context_model(default(recording.subject), model).sensing
             for number, (found_steps, found_windows) in enumerate(stretches(sensing, recording)):
                 sequence = f"{n_done}/{number}"

@@ -24,7 +24,7 @@ import numpy as np
 from pdr_filter.recipes.guo2018.features import MotionLevel, MotionLevelState
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.signal_filters import butterworth, filtered, phase_delay_s
+from pdr_filter.sensing.signal_filters import butterworth, filtered_rows, phase_delay_s
 from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBlock, DetectorState, local_maxima, vertex
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, check_numbers, replace_unchecked
@@ -186,7 +186,7 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
         self, state: PoseStepState, line: FloatArray, first: int
     ) -> tuple[PoseStepState, list[tuple[int, Step]]]:
         new = line[:, self._n_line :]
-        low_passed, zi = filtered(self._sos, new[:4], state.zi)
+        low_passed, zi = filtered_rows(self._sos, new[:4], state.zi)
         line = np.concatenate([state.recent, np.vstack([low_passed, new[4:]])], axis=1)
         first -= state.recent.shape[1]  # number of the first sample of the line
         state = replace_unchecked(state, zi=zi)

@@ -162,7 +162,7 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
         is_running = line[1, n_before : n_before + len(walking)] > self.running_rms_mps2**2
         return np.where(is_running, running, walking)[None]
 
-    def _accepted(
+    def _state_if_step(
         self, state: WaveletDetectorState, peak: FloatArray, interval_s: float, new_bout: bool
     ) -> WaveletDetectorState | None:
         response = float(peak[0])

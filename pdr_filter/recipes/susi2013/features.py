@@ -29,7 +29,7 @@ from pdr_filter.sensing.features.sliding_windows import (
     WindowBuffer,
     no_samples,
 )
-from pdr_filter.sensing.signal_filters import butterworth, filtered
+from pdr_filter.sensing.signal_filters import butterworth, filtered_rows
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import FloatArray
 
@@ -109,7 +109,7 @@ def filtered_norms(sos: FloatArray, components: FloatArray, zi: FloatArray | Non
 
     `components` (6, N) are the components of specific force and angular rate.
     """
-    low_passed, zi = filtered(sos, components, zi)
+    low_passed, zi = filtered_rows(sos, components, zi)
     return np.stack([specific_force_magnitude(low_passed[:3].T), specific_force_magnitude(low_passed[3:].T)]), zi
 
 

@@ -206,7 +206,7 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
         """Return zeros in place of samples before the start."""
         return np.zeros((len(signals), self._n_line))
 
-    def _continued(self, state: NormMinimaState) -> FloatArray:
+    def _signals_after_end(self, state: NormMinimaState) -> FloatArray:
         """Return signals after the end: the last sample, repeated for the filter delay, and then zeros.
 
         The zeros end every trough.

@@ -21,7 +21,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.signal_filters import butterworth, filtered
+from pdr_filter.sensing.signal_filters import butterworth, filtered_rows
 from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBlock, DetectorState, local_maxima, vertex
 from pdr_filter.values import (
     CARRYING_MODES,
@@ -237,10 +237,10 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
         """
         raw = step_signals(block.specific_force_mps2, attitude.up_sensor)
         carried, states = self._carried.update(state.carried, contexts.carrying_mode)
-        signals, zi = filtered(self._low_pass_sos, raw, state.low_pass_zi)
+        signals, zi = filtered_rows(self._low_pass_sos, raw, state.low_pass_zi)
         return replace_unchecked(state, carried=carried, low_pass_zi=zi), np.vstack([signals, states.astype(float)])
 
-    def _continued(self, state: TianDetectorState) -> FloatArray:
+    def _signals_after_end(self, state: TianDetectorState) -> FloatArray:
         """Return signals after the end, extrapolated linearly in the same mode.
 
         An unfinished transition therefore adds no steps.

@@ -243,7 +243,7 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
             [a, np.select([contexts.stands, contexts.runs], [_STATIONARY, _RUNNING], 1).astype(float)]
         )
 
-    def _continued(self, state: ReferenceLineState) -> FloatArray:
+    def _signals_after_end(self, state: ReferenceLineState) -> FloatArray:
         """Return signals after the end: the last values, repeated until the window is complete."""
         n_more = self._delay_samples + _window_samples(state.period_s, self.rate_hz)
         return np.repeat(state.line[:, -1:], n_more, axis=1)

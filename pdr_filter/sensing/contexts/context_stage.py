@@ -28,7 +28,7 @@ from pdr_filter.values import (
     IntArray,
     WindowContext,
     check_numbers,
-    frozen,
+    make_read_only,
     read_only,
     replace_unchecked,
 )
@@ -442,17 +442,17 @@ class ContextModels:
         contexts : list of WindowContext
             Classifications in the same order.
         """
-        context_assessments = _assessed(self.with_gyroscope, self.without_gyroscope, windows)
-        carrying_assessments = _assessed(self.carrying_with_gyroscope, self.carrying_without_gyroscope, windows)
-        irregular = _irregular(windows)
+        context_assessments = _assessments(self.with_gyroscope, self.without_gyroscope, windows)
+        carrying_assessments = _assessments(self.carrying_with_gyroscope, self.carrying_without_gyroscope, windows)
+        irregular = _irregular_probs(windows)
         results: list[WindowContext] = []
         for i, window in enumerate(windows):
             assessments = context_assessments.get(i), carrying_assessments.get(i), irregular[i]
-            carrying_prob, context = self._classified(carrying_prob, window, *assessments, contexts.standing)
+            carrying_prob, context = self._classification(carrying_prob, window, *assessments, contexts.standing)
             results.append(context)
         return carrying_prob, results
 
-    def _classified(
+    def _classification(
         self,
         carrying_prob: FloatArray,
         window: FeatureWindow,
@@ -518,7 +518,7 @@ def follow_mode(
     # Plain floats, because NumPy is slower for so few numbers.
     after = [(p * (stay_prob - leave) + leave) * (max(w, 1e-9) / r) ** exponent if r > 0 else 0.0 for p, w, r in modes]
     total = sum(after)
-    return frozen(np.array([p / total for p in after]))
+    return make_read_only(np.array([p / total for p in after]))
 
 
 def with_climbs(
@@ -606,23 +606,23 @@ def with_stairs_in_thirds(prob: FloatArray, share: float, contexts: ContextSet =
 
 
 @lru_cache
-def _gated(names: tuple[str, ...]) -> bool:
+def _has_gate(names: tuple[str, ...]) -> bool:
     """Return True if a feature set has all features that the gates for irregular motion need."""
     return {*GATE.names, *GATE_ACCELEROMETER.names} <= set(names)
 
 
-def _irregular(windows: Sequence[FeatureWindow]) -> list[float]:
+def _irregular_probs(windows: Sequence[FeatureWindow]) -> list[float]:
     """Return the probability of irregular motion for each window; zero where features of the gate are missing."""
     prob = np.zeros(len(windows))
     for has_gyroscope in (True, False):
-        selected = [i for i, w in enumerate(windows) if w.has_gyroscope == has_gyroscope and _gated(w.names)]
+        selected = [i for i, w in enumerate(windows) if w.has_gyroscope == has_gyroscope and _has_gate(w.names)]
         if selected:
             features = np.array([windows[i].features for i in selected])
             prob[selected] = irregular_prob(windows[selected[0]].names, features, has_gyroscope)
     return prob.tolist()
 
 
-def _assessed(
+def _assessments(
     with_gyroscope: ContextModel | None, without_gyroscope: ContextModel | None, windows: Sequence[FeatureWindow]
 ) -> dict[int, Assessment]:
     """Return the assessments of windows by their index, from the model for the sensors of each window.
@@ -633,13 +633,13 @@ def _assessed(
     for model, has_gyroscope in ((with_gyroscope, True), (without_gyroscope, False)):
         selected = [i for i, window in enumerate(windows) if window.has_gyroscope == has_gyroscope]
         if model is not None and selected:
-            columns = _columns(model.feature_names, windows[0].names)
+            columns = _feature_columns(model.feature_names, windows[0].names)
             assessed = model.assess_all(np.array([windows[i].features[columns] for i in selected]))
             found |= zip(selected, assessed, strict=True)
     return found
 
 
 @lru_cache
-def _columns(wanted: tuple[str, ...], names: tuple[str, ...]) -> IntArray:
+def _feature_columns(wanted: tuple[str, ...], names: tuple[str, ...]) -> IntArray:
     """Return the positions of the wanted features among all names."""
     return np.array([names.index(name) for name in wanted])

@@ -123,11 +123,11 @@ def irregular_prob(names: tuple[str, ...], features: FloatArray, has_gyroscope: 
     `names` are the names of the F features.
     """
     gate = GATE if has_gyroscope else GATE_ACCELEROMETER
-    return gate.prob(features[..., _columns(names, has_gyroscope)])
+    return gate.prob(features[..., _gate_columns(names, has_gyroscope)])
 
 
 @cache
-def _columns(names: tuple[str, ...], has_gyroscope: bool) -> IntArray:
+def _gate_columns(names: tuple[str, ...], has_gyroscope: bool) -> IntArray:
     """Return the positions of the features of a gate among all names. ValueError if features are missing."""
     needed = (GATE if has_gyroscope else GATE_ACCELEROMETER).names
     missing = sorted(set(needed) - set(names))

@@ -113,7 +113,7 @@ class ClimbState:
     @property
     def resolution_hpa(self) -> float:
         """Resolution of the sensor in hPa, or infinity if it is unknown."""
-        return _resolution(self.quantum_hpa, self.samples[1, -1]) if self.samples.size else math.inf
+        return _pressure_resolution(self.quantum_hpa, self.samples[1, -1]) if self.samples.size else math.inf
 
     @property
     def fault(self) -> str:
@@ -218,7 +218,7 @@ class ClimbRate:
                 continue
             if p != pressures[-1]:
                 quantum_hpa, changed_s = min(quantum_hpa, abs(p - pressures[-1])), t
-            resolution_hpa = _resolution(quantum_hpa, p)
+            resolution_hpa = _pressure_resolution(quantum_hpa, p)
             is_stuck = t - changed_s >= self.stuck_after_s and not _FINE_HPA < resolution_hpa < np.inf
             stuck_s += is_stuck * min(t - times[-1], t - changed_s)
             nearest_s = t + 0.5 * (t - times[-1])  # this sample is the nearest one to all times up to here
@@ -277,7 +277,7 @@ class ClimbRate:
         return [Climb(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
 
 
-def _resolution(quantum_hpa: float, pressure_hpa: float) -> float:
+def _pressure_resolution(quantum_hpa: float, pressure_hpa: float) -> float:
     """Return the resolution of a sensor in hPa: the smallest change, or before any change the decimals of the value."""
     if math.isfinite(quantum_hpa):
         return quantum_hpa

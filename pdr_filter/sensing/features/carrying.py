@@ -20,11 +20,10 @@ import numpy as np
 from pdr_filter.sensing.features.invariant import (
     MotionLines,
     columns,
+    features_in_groups,
     hann_taper,
-    in_groups,
     mean_of,
     mean_square,
-    motion_lines,
     side_by_side,
 )
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, ComplexArray, FloatArray
@@ -105,20 +104,20 @@ def carrying_features(windows: FloatArray, rate_hz: float) -> FloatArray:
 
     A missing gyroscope is given as three rows of zeros. The features named in `WITHOUT_GYROSCOPE` do not use it.
     """
-    return in_groups(lambda group, hz: features_of(motion_lines(group), hz), windows, rate_hz, len(NAMES))
+    return features_in_groups(carrying_features_of_motion, windows, rate_hz, len(NAMES))
 
 
-def features_of(motion: MotionLines, rate_hz: float) -> FloatArray:
+def carrying_features_of_motion(motion: MotionLines, rate_hz: float) -> FloatArray:
     """Return the features (W, 38) of a few windows."""
     n = motion.centred.shape[2]
     centred = np.concatenate([motion.centred[:, :3], motion.turning], axis=1)
     spectrum = np.fft.rfft(centred * hann_taper(n))
     # Power spectra, each of which sums to a variance: vertical, horizontal, tilt rate, tilt angle, yaw angle.
-    axis_power = _squared(spectrum) * (2.0 / n**2)
+    axis_power = _squared_abs(spectrum) * (2.0 / n**2)
     tilt, squared_omega = axis_power[:, 3] + axis_power[:, 4] + axis_power[:, 5], _omega(n, rate_hz) ** 2
     horizontal, yaw = axis_power[:, 1] + axis_power[:, 2], axis_power[:, 6]
     power = side_by_side(axis_power[:, 0], horizontal, tilt, tilt / squared_omega, yaw / squared_omega)
-    bands = power @ _bands(n, rate_hz)
+    bands = power @ _bin_sums(n, rate_hz)
     about_axes = mean_square(motion.centred[:, 3:6])
     stride, step = _stride_and_step(power, n, rate_hz)
     return columns(
@@ -234,16 +233,16 @@ def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -
     # Least squares of the horizontal acceleration on the angular one. The factor i between angular rate and angular
     # acceleration is omitted, because only absolute values are used.
     product = np.add.reduce(horizontal * acceleration_about.conj()[:, None], axis=2)
-    matched = np.add.reduce(_squared(product), axis=1)
-    about = np.add.reduce(_squared(acceleration_about), axis=1)
-    moved = np.add.reduce(np.add.reduce(_squared(horizontal), axis=2), axis=1)
+    matched = np.add.reduce(_squared_abs(product), axis=1)
+    about = np.add.reduce(_squared_abs(acceleration_about), axis=1)
+    moved = np.add.reduce(np.add.reduce(_squared_abs(horizontal), axis=2), axis=1)
     noise = n**2 / 2.0  # summed squared spectrum of a line with variance one
     lever = np.sqrt(matched) / (about + _LEVER_NOISE * noise)
     coherence = matched / ((about + _COHERENCE_NOISE * noise) * (moved + _COHERENCE_NOISE * noise))
     return lever, coherence
 
 
-def _squared(values: ComplexArray) -> FloatArray:
+def _squared_abs(values: ComplexArray) -> FloatArray:
     """Return the squared absolute values of complex numbers, without the square root that `abs` computes."""
     return values.real**2 + values.imag**2
 
@@ -283,7 +282,7 @@ def _bins(band_hz: tuple[float, float], n: int, rate_hz: float) -> tuple[int, in
 
 
 @cache
-def _bands(n: int, rate_hz: float) -> FloatArray:
+def _bin_sums(n: int, rate_hz: float) -> FloatArray:
     """Return the matrix (n // 2 + 1, B) that sums the bins of each of `_BANDS_HZ`."""
     matrix = np.zeros((n // 2 + 1, len(_BANDS_HZ)))
     for column, band in enumerate(_BANDS_HZ):

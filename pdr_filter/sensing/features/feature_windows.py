@@ -15,7 +15,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features import carrying, invariant, stride
 from pdr_filter.sensing.features.sliding_windows import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
-from pdr_filter.sensing.signal_filters import butterworth, filtered
+from pdr_filter.sensing.signal_filters import butterworth, filtered_rows
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import FeatureSet, FloatArray
 
@@ -38,13 +38,17 @@ class AttitudeFreeFeatures:
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
         """Return the features (W, F) of the signals of windows (W, N_SIGNALS, N)."""
-        return invariant.in_groups(_all_features, windows[:, N_MAGNITUDES:], rate_hz, len(self.names))
+        return invariant.features_in_groups(_all_features, windows[:, N_MAGNITUDES:], rate_hz, len(self.names))
 
 
-def _all_features(windows: FloatArray, rate_hz: float) -> FloatArray:
-    """Return all features (W, F) of windows (W, 12, N) of `invariant.SIGNALS`."""
-    motion = invariant.motion_lines(windows)
-    return np.concatenate([part.features_of(motion, rate_hz) for part in (invariant, carrying, stride)], axis=1)
+def _all_features(motion: invariant.MotionLines, rate_hz: float) -> FloatArray:
+    """Return all features (W, F) of a few windows."""
+    parts = (
+        invariant.invariant_features_of_motion,
+        carrying.carrying_features_of_motion,
+        stride.stride_features_of_motion,
+    )
+    return np.concatenate([features(motion, rate_hz) for features in parts], axis=1)
 
 
 ATTITUDE_FREE = AttitudeFreeFeatures()
@@ -166,7 +170,7 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
         force = specific_force_magnitude(block.specific_force_mps2)
         low_passed, zi = np.zeros((1, len(force))), None
         if self._sos is not None:
-            low_passed, zi = filtered(self._sos, force[None], state.zi)
+            low_passed, zi = filtered_rows(self._sos, force[None], state.zi)
         buffer, windows = self.cut(
             state.buffer,
             block.time_s,

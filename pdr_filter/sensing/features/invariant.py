@@ -113,7 +113,7 @@ WITHOUT_GYROSCOPE: tuple[str, ...] = _FORCE_NAMES
 
 
 @cache
-def _bands(n: int, rate_hz: float) -> FloatArray:
+def _band_matrix(n: int, rate_hz: float) -> FloatArray:
     """Return the matrix (n // 2 + 1, B) that sums the bins of each band, with bins shared at the edges of bands."""
     frequency = np.arange(n // 2 + 1) * rate_hz / n
     width = rate_hz / n
@@ -154,14 +154,14 @@ def side_by_side(*lines: FloatArray) -> FloatArray:
     return np.concatenate([line[:, None] for line in lines], axis=1)
 
 
-def in_groups(
-    features: Callable[[FloatArray, float], FloatArray], windows: FloatArray, rate_hz: float, n_features: int
+def features_in_groups(
+    features: Callable[[MotionLines, float], FloatArray], windows: FloatArray, rate_hz: float, n_features: int
 ) -> FloatArray:
     """Return the features (W, F) of windows, computed for 32 windows at a time.
 
     The signals of 32 windows fit into the processor's cache. The grouping changes no result.
     """
-    groups = (features(windows[i : i + 32], rate_hz) for i in range(0, len(windows), 32))
+    groups = (features(motion_lines(windows[i : i + 32]), rate_hz) for i in range(0, len(windows), 32))
     return np.concatenate([np.empty((0, n_features)), *groups])
 
 
@@ -172,10 +172,10 @@ def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
     window has the same bits alone and among others, because sums run along the last axis of contiguous arrays, and
     matrix products and transforms are computed window by window.
     """
-    return in_groups(lambda group, hz: features_of(motion_lines(group), hz), windows, rate_hz, len(NAMES))
+    return features_in_groups(invariant_features_of_motion, windows, rate_hz, len(NAMES))
 
 
-def features_of(motion: MotionLines, rate_hz: float) -> FloatArray:
+def invariant_features_of_motion(motion: MotionLines, rate_hz: float) -> FloatArray:
     """Return the features (W, F) of a few windows.
 
     `motion` is the result of `motion_lines` for these windows. The caller computes it once for all feature sets.
@@ -189,40 +189,40 @@ def features_of(motion: MotionLines, rate_hz: float) -> FloatArray:
     lines = side_by_side(vertical, forward, lateral, _norm(horizontal), -motion.yaw_rate, tilt_rate, main_rate)
     centred = about_mean(lines)
     std = np.sqrt(mean_square(centred))
-    power = _power(centred)
-    bands = power[:, [0, 1, 2, 4, 5, 6]] @ _bands(n, rate_hz)
+    power = _power_spectrum(centred)
+    bands = power[:, [0, 1, 2, 4, 5, 6]] @ _band_matrix(n, rate_hz)
     ordered = np.sort(lines[:, [0, 3, 5]], axis=2)
     quantiles = ordered[:, :, _quantile_indices(n)]
     regularity, lag_s, stride = _regularity(power[:, 0], n, rate_hz)
     velocity = about_mean(np.cumsum(vertical, axis=1) / rate_hz)
-    lagged = _lagged(vertical, STEP_LAGS_S, rate_hz)
+    lagged = _lagged_lines(vertical, STEP_LAGS_S, rate_hz)
 
     squares = side_by_side(velocity * velocity, vertical * vertical)
     force = [
         np.log(std[:, :4] + _FLOOR_MPS2),
         quantiles[:, 0],
         quantiles[:, 1],
-        _moments(centred[:, 0], std[:, 0], _FLOOR_MPS2),
-        _moments(centred[:, 3], std[:, 3], _FLOOR_MPS2),
-        _rows(0.5 * np.log(bands[:, :3] + _FLOOR_MPS2**2)),
+        _skewness_and_kurtosis(centred[:, 0], std[:, 0], _FLOOR_MPS2),
+        _skewness_and_kurtosis(centred[:, 3], std[:, 3], _FLOOR_MPS2),
+        _one_row_each(0.5 * np.log(bands[:, :3] + _FLOOR_MPS2**2)),
         _peak_hz(power[:, 0], n, rate_hz),
         regularity,
         lag_s,
         stride,
         _follows(vertical, horizontal, rate_hz),
         _asymmetry(power[:, 0], lag_s, n, rate_hz),
-        _rows(_timing(squares, _SQUARED_FLOORS, lagged, std[:, 0])),
+        _one_row_each(_timing(squares, _SQUARED_FLOORS, lagged, std[:, 0])),
     ]
     rotation = [
         np.log(std[:, 4:] + _FLOOR_RADPS),
         np.log(np.sqrt(np.maximum(spread[:, 1::-1], 0.0)) + _FLOOR_RADPS),
         np.log(mean_of(np.abs(lines[:, 4:])) + _FLOOR_RADPS),
         quantiles[:, 2],
-        _rows(0.5 * np.log(bands[:, 3:] + _FLOOR_RADPS**2)),
+        _one_row_each(0.5 * np.log(bands[:, 3:] + _FLOOR_RADPS**2)),
         _peak_hz(power[:, 6], n, rate_hz),
         np.abs(np.add.reduce(main_axis * motion.mean[:, 6:9], axis=1)),
         np.log(_swing(motion.centred[:, 6:9]) + 0.01),
-        np.abs(_moments(centred[:, 6], std[:, 6], _FLOOR_RADPS)[:, 0]),
+        np.abs(_skewness_and_kurtosis(centred[:, 6], std[:, 6], _FLOOR_RADPS)[:, 0]),
         *_swing_timing(motion, lagged, std[:, 0], velocity, rate_hz),
     ]
     return columns([*force, *rotation])
@@ -238,7 +238,7 @@ def _along(axis: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.add.reduce(axis[:, :, None] * vectors, axis=1)
 
 
-def _rows(features: FloatArray) -> FloatArray:
+def _one_row_each(features: FloatArray) -> FloatArray:
     """Return features (W, ...) flattened to one row for each window."""
     return features.reshape(len(features), -1)
 
@@ -263,7 +263,7 @@ def _main_axes(horizontal: FloatArray) -> tuple[FloatArray, FloatArray]:
     return c * east + s * north, c * north - s * east
 
 
-def _moments(centred: FloatArray, std: FloatArray, floor: float) -> FloatArray:
+def _skewness_and_kurtosis(centred: FloatArray, std: FloatArray, floor: float) -> FloatArray:
     """Return the skewness and kurtosis (W, 2) of centred signals (W, N) with the standard deviations `std` (W,).
 
     Standard deviations below `floor` count as `floor`, so that both are zero for a constant signal.
@@ -273,7 +273,7 @@ def _moments(centred: FloatArray, std: FloatArray, floor: float) -> FloatArray:
     return columns([mean_of(squared * scaled), mean_square(squared)])
 
 
-def _power(centred: FloatArray) -> FloatArray:
+def _power_spectrum(centred: FloatArray) -> FloatArray:
     """Return the power spectrum of signals (..., N) after a Hann taper, with N // 2 + 1 frequencies each."""
     n = centred.shape[-1]
     spectrum = np.fft.rfft(centred * hann_taper(n))
@@ -430,11 +430,11 @@ def _swing_timing(
     timing = _timing(lines, _SWING_FLOORS, lagged_vertical, vertical_std)
     timing[:, 2:4] *= forward[:, None, None]
     timing[:, 4] = np.abs(timing[:, 4])  # left and right must not differ
-    follows = _product(swing_rate, _lagged(across_force, STEP_LAGS_S, rate_hz))
-    repeats = _product(swing_rate, _lagged(swing_rate, SWING_LAGS_S, rate_hz))
+    follows = _product(swing_rate, _lagged_lines(across_force, STEP_LAGS_S, rate_hz))
+    repeats = _product(swing_rate, _lagged_lines(swing_rate, SWING_LAGS_S, rate_hz))
     ordered = np.sort(np.where(forward > 0, 1.0, -1.0)[:, None] * angle, axis=1)
     return [
-        _rows(timing),
+        _one_row_each(timing),
         follows / (n * swing_std * across_std)[:, None],
         repeats / (n * swing_std * swing_std)[:, None],
         ordered[:, _quantile_indices(n)] * np.abs(forward)[:, None],
@@ -458,7 +458,7 @@ def _product(line: FloatArray, lagged: FloatArray) -> FloatArray:
     return (lagged @ line[:, :, None])[:, :, 0]
 
 
-def _lagged(line: FloatArray, lags_s: tuple[float, ...], rate_hz: float) -> FloatArray:
+def _lagged_lines(line: FloatArray, lags_s: tuple[float, ...], rate_hz: float) -> FloatArray:
     """Return a signal (W, N) shifted by each of L lags, (W, L, N).
 
     Row l holds the signal at time t + lag_l, and zero outside the window.
@@ -491,7 +491,7 @@ def _follows(vertical: FloatArray, horizontal: FloatArray, rate_hz: float) -> Fl
     It is the length of the correlation vector, so that it does not depend on the horizontal axes.
     """
     scale = np.sqrt(np.add.reduce(vertical * vertical, axis=1) * (horizontal * horizontal).sum(axis=(1, 2))) + 1e-9
-    product = _lagged(vertical, LAGS_S[::-1], rate_hz) @ horizontal.transpose(0, 2, 1)
+    product = _lagged_lines(vertical, LAGS_S[::-1], rate_hz) @ horizontal.transpose(0, 2, 1)
     return np.sqrt(np.add.reduce(product * product, axis=2)) / scale[:, None]
 
 

@@ -19,9 +19,8 @@ from pdr_filter.sensing.features.invariant import (
     MotionLines,
     about_mean,
     columns,
+    features_in_groups,
     hann_taper,
-    in_groups,
-    motion_lines,
     side_by_side,
 )
 from pdr_filter.values import FloatArray, IntArray
@@ -76,7 +75,7 @@ def stride_features(windows: FloatArray, rate_hz: float) -> FloatArray:
 
     A missing gyroscope is given as three rows of zeros. A window has the same bits alone and among others.
     """
-    return in_groups(lambda group, hz: features_of(motion_lines(group), hz), windows, rate_hz, len(NAMES))
+    return features_in_groups(stride_features_of_motion, windows, rate_hz, len(NAMES))
 
 
 @cache
@@ -130,7 +129,7 @@ def _all_stride_parts(lines: FloatArray, rate_hz: float) -> FloatArray:
     return parts
 
 
-def features_of(motion: MotionLines, rate_hz: float) -> FloatArray:
+def stride_features_of_motion(motion: MotionLines, rate_hz: float) -> FloatArray:
     """Return the features (W, F) of a few windows.
 
     `motion` is the result of `invariant.motion_lines` for these windows. The caller computes it once for all feature
@@ -144,7 +143,7 @@ def features_of(motion: MotionLines, rate_hz: float) -> FloatArray:
     to_parts, to_coefficients = _harmonics(n, rate_hz)
     parts = _all_stride_parts((lines / scale[:, :, None])[:, [VERTICAL, SWING]], rate_hz)
     explained = np.add.reduce(parts * parts, axis=3)
-    power = _power(parts @ to_coefficients)
+    power = _harmonic_power(parts @ to_coefficients)
     in_step = np.empty(power.shape[:3])
     np.add.reduce(power[:, :, 0, 1::2], axis=2, out=in_step[:, :, 0])
     np.add.reduce(power[:, :, 1, 0::2], axis=2, out=in_step[:, :, 1])
@@ -154,7 +153,7 @@ def features_of(motion: MotionLines, rate_hz: float) -> FloatArray:
     parts = lines @ to_parts[best]
     explained = np.add.reduce(parts * parts, axis=2) / scale**2
     coefficients = parts @ to_coefficients[best]
-    amplitude = np.sqrt(2 * _power(coefficients))
+    amplitude = np.sqrt(2 * _harmonic_power(coefficients))
     total = np.sqrt(np.add.reduce(amplitude * amplitude, axis=2)) + _LEAST_SHARE_OF
     share = amplitude / total[:, :, None]
     log_total, step = np.log(total), amplitude[:, :, 1] + _LEAST_SHARE_OF
@@ -214,6 +213,6 @@ def _phases(coefficients: FloatArray, amplitude: FloatArray, share: FloatArray) 
     return np.ascontiguousarray(product).view(np.float64)
 
 
-def _power(coefficients: FloatArray) -> FloatArray:
+def _harmonic_power(coefficients: FloatArray) -> FloatArray:
     """Return the mean power (..., H) of each of H harmonics from coefficients (..., 1 + 2 H)."""
     return 0.5 * (coefficients[..., 1::2] ** 2 + coefficients[..., 2::2] ** 2)

@@ -190,7 +190,7 @@ class Corridors:
         The drift is clockwise: headings are too large by it.
         """
         # The variance of a leg is added, because the steps of the present leg share their deviation from its axis.
-        return _moments(state, state.mean[:, _DRIFT].copy(), state.cov[:, _DRIFT, _DRIFT], self.leg_std_rad**2)
+        return _mean_and_var(state, state.mean[:, _DRIFT].copy(), state.cov[:, _DRIFT, _DRIFT], self.leg_std_rad**2)
 
     def drift_in_time(self, state: CorridorState) -> tuple[float, float]:
         """Return the heading drift without the part due to the gyroscope's scale error, rad, and its variance, rad2.
@@ -199,9 +199,9 @@ class Corridors:
         gyroscope.
         """
         h = np.array([1.0, 0.0, 0.0, -state.turned_rad])
-        return _moments(state, state.mean @ h, state.cov @ h @ h, 0.0)
+        return _mean_and_var(state, state.mean @ h, state.cov @ h @ h, 0.0)
 
-    def mixed(self, state: CorridorState, free_rad: float, free_var_rad2: float) -> tuple[float, float]:
+    def mixture_drift(self, state: CorridorState, free_rad: float, free_var_rad2: float) -> tuple[float, float]:
         """Return the mean and variance of the drift, with and without the hypothesis that the walk follows axes.
 
         Let p be the probability of axes, d their drift and D its variance. Without axes the drift is b = `free_rad`,
@@ -266,7 +266,7 @@ class Corridors:
         return math.log(self.outlier_prob / _RIGHT_ANGLE)
 
 
-def _moments(state: CorridorState, means: FloatArray, variances: FloatArray, added: float) -> tuple[float, float]:
+def _mean_and_var(state: CorridorState, means: FloatArray, variances: FloatArray, added: float) -> tuple[float, float]:
     """Return the mean and variance of a quantity over the mixture of all M filters of the bank.
 
     The quantity has the given means and variances (M,) in the filters. `added` is added to the variance.

@@ -22,12 +22,10 @@ import math
 from dataclasses import dataclass
 
 from pdr_filter.sensing.heading.vectors import Vector
+from pdr_filter.values.angles import UNKNOWN_VAR_RAD2
 
 # Coefficient of the systematic error s in a measurement by strides and in one by the axis of the phone.
 STRIDE_MEASUREMENT, AXIS_MEASUREMENT = 1.0, 0.0
-# Standard deviation of an unknown angle, which is uniform on the circle.
-UNKNOWN_STD_RAD = math.pi / math.sqrt(3.0)
-UNKNOWN_VAR_RAD2 = UNKNOWN_STD_RAD**2
 # Prior variance of g, which is unknown at first: large against the variance of a stride, small enough for rounding.
 _NO_IDEA_RAD2 = 1e4
 # Variance of the first offset, (1 degree)^2. It is 0 by definition, but the filter needs a positive variance.
@@ -78,7 +76,7 @@ class Offset:
         oo, og, _, gg, _, _ = self.cov
         return min(oo + 2.0 * og + gg, UNKNOWN_VAR_RAD2)
 
-    def predicted(self, var_rad2: float, stay: float, systematic_rad2: float) -> Offset:
+    def after_time(self, var_rad2: float, stay: float, systematic_rad2: float) -> Offset:
         """Return the offset after a time in which the phone was turned slightly against the body.
 
         `var_rad2` is the variance of this turn. The systematic error keeps the share `stay`, and a new error is added
@@ -88,7 +86,7 @@ class Offset:
         ss = stay * stay * ss + (1.0 - stay * stay) * systematic_rad2
         return Offset((o, g, stay * s), (oo + var_rad2, og, stay * os, gg, stay * gs, ss))
 
-    def updated(self, c: float, direction: complex, var_rad2: float) -> Offset:
+    def after_measurement(self, c: float, direction: complex, var_rad2: float) -> Offset:
         """Return the offset after a measurement of o + g + c s with variance `var_rad2`.
 
         o is the heading offset, g the reference angle and s the systematic error of strides. `c` is
@@ -109,7 +107,7 @@ class Offset:
         cov = (oo - k_o * ph_o, og - k_o * ph_g, os - k_o * ph_s, gg - k_g * ph_g, gs - k_g * ph_s, ss - k_s * ph_s)
         return Offset((o + ph_o * shift, g + ph_g * shift, s + ph_s * shift), cov)
 
-    def moved(self, offset_rad: float, var_rad2: float, systematic_rad2: float) -> Offset:
+    def after_move(self, offset_rad: float, var_rad2: float, systematic_rad2: float) -> Offset:
         """Return the offset after the phone was moved to another place.
 
         The new heading offset is `offset_rad`, with a variance increased by `var_rad2`. The systematic error is a new

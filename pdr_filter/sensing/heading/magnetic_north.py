@@ -282,7 +282,7 @@ class MagneticNorth(StepStage):
         end = bisect_right(times, step.time_s)
         if end > first:
             state = self._with_readings(state, state.readings[first:end])
-        return self._solved(state) if state.n_fresh > _SOLVE_SHARE * state.n else state
+        return self._with_solution(state) if state.n_fresh > _SOLVE_SHARE * state.n else state
 
     def _with_readings(self, state: MagneticNorthState, readings: FloatArray) -> MagneticNorthState:
         """Return the state with readings added to the sums, and older ones forgotten."""
@@ -293,7 +293,7 @@ class MagneticNorth(StepStage):
         n, n_fresh = stay * state.n + float(weight.sum()), state.n_fresh + len(readings)
         return replace_unchecked(state, n=n, squares=squares, used_s=used_s, n_fresh=n_fresh)
 
-    def _solved(self, state: MagneticNorthState) -> MagneticNorthState:
+    def _with_solution(self, state: MagneticNorthState) -> MagneticNorthState:
         """Return the state with the regression f = m + R b + e solved, and the variance of e estimated again.
 
         The measured field f is the sum of the field of the Earth m = h u + (0, 0, z), the hard iron b rotated by R from
@@ -326,7 +326,7 @@ class MagneticNorth(StepStage):
         return 1.0 / math.tanh(0.5 / self.correlation_readings)
 
     def _north(self, state: MagneticNorthState, angles_rad: FloatArray) -> tuple[float, float, float]:
-        """Return magnetic north, its variance, and the expected sum of squared residuals in uT2 (`_solved`).
+        """Return magnetic north, its variance, and the expected sum of squared residuals in uT2 (`_with_solution`).
 
         The evidence is summed over the directions with the given angles, which have equal distances.
         """

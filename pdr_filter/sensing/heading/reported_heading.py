@@ -13,8 +13,8 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pdr_filter.sensing.heading.heading_offset import UNKNOWN_VAR_RAD2
 from pdr_filter.values import HeadingDrift, Step, replace_unchecked, wrap_angle
+from pdr_filter.values.angles import UNKNOWN_VAR_RAD2
 
 # Variance above which a heading counts as unknown, because it gives no information on the circle.
 _UNKNOWN_VAR_RAD2 = 1.0

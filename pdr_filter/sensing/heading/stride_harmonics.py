@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from pdr_filter.sensing.heading.vectors import Vector, across, combined, cross, dot
+from pdr_filter.sensing.heading.vectors import Vector, across, cross, dot, linear_sum
 from pdr_filter.values import BoolArray, ComplexArray, FloatArray, IntArray
 
 # Duration in s from which a stride may be two strides with missed contacts: 1.4 steps a second is slow, 2.8 is running.
@@ -188,8 +188,8 @@ def carry_axis(axis: Vector, up: Vector, new_up: Vector) -> Vector:
     cosine = dot(up, new_up)
     if cosine < -0.99:
         return pointing_axis(new_up)  # the phone was turned over, so the shortest rotation is not unique
-    between = combined(1.0, up, 1.0, new_up)
-    return across(combined(1.0, axis, -dot(new_up, axis) / (1.0 + cosine), between), new_up)
+    between = linear_sum(1.0, up, 1.0, new_up)
+    return across(linear_sum(1.0, axis, -dot(new_up, axis) / (1.0 + cosine), between), new_up)
 
 
 def in_mean_frame(

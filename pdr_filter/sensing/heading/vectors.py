@@ -18,7 +18,7 @@ def cross(a: Vector, b: Vector) -> Vector:
     return (y * w - z * v, z * u - x * w, x * v - y * u)
 
 
-def combined(p: float, a: Vector, q: float, b: Vector) -> Vector:
+def linear_sum(p: float, a: Vector, q: float, b: Vector) -> Vector:
     """Return the linear combination p a + q b of two vectors a and b with factors p and q."""
     return (p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2])
 
@@ -32,4 +32,4 @@ def unit(a: Vector) -> Vector:
 
 def across(axis: Vector, up: Vector) -> Vector:
     """Return the unit vector of the part of an axis that is perpendicular to up."""
-    return unit(combined(1.0, axis, -dot(axis, up), up))
+    return unit(linear_sum(1.0, axis, -dot(axis, up), up))

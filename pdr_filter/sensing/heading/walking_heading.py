@@ -32,17 +32,11 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
-from pdr_filter.sensing.heading.heading_offset import (
-    AXIS_MEASUREMENT,
-    STRIDE_MEASUREMENT,
-    UNKNOWN_STD_RAD,
-    UNKNOWN_VAR_RAD2,
-    Offset,
-)
+from pdr_filter.sensing.heading.heading_offset import AXIS_MEASUREMENT, STRIDE_MEASUREMENT, Offset
 from pdr_filter.sensing.heading.phone_placement import Placement, StrideAgreement
 from pdr_filter.sensing.heading.reported_heading import Reported, Shown
 from pdr_filter.sensing.heading.stride_harmonics import Phases, Stride, StrideSamples, carry_axis, strides_of
-from pdr_filter.sensing.heading.vectors import Vector, combined, cross, dot, unit
+from pdr_filter.sensing.heading.vectors import Vector, cross, dot, linear_sum, unit
 from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_contexts
 from pdr_filter.values import (
     CARRYING_MODES,
@@ -54,6 +48,7 @@ from pdr_filter.values import (
     replace_unchecked,
     wrap_angle,
 )
+from pdr_filter.values.angles import UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2
 
 _TEXTING = CARRYING_MODES.index("texting")
 
@@ -434,7 +429,7 @@ class WalkingHeading:
         state = replace_unchecked(state, n_samples=n_before + n_new, signals=signals)
         indices = [number - n_before for number, _ in steps]
         at_steps = ContextBlock(*(getattr(contexts, f.name)[indices] for f in fields(contexts))) if steps else contexts
-        state, result = self._annotated(state, steps, at_steps)
+        state, result = self._with_headings(state, steps, at_steps)
         return replace_unchecked(state, signals=state.signals[:, -self._n_kept :]), result
 
     def finish(
@@ -458,14 +453,14 @@ class WalkingHeading:
         steps : list of (int, Step)
             The same steps with their walking headings and heading offsets.
         """
-        return self._annotated(state, steps, unknown_contexts(len(steps)))
+        return self._with_headings(state, steps, unknown_contexts(len(steps)))
 
     @property
     def _n_kept(self) -> int:
         """Number of buffered samples: a stride and the longest delay of a step."""
         return round((_MAX_STRIDE_S + _MAX_LATENCY_S) * self.rate_hz)
 
-    def _annotated(
+    def _with_headings(
         self,
         state: WalkingHeadingState,
         steps: list[tuple[int, Step]],
@@ -524,7 +519,7 @@ class WalkingHeading:
         known_place = self._known_place_at(step.time_s)
         if known_place is not None and (change_std_rad > 0 or state.place is None):
             known_direction = cmath.rect(1.0, known_place.shown_rad)
-            offset = offset.updated(AXIS_MEASUREMENT, known_direction, known_place.var_rad2)
+            offset = offset.after_measurement(AXIS_MEASUREMENT, known_direction, known_place.var_rad2)
         may_read = place.carrying_mode == _TEXTING or (place.carrying_mode < 0 and stride.up[2] > 0.5)
         place = self.strides.learn(replace_unchecked(place, n_read=place.n_read + may_read), stride, step.duration_s)
         elapsed_s = step.duration_s if math.isnan(state.walking_s) else step.time_s - state.walking_s
@@ -546,7 +541,7 @@ class WalkingHeading:
             trust=trust,
             walking_rad=walking_rad,
             walking_s=step.time_s,
-            direction=combined(math.cos(angle_rad), stride.axis, math.sin(angle_rad), cross(stride.axis, stride.up)),
+            direction=linear_sum(math.cos(angle_rad), stride.axis, math.sin(angle_rad), cross(stride.axis, stride.up)),
             direction_up=stride.up,
             corridors=self.corridors.update(state.corridors, step.time_s, walking_rad),
         )
@@ -612,7 +607,7 @@ class WalkingHeading:
         bias, and the variance is `free_var_rad2`. The result is the mixture of both cases.
         """
         free_rad = state.bias_error_rad - state.bias_error_at_restart_rad
-        drift_rad, var_rad2 = self.corridors.mixed(state.corridors, free_rad, free_var_rad2)
+        drift_rad, var_rad2 = self.corridors.mixture_drift(state.corridors, free_rad, free_var_rad2)
         return state.error_at_restart_rad + drift_rad, var_rad2
 
     def _without_axes(self, state: WalkingHeadingState) -> WalkingHeadingState:
@@ -685,13 +680,13 @@ class WalkingHeading:
         """
         place_before, previous_places = state.place, state.previous_places
         if place_before is None:
-            offset = state.offset.moved(0.0, 0.0, self._systematic_rad2(stride))
+            offset = state.offset.after_move(0.0, 0.0, self._systematic_rad2(stride))
             return offset, previous_places, Placement(time_s, carrying_mode, -1, stride.up), 0.0
         is_moved = math.acos(min(max(dot(place_before.up, stride.up), -1.0), 1.0)) > self.max_tilt_rad
         is_old = carrying_mode == place_before.old_mode and time_s - place_before.start_s < _LABEL_LAG_S
         label = place_before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
         if not is_moved:
-            up = unit(combined(1.0 - 1.0 / _UP_STRIDES, place_before.up, 1.0 / _UP_STRIDES, stride.up))
+            up = unit(linear_sum(1.0 - 1.0 / _UP_STRIDES, place_before.up, 1.0 / _UP_STRIDES, stride.up))
             return state.offset, previous_places, replace_unchecked(place_before, up=up, carrying_mode=label), 0.0
         # The reported carrying mode comes from windows that ended before the phone was moved, so it is the old one.
         place = Placement(time_s, -1, carrying_mode, stride.up)
@@ -700,11 +695,11 @@ class WalkingHeading:
         if not math.isnan(state.walking_rad):
             turned_var = self.change_std_rad**2 + _TURN_VAR_RAD2_PER_S * (time_s - state.walking_s)
             moved_rad = state.walking_rad - stride.device_heading_rad
-        offset = offset.moved(moved_rad, turned_var, self._systematic_rad2(stride))
+        offset = offset.after_move(moved_rad, turned_var, self._systematic_rad2(stride))
         previous_rad = self._previous_direction(state.previous_places, stride, time_s)
         if previous_rad is not None:
             shown_rad = stride.axis_offset_rad + previous_rad
-            offset = offset.updated(STRIDE_MEASUREMENT, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
+            offset = offset.after_measurement(STRIDE_MEASUREMENT, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
         if place_before.n_strides >= _SETTLED_STRIDES:
             previous = PreviousPlacement(time_s, place_before.n_strides, state.direction_up, state.direction)
             previous_places = (*previous_places, previous)[-_N_PREVIOUS_PLACES:]
@@ -757,7 +752,7 @@ class WalkingHeading:
         pointing_rad = stride.axis_offset_rad + stride.pointing_rad
         if trust > _OVERRULES_AXIS and abs(wrap_angle(pointing_rad - offset.shown_rad)) > _AGAINST_AXIS_RAD:
             return offset
-        return offset.updated(AXIS_MEASUREMENT, cmath.rect(1.0, pointing_rad), self.axis_std_rad**2)
+        return offset.after_measurement(AXIS_MEASUREMENT, cmath.rect(1.0, pointing_rad), self.axis_std_rad**2)
 
     def _update_offset(
         self, place: Placement, offset: Offset, stride: Stride, elapsed_s: float
@@ -772,7 +767,7 @@ class WalkingHeading:
         """
         stay = math.exp(-elapsed_s / self.systematic_s)
         random_walk_rad2 = self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
-        offset = offset.predicted(random_walk_rad2, stay, self._systematic_rad2(stride))
+        offset = offset.after_time(random_walk_rad2, stay, self._systematic_rad2(stride))
         mix = self.strides.mix(place)
         length2, share = self.strides.agreement(place, mix)
         if length2 == 0 or self.known_places:
@@ -783,7 +778,7 @@ class WalkingHeading:
         vectors, weight = (_as_complex(place), place.weight) if uses_sum else (stride.vectors, 1.0)
         forward = (mix[0] * vectors[0] + mix[1] * vectors[1] + mix[2] * vectors[2]) / weight
         direction = forward / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
-        shown = offset.updated(STRIDE_MEASUREMENT, direction, (1.0 - share) / share / weight)
+        shown = offset.after_measurement(STRIDE_MEASUREMENT, direction, (1.0 - share) / share / weight)
         return (offset if place.n_strides < _FIRST_STRIDES else shown), shown, share
 
 

@@ -286,7 +286,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
             response = np.add(response, share * np.correlate(part, kernel[::-1]), dtype=float)
         return response
 
-    def _accepted(
+    def _state_if_step(
         self, state: AdaptiveDetectorState, peak: FloatArray, interval_s: float, new_bout: bool
     ) -> AdaptiveDetectorState | None:
         """Return the new state if a maximum passes the thresholds and the shortest interval, else None."""

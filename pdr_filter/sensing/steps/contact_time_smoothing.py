@@ -114,7 +114,7 @@ class ContactTimeSmoothing(StepStage):
         for number, step in steps:
             for part in _halves(step) if step.is_two else (step,):
                 before, state = state, _with_contact(state, part.time_s)
-                moved.append((number, _shifted(part, before, state.shift_s)))
+                moved.append((number, _with_shift(part, before, state.shift_s)))
         return state, moved
 
 
@@ -170,7 +170,7 @@ def _with_contact(state: ContactTimeSmoothingState, contact_s: float) -> Contact
     return ContactTimeSmoothingState(contacts_s, min(max(-late_s / (n + _PRIOR_STEPS), -limit_s), limit_s), n, late_s)
 
 
-def _shifted(step: Step, before: ContactTimeSmoothingState, shift_s: float) -> Step:
+def _with_shift(step: Step, before: ContactTimeSmoothingState, shift_s: float) -> Step:
     """Return a step with corrected contact times.
 
     Its start is corrected like the contact before it, if it starts at that contact.

@@ -201,7 +201,7 @@ class BaseStepDetector(ABC, Generic[S]):
         """Return the signals (R, L) assumed before the first sample: copies of it, as zeros would be an impulse."""
         return np.repeat(signals[:, :1], self._n_line, axis=1)
 
-    def _continued(self, state: S) -> FloatArray:
+    def _signals_after_end(self, state: S) -> FloatArray:
         """Return the signals (R, n) assumed after the last sample of a segment: the last value repeated."""
         return np.repeat(state.line[:, -1:], round(self.latency_s * self.rate_hz), axis=1)
 
@@ -258,7 +258,7 @@ class BaseStepDetector(ABC, Generic[S]):
         if end == 0:
             return []
         last_s = self._log.time_s(state.log, end - 1)
-        _, steps = self._advance(state, self._continued(state), end)
+        _, steps = self._advance(state, self._signals_after_end(state), end)
         return [(end - 1, replace_unchecked(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
 
     def _advance(self, state: S, signals: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
@@ -341,7 +341,7 @@ class ResponseStepDetector(BaseStepDetector[R]):
         """
 
     @abstractmethod
-    def _accepted(self, state: R, peak: FloatArray, interval_s: float, new_bout: bool) -> R | None:
+    def _state_if_step(self, state: R, peak: FloatArray, interval_s: float, new_bout: bool) -> R | None:
         """Return the new state if a maximum (K,) is a step, else None.
 
         `interval_s` is the time since the last step, and `new_bout` tells whether the step would be the first of a
@@ -382,7 +382,7 @@ class ResponseStepDetector(BaseStepDetector[R]):
         fraction = vertex(values[0])
         contact_s = self._log.time_s(state.log, contact) + fraction / self.rate_hz
         interval_s, new_bout = contact_s - state.log.last_contact_s, self._log.starts_bout(state.log, contact_s)
-        accepted = self._accepted(state, values[:, 1], interval_s, new_bout)
+        accepted = self._state_if_step(state, values[:, 1], interval_s, new_bout)
         if accepted is None:
             return state, None
         log, span = self._log.end_step(state.log, contact, known, fraction)

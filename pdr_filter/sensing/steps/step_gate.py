@@ -339,7 +339,7 @@ class StepGate(StepStage):
         for step, number, step_log_odds, intervals in zip(steps, numbers, log_odds, intervals_s, strict=True):
             log_ratio = self.evidence_weight * step_log_odds
             ratio = math.exp(min(max(log_ratio, -self.max_log_ratio), self.max_log_ratio))
-            prob = _posterior(self._prob_after(state.walking_prob, step.time_s - state.judged_s), ratio)
+            prob = _posterior_prob(self._prob_after(state.walking_prob, step.time_s - state.judged_s), ratio)
             held = (*state.held, JudgedStep(step, prob, ratio, slowness(intervals)))
             state = replace_unchecked(state, walking_prob=prob, judged_s=step.time_s, held=held)
             state, passed = self._accept(state, step.time_s) if prob > 0.5 else (self._without_expired(state), [])
@@ -409,7 +409,7 @@ class StepGate(StepStage):
             earlier, later = state.held[i], state.held[i + 1]
             interval_s = later.step.time_s - earlier.step.time_s
             ratio = self._ratio_before(ratio * later.ratio, interval_s)
-            prob = _posterior(earlier.walking_prob, ratio)
+            prob = _posterior_prob(earlier.walking_prob, ratio)
             is_before = earlier.step.time_s < state.run_s[0]
             if is_before and (interval_s > self.max_interval_s or prob <= self.min_edge_prob):
                 break
@@ -445,6 +445,6 @@ class StepGate(StepStage):
         return ((1.0 - leave) * ratio + leave) / (enter * ratio + 1.0 - enter)
 
 
-def _posterior(prob: float, ratio: float) -> float:
+def _posterior_prob(prob: float, ratio: float) -> float:
     """Return the posterior probability for a prior probability and a likelihood ratio."""
     return prob * ratio / (prob * ratio + 1.0 - prob)

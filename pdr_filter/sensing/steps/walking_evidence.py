@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, check_numbers, pickled, read_only
+from pdr_filter.values import FloatArray, check_numbers, read_only, reduction
 
 # Rate to which the specific force is averaged, Hz. It is sufficient because steps are below 5 Hz.
 EVIDENCE_HZ = 25.0
@@ -62,7 +62,7 @@ class WalkEvidence:
     weight: FloatArray
     intercept: float
 
-    __reduce__ = pickled
+    __reduce__ = reduction
 
     def __post_init__(self) -> None:
         check_numbers(self, signed=("intercept",))
@@ -119,7 +119,7 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
         for start in range(0, len(found), _MAX_GROUP):
             group = found[start : start + _MAX_GROUP]
             force = np.array([windows[i].T for i in group])
-            features[group, 0], features[group, 2], features[group, 3] = _force_features(
+            features[group, 0], features[group, 2], features[group, 3] = _evidence_of_force(
                 force, n_box, n_lags, stretch[group]
             )
     # Fewer than three intervals define no rhythm, so the irregularity is set to that of handling.
@@ -130,7 +130,7 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
     return features
 
 
-def _force_features(
+def _evidence_of_force(
     force: FloatArray, n_box: int, n_lags: int, stretch: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return features 0, 2 and 3, (B,) each, of windows of specific force (B, 3, N)."""
@@ -143,11 +143,11 @@ def _force_features(
     slow -= (np.add.reduce(slow, axis=2) / slow.shape[2])[:, :, None]
     slow_mps2 = np.sqrt(np.add.reduce(np.add.reduce(slow * slow, axis=2) / slow.shape[2], axis=1)) + 0.05
     bounce_mps2 = (np.sqrt(np.add.reduce(signals[:, 3] ** 2, axis=1) / n) + 0.02) * stretch
-    repeats = repetitions(signals, n_lags)
+    repeats = autocorrelation_peaks(signals, n_lags)
     return repeats[:, 0], np.log(slow_mps2 / bounce_mps2), repeats[:, 1]
 
 
-def repetitions(signals: FloatArray, n_lags: int) -> FloatArray:
+def autocorrelation_peaks(signals: FloatArray, n_lags: int) -> FloatArray:
     """Return the highest autocorrelations (B, 2) after they were first negative, 0 to 1; 0 if they never were.
 
     r(l) = sum x(t) . x(t + l) / sqrt(sum |x(t)|^2 sum |x(t + l)|^2) over the samples in the overlap, for lags l of 0 to

@@ -16,7 +16,7 @@ from pdr_filter.apps.maps.marks import read_marks
 from pdr_filter.data.io.files.own_format import write_recording
 from pdr_filter.data.io.fix_files import fixes_of_file
 from pdr_filter.offline.smoothing.observations import LoopClosure, waypoint_fixes
-from pdr_filter.recipes.step_length_calibration import load_calibration
+from pdr_filter.recipes.calibration import load_calibration
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Truth
 

@@ -15,7 +15,7 @@ import pytest
 from serving import EPOCH_NS, Server, sensor_logger_messages, short_walk, until
 
 import pdr_filter as pdr
-from pdr_filter.apps.live.devices import Devices
+from pdr_filter.apps.live.sessions import Sessions
 from pdr_filter.apps.live.settings import Settings
 from pdr_filter.values.recording import Recording
 
@@ -123,14 +123,14 @@ def test_a_server_and_workers_that_are_killed_go_on_with_real_times(walk: Record
 
 
 def test_a_phone_that_returns_after_an_hour_goes_on_in_its_session(walk: Recording, tmp_path: Path) -> None:
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     messages = sensor_logger_messages(walk)
     later = with_times(messages[45:], lambda t: t + 3600 * 10**9)
     for message in messages[:45]:
         devices.take(json.dumps(message).encode(), "", "", "", 0.0)
     (session,) = devices.sessions.values()
     session.seen_at -= 3600.0
-    devices.tick()
+    devices.maintain()
     assert devices.sessions == {}
     for message in later:
         devices.take(json.dumps(message).encode(), "", "", "", 0.0)

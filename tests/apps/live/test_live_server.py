@@ -120,7 +120,7 @@ def test_a_page_that_comes_late_is_told_the_contexts_until_then(
         for message in parse(body):
             session.take(message, 0.0)
             session.advance()
-    track = session.whole()[0]
+    track = session.snapshot()[0]
     times_s = [row["time_s"] for row in track["history"]]
     assert len(times_s) > 20
     assert min(np.diff(times_s)) >= 1.0

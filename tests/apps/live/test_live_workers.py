@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from pdr_filter.apps.batch.worker_process import LostError
 from pdr_filter.apps.live.messages import Message
-from pdr_filter.apps.live.parts import Answer, Request, Said, Take
+from pdr_filter.apps.live.parts import Answer, MessageBatch, Request, Response
 from pdr_filter.apps.live.workers import Workers
 
 
@@ -19,25 +19,25 @@ class Mortal:
         self.is_closed = False
         shares.append(self)
 
-    async def ask(self, requests: Sequence[Request]) -> list[Said]:
+    async def ask(self, requests: Sequence[Request]) -> list[Response]:
         await asyncio.sleep(0.001)
-        said: list[Said] = []
+        said: list[Response] = []
         for request in requests:
-            if isinstance(request, Take):
+            if isinstance(request, MessageBatch):
                 (message,) = request.messages
                 if message.source == b"deadly":
                     raise LostError("killed")
                 if message.source not in self.taken:
                     self.taken.append(message.source)
-            said.append(Said(Answer(200, {}), [f"shown by {len(self.taken)}"]))
+            said.append(Response(Answer(200, {}), [f"shown by {len(self.taken)}"]))
         return said
 
     async def close(self) -> None:
         self.is_closed = True
 
 
-def taken_of(source: bytes) -> Take:
-    return Take("phone", [Message("phone", "", source=source)], 0.0)
+def taken_of(source: bytes) -> MessageBatch:
+    return MessageBatch("phone", [Message("phone", "", source=source)], 0.0)
 
 
 def test_a_deadly_message_is_given_up_and_all_others_are_answered_in_their_order() -> None:

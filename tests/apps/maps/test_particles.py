@@ -193,11 +193,11 @@ def test_after_a_ride_in_a_lift_particles_that_were_in_a_lift_have_most_weight(t
     way = np.array([[20.0, 0, 0, 0], [20.5, 0, 0.7, 0], [21.0, 0, 1.4, 0]])
     before = replace(on_plan.init(), particles=particles, weight=np.full(4000, 1 / 4000), reckoned=way)
     by_lift = FloorPassage(5.0, 20.0, 0, 1, "lift")
-    after = on_plan.on_passage(before, by_lift, known, config.model)
+    after = on_plan.on(before, by_lift, known, config.model)
     in_lift = np.isin(after.particles[:, 0], [10, 30])
     assert after.weight[in_lift].sum() == pytest.approx(1 / (1 + math.exp(-4.6)), abs=0.005)
     for how in ("stairs", "unknown"):
-        same = on_plan.on_passage(before, replace(by_lift, how=how), known, config.model)
+        same = on_plan.on(before, replace(by_lift, how=how), known, config.model)
         assert_array_equal(same.weight, before.weight)
 
 
@@ -214,7 +214,7 @@ def test_particles_spread_over_the_angle_turned_within_a_step(tmp_path: Path) ->
         step = replace(a_step(), turn_rate_radps=turn_rate_radps)
         state, [update] = updates_of(config.tracker.on_step(config.tracker.init(), step))
         walking = replace(update, mode_prob=np.array([m.context == "walking" for m in config.model.modes], dtype=float))
-        after = on_plan.on_step(before, walking, state.pedestrian, config.model)
+        after = on_plan.on(before, walking, state.pedestrian, config.model)
         east_m, north_m = after.particles[:, :2].T
         across.append(east_m.var() / np.mean(east_m**2 + north_m**2))
     assert across[1] - across[0] == pytest.approx(0.5**2 / 12, rel=0.15)
@@ -235,7 +235,7 @@ def test_a_step_changes_the_odds_of_a_wrong_plan_by_its_bayes_factor_within_limi
         on_plan.init(), particles=np.zeros((n, 6)), weight=np.full(n, 1 / n), reckoned=way, wrong_log_odds=begun_at
     )
     state, [update] = updates_of(config.tracker.on_step(config.tracker.init(), a_step()))
-    after = on_plan.on_step(before, update, state.pedestrian, config.model)
+    after = on_plan.on(before, update, state.pedestrian, config.model)
     assert after.wrong_log_odds == pytest.approx(min(begun_at + Terrain().stay_room * in_room, 4.6), abs=1e-6)
     assert after.n_contradicted == int(in_room)
     assert replace(after, wrong_log_odds=math.log(3.0)).elsewhere == pytest.approx(0.75)
@@ -549,13 +549,13 @@ def test_the_plan_gets_each_step_with_the_state_after_it_also_at_the_end(
     plan: pdr.FloorPlan, weighting: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config, numbers = begun(plan, pdr.PositionFix(0.0, (0.0, 0.0), np.eye(2)), n_most=1000), list[int]()
-    on_step = type(config.on_plan).on_step
+    on = type(config.on_plan).on
 
-    def counting(stage: Any, state: Any, update: Any, pedestrian: Any, model: Any) -> Any:
-        numbers.append(pedestrian.steps.n_final)
-        return on_step(stage, state, update, pedestrian, model)
+    def counting(stage: Any, state: Any, event: Any, pedestrian: Any, model: Any) -> Any:
+        numbers.extend([pedestrian.steps.n_final] * isinstance(event, pdr.StepUpdate))
+        return on(stage, state, event, pedestrian, model)
 
-    monkeypatch.setattr(type(config.on_plan), "on_step", counting)
+    monkeypatch.setattr(type(config.on_plan), "on", counting)
     walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=12.0)], seed=1)
     track = pdr.track(walk, config, weighting=weighting)
     assert len(numbers) == track.n_steps > 10

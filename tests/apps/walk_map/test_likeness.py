@@ -32,8 +32,8 @@ from pdr_filter.apps.walk_map.placing import (
     joint_poses,
     log_evidence,
     partners_of,
+    rotation_matrix,
     scans_around,
-    turned,
 )
 
 
@@ -90,7 +90,7 @@ def test_the_information_is_the_expected_curvature(scans: tuple[np.ndarray, np.n
 
 
 def test_a_clockwise_quarter_turn_moves_north_to_east() -> None:
-    np.testing.assert_allclose(np.array([[0.0, 1.0]]) @ turned(np.pi / 2), [[1.0, 0.0]], atol=1e-15)
+    np.testing.assert_allclose(np.array([[0.0, 1.0]]) @ rotation_matrix(np.pi / 2), [[1.0, 0.0]], atol=1e-15)
 
 
 def test_the_slope_of_the_joint_poses_is_that_of_differences(chain: Chain) -> None:

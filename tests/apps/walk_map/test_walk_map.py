@@ -15,7 +15,8 @@ import pdr_filter as pdr
 from pdr_filter.apps.walk_map.chains import chain_of, hashed
 from pdr_filter.apps.walk_map.drawing import plan_text
 from pdr_filter.apps.walk_map.joint import _known_rows
-from pdr_filter.apps.walk_map.walk_map import MappedWalk, _known_pose
+from pdr_filter.apps.walk_map.mapped_walk import MappedWalk
+from pdr_filter.apps.walk_map.walk_map import _known_pose
 from pdr_filter.simulate import Leg
 from pdr_filter.values.recording import Recording
 

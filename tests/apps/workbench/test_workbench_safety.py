@@ -20,7 +20,7 @@ from pdr_filter.apps.workbench import server
 from pdr_filter.apps.workbench.hub import Workbench
 from pdr_filter.apps.workbench.server import WorkbenchSite, app
 from pdr_filter.apps.workbench.walks import Walks
-from pdr_filter.data.io.files import safe_files
+from pdr_filter.values import safe_files
 
 
 def everything_in(folder: Path) -> set[str]:

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.formats import read
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 T0_NS = 1_787_923_304_123_456_789  # odd in the last digit: a float would round it to a multiple of 256

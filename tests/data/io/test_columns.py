@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pdr_filter.data.io.tables.column_names import column_of, is_time, normal_unit, trial_of
+from pdr_filter.data.io.column_names import column_of, is_time, normal_unit, trial_of
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,10 @@ from test_writers import small_track
 
 from pdr_filter.apps.report.html import write_report
 from pdr_filter.data.io.files import track_writers as writers
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.files.safe_files import beside, inside, open_regular, read_small, whole_file, write_text
 from pdr_filter.sensing.device import Device
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
+from pdr_filter.values.safe_files import beside, inside, open_regular, read_small, whole_file, write_text
 
 WALK = a_walk()
 WRITERS: dict[str, Callable[[Path], object]] = {

@@ -13,9 +13,9 @@ from app_files import a_walk, assert_same_track, on_one_clock, with_level_attitu
 from mutations import FORMS, SOURCES, file_of
 
 from pdr_filter.data.io.describe import reading_report
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.formats import FORMATS, read
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 ROOT = Path(__file__).parents[3]

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, table_text, write_text
 
+from pdr_filter.data.io.column_names import column_of, quantity_of_file
 from pdr_filter.data.io.formats import read
 from pdr_filter.data.io.tables.any_table import read_table
-from pdr_filter.data.io.tables.column_names import column_of, quantity_of_file
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 HORIZONTAL = """

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file
 
 from pdr_filter.data.io.detection import detect
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.formats import FORMATS, read
+from pdr_filter.values.errors import RecordingError
 
 AS_TABLES = ("phyphox", "core_motion")  # formats that are read like the tables of any app
 TEXTS = ("sensor_logger:json", "get_sensor_data", "indoor_location", "core_motion", "phyphox:csv")

@@ -20,11 +20,11 @@ from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, 
 
 from pdr_filter import batch
 from pdr_filter.data.io.detection import detect
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.fix_files import fixes_of_file
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
 from pdr_filter.values import Samples, limits
+from pdr_filter.values.errors import RecordingError
 
 ROWS = "time_s,x,y,z\n" + "".join(f"{i / 100},0.1,0.2,9.8\n" for i in range(50))
 SOON_S = 3.0  # of processor time, on a machine that may be busy; each takes some 0.1 s

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, table_text, write_folder, write_text
 
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.formats import read
 from pdr_filter.data.io.tables.any_table import read_guessed, read_mapped
 from pdr_filter.data.io.tables.column_mapping import read_mapping
 from pdr_filter.data.io.tables.text_sheets import unlike
+from pdr_filter.values.errors import RecordingError
 
 WALK = on_one_clock(a_walk(50.0))
 TIME_S, FORCE = WALK.accelerometer.time_s, WALK.accelerometer.values

@@ -14,10 +14,10 @@ from app_files import refusal, write_zip
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.files.own_format import write_recording
 from pdr_filter.data.io.formats import read
 from pdr_filter.values import Samples, limits, table
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording, Truth
 
 META = json.dumps({"name": "test_s1_walk", "subject": {"id": "s1", "height_m": 1.8}})

@@ -26,10 +26,10 @@ from app_files import (
 )
 
 from pdr_filter.data.io.describe import describe, reading_report
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples, limits
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 WALK = with_level_attitude(a_walk())

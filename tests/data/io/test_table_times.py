@@ -6,23 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import (
-    axes,
-    physics_toolbox_text,
-    refusal,
-    table_text,
-    wall_clock,
-)
-from table_cases import (
-    FORCE,
-    FORCE_G,
-    RATE,
-    TIME_S,
-    WALK,
-)
+from app_files import axes, physics_toolbox_text, refusal, table_text, wall_clock
+from table_cases import FORCE, FORCE_G, RATE, TIME_S, WALK
 
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.formats import read
+from pdr_filter.values.errors import RecordingError
 
 
 def test_a_digit_that_is_no_number_is_no_time(tmp_path: Path) -> None:

@@ -37,13 +37,13 @@ from table_cases import (
     sensorlog,
 )
 
+from pdr_filter.data.io import text_table as tables
 from pdr_filter.data.io.describe import reading_report
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
-from pdr_filter.data.io.tables import text_table as tables
 from pdr_filter.data.io.tables.any_table import read_guessed, read_mapped
 from pdr_filter.data.io.tables.column_mapping import read_mapping
+from pdr_filter.values.errors import RecordingError
 
 
 @pytest.mark.parametrize("case", CASES)

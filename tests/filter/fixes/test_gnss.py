@@ -395,7 +395,27 @@ def test_one_or_two_locations_place_any_track_and_leave_north_unknown(
     error = in_frame_of_here(track) - truth_m(bare, track.time_s)
     nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
     assert nees.max() < chi2.isf(1e-3, 2)
-    assert any("do not determine the rotation of the track" in note for note in track.notes)
+    assert any("do not determine the rotation of the track (±" in note for note in track.notes)
+
+
+def test_a_position_without_another_one_does_not_give_north() -> None:
+    bare = replace(simulate([Leg("walking", distance_m=12.0)], seed=3), magnetometer=None)
+    place = PositionFix(6.0, np.zeros(2), 36.0 * np.eye(2))
+    located = replace(bare, location=rows(np.array([6.0]), np.zeros((1, 2))))
+    world, placed = pdr.recipes.default().in_world_frame(), {"fixes": [place], "origin": HERE}
+    tracks = pdr.track(located), pdr.smooth(located).track, pdr.track(bare, world, **placed)
+    for track in (*tracks, pdr.smooth(bare, **placed).track):
+        assert (track.frame, track.knows_north) == ("fixes", False)
+        assert not track.placed((0.0, 0.0)).knows_north
+        assert "the direction of the walk is unknown, ± " in track.about_frame
+
+
+def test_locations_that_determine_the_rotation_give_north_without_a_note(bare: Recording) -> None:
+    time_s = np.array([1.0, 31.0, 45.0])
+    track = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s), 9.0)))
+    assert track.knows_north
+    assert track.origin.turn_std_rad < 0.26
+    assert not any("rotation of the track" in note for note in track.notes)
 
 
 def test_unusable_locations_do_not_align_a_track(walk: Recording, alone: pdr.Track) -> None:
@@ -462,7 +482,7 @@ def test_map_files_of_a_located_track_need_no_origin_and_others_state_what_is_mi
     np.testing.assert_allclose(latitude_deg, track.latitude_deg, atol=1e-8)
     np.testing.assert_allclose(longitude_deg, track.longitude_deg, atol=1e-8)
     assert feature["properties"]["frame"] == "fixes"
-    assert "first location" in feature["properties"]["about"]
+    assert "in the frame of the fixes, whose origin is at" in feature["properties"]["about"]
     assert f'lat="{track.latitude_deg[-1]:.9f}"' in track.to_gpx(tmp_path / "a.gpx").read_text()
     assert track.summary()["end_latitude_deg"] == pytest.approx(track.latitude_deg[-1], abs=1e-7)
     for write in (alone.to_geojson, alone.to_gpx, alone.to_kml):

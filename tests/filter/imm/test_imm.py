@@ -9,14 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from pdr_filter.filter.imm.imm import (
-    check_transition_prob,
-    mix,
-    mixed_values,
-    predict,
-    smoothed_mode_prob,
-    update,
-)
+from pdr_filter.filter.imm.imm import check_transition_prob, mix, mixed_values, predict, smoothed_mode_prob, update
 from pdr_filter.values.mixtures import combine, posterior_prob
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -20,7 +20,7 @@ from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.pedestrian.pedestrian_state import initial_state
 from pdr_filter.filter.pedestrian.person import LengthFixes, Session, session_of, session_of_scale
 from pdr_filter.filter.step_length.models import RECORDING_STD, TYPICAL_STEP, length_and_jacobian, scale_std
-from pdr_filter.recipes.step_length_calibration import Calibration
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Recording, Subject
 

@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthModel, length_and_jacobian
+from pdr_filter.filter.step_length.models import (
+    TYPICAL_STEP,
+    FrequencyVarianceStepLength,
+    StepLengthModel,
+    length_and_jacobian,
+)
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums
-from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
 from pdr_filter.values import CONTEXTS, Step
 
 INF = np.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,16 +10,17 @@ import pytest
 from own_parts import HeadingRule
 
 import pdr_filter as pdr
+from pdr_filter.filter.step_length.calibration_result import slices_of
 from pdr_filter.offline.calibration.joint_smoothing import displacement_by_theta, mode_names, with_parameters
 from pdr_filter.offline.calibration.model_forms import forms_of
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.offline.smoothing.preintegration import increments
-from pdr_filter.recipes.step_length_calibration import slices_of
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording, Truth
 
 TWO_FIXES = [pdr.PositionFix(t, np.array([0.0, t]), np.eye(2)) for t in (15.0, 25.0)]
+AT_ONCE = [TWO_FIXES[0], pdr.PositionFix(15.01, np.array([5.0, 15.0]), np.eye(2))]
 CONTRADICTED = [pdr.PositionFix(t, np.array([90.0 * t % 400.0, 70.0 * t % 300.0]), np.eye(2)) for t in range(10, 34, 3)]
 STAND = pdr.simulate.Leg("stationary", duration_s=2.0)
 
@@ -106,6 +108,39 @@ def test_the_notes_of_a_calibration_name_rejected_fixes_and_ranges_to_one_anchor
     assert any("ranges to one anchor fit the walk in any direction" in note for note in notes)
 
 
+def straight_and_turn() -> tuple[Recording, Callable[..., pdr.PositionFix]]:
+    """A walk of 22 m without truth, and a function that returns a fix at a time, with the true place times a factor."""
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=d, turn_rad=1.6) for d in (12.0, 10.0)])
+    true = walk.truth.position
+
+    def fix(t: float, factor: float = 1.0, var_m2: float = 0.1) -> pdr.PositionFix:
+        place = [float(np.interp(t, true.time_s, true[axis])) for axis in ("east_m", "north_m")]
+        return pdr.PositionFix(t, factor * np.array(place), var_m2 * np.eye(2))
+
+    return replace(walk, truth=Truth()), fix
+
+
+def test_fixes_of_a_wrong_scale_are_named_and_impossible_steps_do_not_change_the_parameters() -> None:
+    blind, fix = straight_and_turn()
+    half, three = ([fix(t, factor) for t in np.arange(1.0, 16.0, 2.0)] for factor in (0.5, 3.0))
+    found = pdr.calibrate([blind, blind], smooth=True, fixes=[half, three])
+    unusual, impossible = (note for note in found.notes if note.startswith("WARNING: "))
+    assert "shorter than usual" in unusual
+    assert "not used: simulated_walk: its steps would be" in impossible
+    assert [t.distance_m for t in found.tracks] == pytest.approx([11.0, 15.0], rel=0.3)  # 66 m by the fixes
+
+
+def test_a_fix_that_fits_its_own_walk_is_tested_with_the_step_lengths_of_all_walks() -> None:
+    blind, fix = straight_and_turn()
+    right = [fix(t, var_m2=0.01) for t in (1.0, 5.0, 9.0, 13.0)]
+    too_far = [fix(0.5, var_m2=0.01), fix(4.0, var_m2=0.01), fix(8.5, 1.18, 0.01)]
+    (alone,) = pdr.calibrate(blind, smooth=True, fixes=[too_far]).tracks
+    assert all(result.accepted for result in alone.fixes)
+    found = pdr.calibrate([blind] * 3, smooth=True, fixes=[right, right, too_far])
+    assert [result.outcome for result in found.tracks[2].fixes] == ["used", "used", "rejected"]
+    assert found.tracks[2].distance_m == pytest.approx(22.0, rel=0.04)
+
+
 def test_recordings_of_one_name_are_different_people_and_the_progress_reaches_the_estimate() -> None:
     walk, shares = replace(rectangle(), truth=Truth(), meta={}), list[float]()
     found = pdr.calibrate([walk, walk], smooth=True, fixes=[TWO_FIXES] * 2, each_a_person=True, progress=shares.append)
@@ -132,6 +167,7 @@ def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
         ({"smooth": True, "fixes": [pdr.Standstill(1.0, 2.0)]}, "fixes must have one list for each recording"),
         ({"smooth": True}, "nothing to calibrate with"),
         ({"smooth": True, "fixes": [TWO_FIXES[:1]]}, "nothing to calibrate with"),
+        ({"smooth": True, "fixes": [AT_ONCE]}, "no two positions .* that are 4 m apart with steps between"),
         ({"smooth": True, "loop_closures": [[LoopClosure(1.0, 37.0)]]}, "loop closures alone have no scale"),
         ({"smooth": True, "fixes": [CONTRADICTED]}, "contradicts 7 of its 8 observations: their clock, units or axes"),
         ({"smooth": True, "loss": "l1"}, "loss must be one of"),

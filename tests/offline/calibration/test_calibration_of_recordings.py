@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
+from pdr_filter.filter.step_length.calibration_result import typical_step_m
 from pdr_filter.filter.step_length.models import BounceStepLength
 from pdr_filter.offline.calibration.fit import calibrate
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
 from pdr_filter.offline.calibration.segments import integrate, segments_of
-from pdr_filter.recipes.step_length_calibration import Calibration, load_calibration, typical_step_m
+from pdr_filter.recipes.calibration import Calibration, load_calibration
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import Samples, table
@@ -386,7 +387,7 @@ def test_the_report_has_people_errors_and_outliers_and_the_figure_is_drawn(
 def test_loading_a_calibration_and_filtering_with_it_needs_no_gtsam(calibration: Calibration, tmp_path: Path) -> None:
     path = calibration.save(tmp_path / "me")
     code = (
-        "import sys, pdr_filter as pdr; from pdr_filter.recipes.step_length_calibration import load_calibration\n"
+        "import sys, pdr_filter as pdr; from pdr_filter.recipes.calibration import load_calibration\n"
         f"c = load_calibration({str(path)!r}); c.config(pdr.recipes.default()); print(c.report())\n"
         "assert not {'gtsam', 'matplotlib', 'pdr_filter.offline'} & set(sys.modules), 'loaded'"
     )

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pdr_filter.filter.step_length.models import BounceStepLength
+from pdr_filter.filter.step_length.models import TYPICAL_STEP, BounceStepLength
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.fit import bias_warnings, calibrate_segments
 from pdr_filter.offline.calibration.priors import (
@@ -18,7 +18,7 @@ from pdr_filter.offline.calibration.priors import (
     with_relative_std,
 )
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums
-from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP, Calibration
+from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.values import CONTEXTS, table
 
 WALKING = CONTEXTS.index("walking")

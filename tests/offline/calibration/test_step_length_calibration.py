@@ -11,6 +11,7 @@ import pytest
 from made_up_segments import INF, WALKING, design, flat, segment, step
 
 from pdr_filter.filter.step_length.models import (
+    TYPICAL_STEP,
     BounceStepLength,
     ChenStepLength,
     FrequencyVarianceStepLength,
@@ -31,7 +32,6 @@ from pdr_filter.offline.calibration.priors import (
     weak_prior,
 )
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate
-from pdr_filter.recipes.step_length_calibration import TYPICAL_STEP
 from pdr_filter.values import CONTEXTS
 
 EQ16 = Hierarchy(
@@ -335,6 +335,20 @@ def test_a_calibration_whose_segments_all_contradict_the_steps_says_that_nothing
     assert found.distrusted.size == 1
     assert "the step lengths are those of the prior" in found.notes[0]
     assert not any("those of the prior" in note for note in calibrate_segments([good]).notes)
+
+
+def test_known_lengths_of_a_wrong_scale_are_named_and_impossible_steps_are_not_used() -> None:
+    rng, model = np.random.default_rng(15), BounceStepLength()
+    many = [segment(rng, model, np.array([0.33]), recording=f"r{i}") for i in range(12)]
+    half, three = ([replace(s, distance_m=factor * s.distance_m) for s in many] for factor in (0.5, 3.0))
+    (note,) = (note for note in calibrate_segments(half).notes if "than usual" in note)
+    assert "(and 11 more) are 0.3" in note
+    assert "shorter" in note
+    mixed = calibrate_segments([*many, *(replace(s, subject="ben", recording=f"b{i}") for i, s in enumerate(three))])
+    assert mixed.subject_ids == ("anna",)
+    assert sum("nobody walks" in note for note in mixed.notes) == 12
+    with pytest.raises(ValueError, match="nothing to calibrate with: r0: its steps would be"):
+        calibrate_segments(three)
 
 
 def test_segments_of_one_recording_count_less_than_independent_segments() -> None:

@@ -123,12 +123,12 @@ def test_only_recordings_with_gyroscope_whose_context_changes_are_used(walks: li
     no_labels = replace(walk, name="none", truth=replace(walk.truth, labels=None))
     no_gyroscope = replace(walk, name="half", gyroscope=None)
     paths = written([walk, one_context, no_labels, no_gyroscope], tmp_path)
-    assert changing_recordings([*paths, paths[0]]) == {paths[0].resolve(): "mine/anna"}
+    assert changing_recordings([*paths, paths[0]], pdr.read) == {paths[0].resolve(): "mine/anna"}
 
 
 def test_steps_are_counted_as_the_default_recipe_detects_them(mine: Path) -> None:
-    changing = changing_recordings(sorted(mine.glob("*.zip")))
-    sequences = labelled_sequences(changing, shipped_model_without)
+    changing = changing_recordings(sorted(mine.glob("*.zip")), pdr.read)
+    sequences = labelled_sequences(changing, pdr.read, shipped_model_without)
     assert sequences is not None and sequences.n_recordings == 4
     expected = np.zeros((len(CONTEXTS), len(CONTEXTS)))
     for path in changing:
@@ -143,7 +143,7 @@ def test_steps_are_counted_as_the_default_recipe_detects_them(mine: Path) -> Non
 
 def test_windows_are_those_of_the_filter_with_the_context_at_their_middle(mine: Path) -> None:
     path = sorted(mine.glob("*.zip"))[0]
-    sequences = labelled_sequences({path: "mine/p0"}, shipped_model_without)
+    sequences = labelled_sequences({path: "mine/p0"}, pdr.read, shipped_model_without)
     walk = pdr.read(path)
     seen = pdr.classify(walk)
     assert sequences is not None
@@ -164,7 +164,7 @@ def test_no_transition_is_counted_across_a_gap(walks: list[Recording], tmp_path:
     assert walk.gyroscope is not None
     with_gap = replace(walk, accelerometer=cut(walk.accelerometer), gyroscope=cut(walk.gyroscope), magnetometer=None)
     path = written([with_gap], tmp_path)[0]
-    sequences = labelled_sequences({path: "mine/p0"}, shipped_model_without)
+    sequences = labelled_sequences({path: "mine/p0"}, pdr.read, shipped_model_without)
     assert sequences is not None
     assert len(np.unique(sequences.step_sequence)) == len(np.unique(sequences.windows.sequence)) == 2
     joined = count_transitions(sequences.step_label, np.full(len(sequences.step_label), "a"), len(CONTEXTS))
@@ -209,8 +209,8 @@ def test_every_persons_windows_come_from_a_model_without_them(mine: Path) -> Non
         asked.append(list(people))
         return load_model("context")
 
-    changing = changing_recordings(sorted(mine.glob("*.zip")))
-    labelled_sequences(changing, recorded)
+    changing = changing_recordings(sorted(mine.glob("*.zip")), pdr.read)
+    labelled_sequences(changing, pdr.read, recorded)
     assert sorted(person for fold in asked for person in fold) == sorted(changing.values()) and len(asked) == 3
 
 
@@ -287,7 +287,7 @@ def is_default(found: Transitions, what: str = "both") -> bool:
 
 
 def test_without_sequences_the_default_is_kept_and_the_file_states_the_reason(tmp_path: Path) -> None:
-    card = train_evidence({}, tmp_path, shipped_model_without)
+    card = train_evidence({}, pdr.read, tmp_path, shipped_model_without)
     found = load_transitions(tmp_path / "transitions.json")
     assert is_default(found) and found.card == card
     assert card["transition_prob"].startswith("default: 0 changes") and str(MIN_CHANGES) in card["transition_prob"]
@@ -454,7 +454,7 @@ def test_modes_that_do_not_match_the_contexts_one_to_one_are_refused() -> None:
 def test_default_transitions_keep_the_track_and_others_change_its_contexts(
     walks: list[Recording], tmp_path: Path
 ) -> None:
-    train_evidence({}, tmp_path, shipped_model_without)
+    train_evidence({}, pdr.read, tmp_path, shipped_model_without)
     walk, config = walks[0], default(walks[0].subject)
     plain = pdr.track(walk, config)
     same = pdr.track(walk, with_transitions(config, tmp_path / "transitions.json"))
@@ -556,12 +556,12 @@ def test_no_public_data_set_has_a_labelled_change_of_context_so_the_default_is_k
     data_dir: Path, tmp_path: Path
 ) -> None:
     paths = [p for d in PLANS[0].datasets for p in sorted((data_dir / d).glob("*.zip"))[::8]]
-    changing = changing_recordings(paths)
+    changing = changing_recordings(paths, pdr.read)
     # several activities in one recording, but the times between their labels are unlabelled
     assert len(paths) > 20 and {person.split("/")[0] for person in changing.values()} == {"difronzo"}
-    sequences = labelled_sequences(changing, lambda people: load_model("context"))
+    sequences = labelled_sequences(changing, pdr.read, lambda people: load_model("context"))
     assert sequences is not None
     counts = sequences.counts()
     assert counts.sum() > 100 and counts.sum() == np.trace(counts)
-    train_evidence({}, tmp_path, shipped_model_without)
+    train_evidence({}, pdr.read, tmp_path, shipped_model_without)
     assert is_default(load_transitions(tmp_path / "transitions.json"))

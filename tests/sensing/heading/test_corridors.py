@@ -125,11 +125,11 @@ def test_the_drift_from_axes_is_weighted_with_the_probability_of_axes() -> None:
     free_var = np.radians(20.0) ** 2
     state = next(s for s in states if 0.6 < AXES.probability(s) < 0.9)
     shown_rad, shown_var = AXES.drift(state)
-    mean_rad, variance = AXES.mixed(state, 0.0, free_var)
+    mean_rad, variance = AXES.mixture_drift(state, 0.0, free_var)
     assert_allclose(mean_rad, AXES.probability(state) * shown_rad)
     assert shown_var < variance < free_var
     # improbable axes far from the other estimate add no information: the variance grows
-    _, doubtful = AXES.mixed(states[20], AXES.drift(states[20])[0] + 1.0, free_var)
+    _, doubtful = AXES.mixture_drift(states[20], AXES.drift(states[20])[0] + 1.0, free_var)
     assert doubtful > free_var
 
 

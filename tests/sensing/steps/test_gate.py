@@ -19,7 +19,13 @@ from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
 from pdr_filter.sensing.steps.step_detector import unknown_contexts
 from pdr_filter.sensing.steps.step_gate import StepGate, StepGateState
-from pdr_filter.sensing.steps.walking_evidence import EVIDENCE, WalkEvidence, evidence_features, repetitions, slowness
+from pdr_filter.sensing.steps.walking_evidence import (
+    EVIDENCE,
+    WalkEvidence,
+    autocorrelation_peaks,
+    evidence_features,
+    slowness,
+)
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step
 from pdr_filter.values import serialisation as serialise
@@ -103,7 +109,7 @@ def of_one(force: FloatArray, intervals_s: Sequence[float]) -> FloatArray:
 def repetition(signals: FloatArray, n_lags: int = 57) -> FloatArray:
     """Repetition (B,) of vectors (B, N, 3); the repetition of their first axis alone differs."""
     of_all = np.concatenate([signals, signals[:, :, :1]], axis=2).swapaxes(1, 2)
-    return repetitions(of_all - of_all.mean(axis=2, keepdims=True), n_lags)[:, 0]
+    return autocorrelation_peaks(of_all - of_all.mean(axis=2, keepdims=True), n_lags)[:, 0]
 
 
 def test_an_exact_repetition_has_correlation_one_and_noise_a_small_one() -> None:
@@ -124,7 +130,7 @@ def test_a_turn_of_the_phone_does_not_repeat() -> None:
 def test_repetition_is_the_autocorrelation_of_the_vectors_written_as_a_sum(seed: int, n_lags: int) -> None:
     x = np.random.default_rng(seed).normal(size=(60, 3)).cumsum(axis=0)
     d = x - x.mean(axis=0)
-    of_one_axis = repetitions(np.concatenate([d, d[:, 1:2]], axis=1).T[None], n_lags)[0, 1]
+    of_one_axis = autocorrelation_peaks(np.concatenate([d, d[:, 1:2]], axis=1).T[None], n_lags)[0, 1]
     for found, v in ((repetition(x[None], n_lags)[0], d), (of_one_axis, d[:, 1:2])):
         r = [1.0]
         for lag in range(1, n_lags):

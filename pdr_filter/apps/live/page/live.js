@@ -140,7 +140,7 @@ function draw() {
   number("n_steps", () => String(now.n_steps));
   number("distance", () => `${now.distance_m.toFixed(1)} m`);
   text("speed", isLive ? `${(steadySpeeds(known.history).at(-1) ?? now.walking_speed_mps).toFixed(2)} m/s` : "–");
-  number("heading", () => headingWords(known, now.walking_heading_rad));
+  number("heading", () => now.walking_heading_std_rad > Math.PI / 4 ? "unknown" : headingWords(known, now.walking_heading_rad));
   byId("heading_name").title = hasNorth(known) ? "Clockwise from north" : "Relative to the first heading, because north is unknown";
   number("std", () => now.position_std_m === null ? "–" : `${now.position_std_m.toFixed(1)} m`);
   number("floor", () => now.floor_prob < 0.5 ? "unknown" : String(now.floor));

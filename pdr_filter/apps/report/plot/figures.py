@@ -13,7 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
 
 from pdr_filter.apps.report.palette import GRID
-from pdr_filter.data.io.files.safe_files import whole_file
+from pdr_filter.values.safe_files import whole_file
 
 # Embed TrueType fonts, because journals reject the Type 3 fonts that matplotlib writes by default.
 _TRUETYPE = 42

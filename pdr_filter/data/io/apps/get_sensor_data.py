@@ -22,12 +22,12 @@ from pdr_filter.data.io.apps.tagged_lines import TaggedLog, rotation_vector_quat
 from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.describe import median_norm
 from pdr_filter.data.io.files.archive import open_members, read_toml
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.files.safe_files import beside
-from pdr_filter.data.io.tables.text_table import Layout, NumberTable
+from pdr_filter.data.io.text_table import Layout, NumberTable
 from pdr_filter.data.io.wifi_rows import heard_s, lines_of_log
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, limits
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.safe_files import beside
 
 # First the time of the app and of the sensor, then the values.
 LAYOUTS = {

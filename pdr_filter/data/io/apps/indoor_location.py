@@ -17,9 +17,9 @@ import numpy as np
 from pdr_filter.data.io.apps.tagged_lines import TaggedLog, rotation_vector_quaternion
 from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.files.archive import open_members
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.tables.text_table import Layout
+from pdr_filter.data.io.text_table import Layout
 from pdr_filter.data.io.wifi_rows import heard_s, lines_of_log
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 STREAM = {

@@ -21,11 +21,11 @@ import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.files.archive import json_object
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.files.safe_files import beside, inside, open_regular, read_small
-from pdr_filter.data.io.tables.text_table import finite
+from pdr_filter.data.io.text_table import finite
 from pdr_filter.values import FloatArray, limits
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.safe_files import beside, inside, open_regular, read_small
 
 RATE_HZ = 200.0
 SIGNATURE = b"\x89HDF\r\n\x1a\n"

@@ -18,10 +18,10 @@ import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.files.archive import Members, open_members
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.files.sqlite_file import SQLITE, open_database
-from pdr_filter.data.io.tables.text_table import finite
+from pdr_filter.data.io.text_table import finite
 from pdr_filter.values import FloatArray, IntArray, limits
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 MCAP = b"\x89MCAP0\r\n"

@@ -23,11 +23,10 @@ from pdr_filter.data.io.apps.sensor_logger_other import database_tables, is_push
 from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.checks import up_cosine
 from pdr_filter.data.io.files.archive import Members, open_members
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.files.sqlite_file import SQLITE
 from pdr_filter.data.io.tables.app_dialects import said_platform
 from pdr_filter.data.io.tables.json_tables import ROWS_AT_ONCE, Row, objects_in, table_of_rows
-from pdr_filter.data.io.tables.text_table import (
+from pdr_filter.data.io.text_table import (
     NumberTable,
     TextTable,
     concatenated,
@@ -37,6 +36,7 @@ from pdr_filter.data.io.tables.text_table import (
     whole_number,
 )
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Samples, interpolated_near, limits
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 COLUMNS: dict[str, tuple[str, ...]] = {

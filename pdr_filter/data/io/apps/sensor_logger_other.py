@@ -13,11 +13,11 @@ from typing import Any, cast
 import numpy as np
 
 from pdr_filter.data.io.files.archive import Members
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.files.sqlite_file import open_database
 from pdr_filter.data.io.tables.json_tables import objects_in, table_of_rows
-from pdr_filter.data.io.tables.text_table import NumberTable
+from pdr_filter.data.io.text_table import NumberTable
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
 
 Columns = Mapping[str, tuple[str, ...]]  # columns of each sensor, named as in the CSV files
 Message = dict[str, Any]

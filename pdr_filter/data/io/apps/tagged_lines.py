@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.data.io.files.archive import Members
-from pdr_filter.data.io.tables.text_table import Layout, NumberTable, concatenated, parse_blocks
+from pdr_filter.data.io.text_table import Layout, NumberTable, concatenated, parse_blocks
 from pdr_filter.values import FloatArray, limits
 
 

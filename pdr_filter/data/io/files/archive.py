@@ -16,10 +16,10 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, cast
 
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.files.safe_files import inside, open_regular, read_small
-from pdr_filter.data.io.tables.column_names import ACCELERATION, LINEAR, quantity_of_file, trial_of
+from pdr_filter.data.io.column_names import ACCELERATION, LINEAR, quantity_of_file, trial_of
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
+from pdr_filter.values.safe_files import inside, open_regular, read_small
 
 # zipfile bounds what it unpacks at once for these two only; a few kilobytes of bzip2 or lzma can become gigabytes.
 SUPPORTED_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)

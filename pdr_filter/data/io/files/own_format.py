@@ -11,7 +11,6 @@ import numpy as np
 
 from pdr_filter.data.io.checks import checked_streams, with_time
 from pdr_filter.data.io.files.archive import IN_PLACE, Members, json_object, open_members
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.files.own_format_writer import (
     RESTORED_GRAVITY_KEY,
     STREAM_COLUMNS,
@@ -21,9 +20,10 @@ from pdr_filter.data.io.files.own_format_writer import (
     WIFI_COLUMNS,
 )
 from pdr_filter.data.io.row_times import in_order
-from pdr_filter.data.io.tables.text_table import TextTable
+from pdr_filter.data.io.text_table import TextTable
 from pdr_filter.data.io.wifi_rows import wifi_of, with_whole_addresses
 from pdr_filter.values import CONTEXTS, FloatArray, Table, Wifi, check_walked, limits, table
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording, Truth
 
 REQUIRED = "accelerometer.csv"

@@ -13,8 +13,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.data.io.files.safe_files import whole_file, write_files
 from pdr_filter.values import FloatArray, Samples, Table, Wifi, address_text
+from pdr_filter.values.safe_files import whole_file, write_files
 
 STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("accelerometer", "gyroscope", "magnetometer"), ("x", "y", "z")),

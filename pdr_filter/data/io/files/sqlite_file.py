@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from pdr_filter.data.io.files.archive import Members
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
 
 SQLITE = b"SQLite format 3\x00"
 # Steps of its machine: reading a row takes some tens; a query without an end is broken off.

@@ -13,8 +13,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from pdr_filter.data.io.files.safe_files import whole_file, write_text
 from pdr_filter.values import FloatArray, Origin, TrackRows, limits, yaw_from_heading
+from pdr_filter.values.safe_files import whole_file, write_text
 from pdr_filter.values.windows import pandas_module
 from pdr_filter.version import __version__
 

@@ -7,15 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
-from pdr_filter.data.io.apps.phyphox import read_experiment
 from pdr_filter.data.io.assemble import Parsed
-from pdr_filter.data.io.files.archive import Members, open_members
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
-from pdr_filter.data.io.tables.column_groups import groups_of
-from pdr_filter.data.io.tables.column_guess import Guess, columns_by_content, guess
-from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
-from pdr_filter.data.io.tables.column_names import (
+from pdr_filter.data.io.column_names import (
     ACCELERATION,
     LINEAR,
     SENSOR_CODES,
@@ -24,14 +17,21 @@ from pdr_filter.data.io.tables.column_names import (
     quantity_of_file,
     words_of,
 )
+from pdr_filter.data.io.files.archive import Members, open_members
+from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
+from pdr_filter.data.io.tables.column_groups import groups_of
+from pdr_filter.data.io.tables.column_guess import Guess, columns_by_content, guess
+from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
 from pdr_filter.data.io.tables.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
 from pdr_filter.data.io.tables.matlab import is_matlab, matlab_sheets
+from pdr_filter.data.io.tables.phyphox_experiment import read_experiment
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.spreadsheet import is_spreadsheet, spreadsheet_sheets
-from pdr_filter.data.io.tables.table_streams import fill
+from pdr_filter.data.io.tables.table_streams import fill_streams
 from pdr_filter.data.io.tables.text_sheets import TextRows, by_text, text_sheet, text_sheets
-from pdr_filter.data.io.tables.text_table import UNKNOWN
+from pdr_filter.data.io.text_table import UNKNOWN
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
@@ -82,7 +82,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
             platform = platform or said or None
         found = guess(sheets, groups, dialect, platform, where)
         parsed.instead = parsed.instead if dialect is None else dialect.instead
-        fill(parsed, found.mapping, sheets)
+        fill_streams(parsed, found.mapping, sheets)
         parsed.source = found.source
         read_experiment(members, parsed)
     parsed.found += found.evidence
@@ -125,7 +125,9 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
             sheets = [replace(s, parse=texts.get(s, s.parse)) for s in sheets]
         names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
         used = [{i for i, name in enumerate(sheet.fields) if name in names} for sheet in sheets]
-        fill(parsed, mapping, [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)])
+        fill_streams(
+            parsed, mapping, [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
+        )
     for stream in mapping.streams:
         columns = ", ".join(stream.columns)
         unit = stream.unit or "unit as it is"

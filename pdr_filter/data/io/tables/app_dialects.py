@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
+from pdr_filter.data.io.column_names import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE
 from pdr_filter.data.io.files.archive import Members
-from pdr_filter.data.io.files.safe_files import beside, read_small
-from pdr_filter.data.io.tables.column_names import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE
-from pdr_filter.data.io.tables.text_table import text_rows
+from pdr_filter.data.io.text_table import text_rows
 from pdr_filter.values import limits
+from pdr_filter.values.safe_files import beside, read_small
 
 _SI: Mapping[str, str] = {ACCELERATION: "m/s2", LINEAR: "m/s2", GRAVITY: "m/s2", RATE: "rad/s", FIELD: "ut"}
 _METADATA = re.compile(r"(?i)(meta|device)[\w ]*\.(csv|json|txt)")

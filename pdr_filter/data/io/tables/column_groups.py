@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.tables.column_names import (
+from pdr_filter.data.io.column_names import (
     ACCELERATION,
     ANGLES,
     LINEAR,
@@ -19,14 +18,15 @@ from pdr_filter.data.io.tables.column_names import (
     VECTORS,
     Column,
     column_of,
+    column_of_nanoseconds,
     has_time_unit,
     is_time,
     letters,
-    nanoseconds_of,
     quantity_of_file,
     time_unit_of,
 )
 from pdr_filter.data.io.tables.sheet import Sheet
+from pdr_filter.values.errors import RecordingError
 
 _AXES = ("x", "y", "z")
 _ANGLES = ("roll", "pitch", "yaw")
@@ -110,7 +110,7 @@ def _times(sheet: Sheet, is_named: bool) -> list[int]:
     the first column with a unit of time in brackets is the only one.
     """
     times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
-    nanoseconds = {nanoseconds_of(sheet.fields, i) for i in times}
+    nanoseconds = {column_of_nanoseconds(sheet.fields, i) for i in times}
     times = [i for i in times if i not in nanoseconds]
     return times or [i for i, name in enumerate(sheet.fields) if has_time_unit(name)][:1]
 

@@ -12,12 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pdr_filter.data.io.describe import median_norm
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.tables.app_dialects import Dialect
-from pdr_filter.data.io.tables.column_groups import Group
-from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
-from pdr_filter.data.io.tables.column_names import (
+from pdr_filter.data.io.column_names import (
     ACCELERATION,
     ANGLES,
     FIELD,
@@ -30,10 +25,15 @@ from pdr_filter.data.io.tables.column_names import (
     UNITS,
     column_of,
 )
+from pdr_filter.data.io.describe import median_norm
+from pdr_filter.data.io.tables.app_dialects import Dialect
+from pdr_filter.data.io.tables.column_groups import Group
+from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
 from pdr_filter.data.io.tables.column_values import constant_part, turning
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.table_streams import is_new_place
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated, limits
+from pdr_filter.values.errors import RecordingError
 
 # Share of the constant part in the norm of an acceleration: gravity outweighs the motion of walking.
 _GRAVITY_SHARE = 0.6

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from pdr_filter.data.io.column_names import ACCELERATION, ANGLES, GRAVITY, LINEAR, TIME_UNITS, UNITS, normal_unit
 from pdr_filter.data.io.files.archive import read_toml
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.files.safe_files import beside
-from pdr_filter.data.io.tables.column_names import ACCELERATION, ANGLES, GRAVITY, LINEAR, TIME_UNITS, UNITS, normal_unit
+from pdr_filter.values.errors import RecordingError
+from pdr_filter.values.safe_files import beside
 
 _SIGNED = ("accelerometer", GRAVITY, LINEAR)
 # For each stream: how many columns, and its units; the first if none is given.

@@ -17,14 +17,14 @@ from typing import Any, cast
 
 import numpy as np
 
+from pdr_filter.data.io.column_names import VECTORS, quantity_of_file
 from pdr_filter.data.io.files.archive import Members
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.tables.column_names import VECTORS, quantity_of_file
 from pdr_filter.data.io.tables.dates import is_date, nanoseconds_of, without_midnights
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.text_sheets import LARGEST_FLOAT_WHOLE
-from pdr_filter.data.io.tables.text_table import NumberTable, finite, refuse_far_times, to_number, whole_number
+from pdr_filter.data.io.text_table import NumberTable, finite, refuse_far_times, to_number, whole_number
 from pdr_filter.values import FloatArray, IntArray, how_many, limits
+from pdr_filter.values.errors import RecordingError
 
 SUFFIXES = (".json", ".jsonl", ".ndjson")
 _BETWEEN = re.compile(r"[\s,\[\]\x1e]*")

@@ -17,10 +17,10 @@ from typing import Any, cast
 import numpy as np
 
 from pdr_filter.data.io.files.archive import Members
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.text_sheets import unlike
 from pdr_filter.values import FloatArray, IntArray, limits
+from pdr_filter.values.errors import RecordingError
 
 _HEAD = b"MATLAB 5.0 MAT-file"
 _HEAD_OF_7_3 = b"MATLAB 7.3 MAT-file"

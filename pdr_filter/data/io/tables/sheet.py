@@ -11,8 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pdr_filter.data.io.tables.column_names import nanoseconds_of
-from pdr_filter.data.io.tables.text_table import NumberTable, finite
+from pdr_filter.data.io.column_names import column_of_nanoseconds
+from pdr_filter.data.io.text_table import NumberTable, finite
 from pdr_filter.values import FloatArray, IntArray
 
 # Function that returns the columns with the given indices as floats, and one more column as integers (or none if its
@@ -61,7 +61,7 @@ class Sheet:
         `places` are indices of columns. A place that is negative or None stands for a missing column and is ignored.
         """
         used = {place for place in places if place is not None and place >= 0}
-        beside = {place for p in used if (place := nanoseconds_of(self.fields, p)) is not None}
+        beside = {place for p in used if (place := column_of_nanoseconds(self.fields, p)) is not None}
         return replace(self, used=(used | beside) - self.dates, notes=notes)
 
     def stream(self, places: Sequence[int], time: int | None) -> tuple[IntArray | FloatArray, FloatArray]:
@@ -81,7 +81,7 @@ class Sheet:
         values = np.array([table.values[:, numbers.index(p)] if p in numbers else unknown for p in places]).T
         if time is None:
             ticks = np.arange(len(values))
-        elif (nanoseconds := nanoseconds_of(self.fields, time)) is not None:
+        elif (nanoseconds := column_of_nanoseconds(self.fields, time)) is not None:
             ticks = table.values[:, [numbers.index(time), numbers.index(nanoseconds)]] @ [1.0, 1e-9]
         else:
             ticks = table.whole if exact is not None else table.values[:, numbers.index(time)]

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from pdr_filter.data.io.files.archive import Members
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.text_sheets import text_sheet
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
 
 _WORKBOOK = "xl/workbook.xml"
 _OLD = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"

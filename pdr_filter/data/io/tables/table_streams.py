@@ -8,11 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
-from pdr_filter.data.io.files.errors import RecordingError
+from pdr_filter.data.io.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS
 from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
-from pdr_filter.data.io.tables.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.values import BoolArray, FloatArray, IntArray, interpolated_near, limits
+from pdr_filter.values.errors import RecordingError
 
 
 class _MappedStream(NamedTuple):
@@ -33,7 +33,7 @@ class _Zero(NamedTuple):
     unit_s: float = 1.0
 
 
-def fill(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
+def fill_streams(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
     """Fill `parsed` with the streams of a mapping, read from the tables, and with the properties of their times.
 
     If there is only an acceleration without gravity, `parsed.linear` gets the names of its columns. RecordingError

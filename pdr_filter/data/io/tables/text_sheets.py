@@ -14,13 +14,13 @@ from itertools import count, islice, pairwise
 
 import numpy as np
 
+from pdr_filter.data.io.column_names import column_of, is_time, is_unit
 from pdr_filter.data.io.files.archive import Members
-from pdr_filter.data.io.files.errors import RecordingError
-from pdr_filter.data.io.tables.column_names import column_of, is_time, is_unit
 from pdr_filter.data.io.tables.dates import as_nanoseconds, column_nanoseconds, is_date, without_midnights
 from pdr_filter.data.io.tables.sheet import Sheet
-from pdr_filter.data.io.tables.text_table import Layout, NumberTable, concatenated, header_fields, parse_blocks
+from pdr_filter.data.io.text_table import Layout, NumberTable, concatenated, header_fields, parse_blocks
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
 
 _SEPARATORS = (",", ";", "\t", "|", " ")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|None|#?N/?A|-?inf|-?Infinity")

@@ -373,7 +373,7 @@ def is_time(name: str) -> bool:
     return is_word or is_unit or is_letter or _TIME.search(stem) is not None
 
 
-def nanoseconds_of(fields: Sequence[str], place: int) -> int | None:
+def column_of_nanoseconds(fields: Sequence[str], place: int) -> int | None:
     """Return the index of the column with the nanoseconds that belong to a column of whole seconds, or None.
 
     ROS writes a time as stamp.secs and stamp.nsecs.

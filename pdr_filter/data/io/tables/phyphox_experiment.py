@@ -15,7 +15,7 @@ from pathlib import PurePosixPath
 
 from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.files.archive import Members
-from pdr_filter.data.io.tables.text_table import header_fields, to_number
+from pdr_filter.data.io.text_table import header_fields, to_number
 from pdr_filter.values import how_often
 
 

@@ -16,8 +16,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.values import FloatArray, IntArray, limits
+from pdr_filter.values.errors import RecordingError
 
 SEPARATORS = (",", ";", "\t")
 UNKNOWN = ("null", "None", "NA", "N/A", "#N/A", "-", "--")  # missing values of programs, besides "" and NaN

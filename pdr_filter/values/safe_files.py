@@ -12,8 +12,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, Any
 
-from pdr_filter.data.io.files.errors import RecordingError
 from pdr_filter.values import limits
+from pdr_filter.values.errors import RecordingError
 
 # A pipe without a writer would otherwise be waited for, and a terminal become that of the process.
 _FLAGS = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_BINARY"))

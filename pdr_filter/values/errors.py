@@ -19,7 +19,7 @@ class RecordingError(ValueError):
     >>> raise pdr.RecordingError("walk.csv: no column of time; add one")
     Traceback (most recent call last):
         ...
-    pdr_filter.data.io.files.errors.RecordingError: walk.csv: no column of time; add one
+    pdr_filter.values.errors.RecordingError: walk.csv: no column of time; add one
     """
 
     def __init__(self, message: str) -> None:

@@ -17,13 +17,13 @@ import pytest
 from serving import EPOCH_NS, own_messages, sensor_logger_messages, short_walk
 
 import pdr_filter as pdr
-from pdr_filter.apps.live import devices as live_devices
 from pdr_filter.apps.live import session as live_session
+from pdr_filter.apps.live import sessions as live_sessions
 from pdr_filter.apps.live.assembly import LateError, SessionError
-from pdr_filter.apps.live.devices import Devices
 from pdr_filter.apps.live.messages import parse
 from pdr_filter.apps.live.recorder import exported
 from pdr_filter.apps.live.session import DeviceSession, session_id
+from pdr_filter.apps.live.sessions import Sessions
 from pdr_filter.apps.live.settings import BusyError, Event, FixError, Settings, part_of
 from pdr_filter.data.io.fix_files import ranges_of_file
 from pdr_filter.simulate import Leg, simulate
@@ -40,7 +40,7 @@ def walk() -> Recording:
 def taken(folder: Path, bodies: Sequence[bytes], **settings: Any) -> tuple[DeviceSession, list[Event]]:
     """The session after these messages, and what was shown."""
     events: list[Event] = []
-    devices = Devices(Settings(**settings), folder, events.append)
+    devices = Sessions(Settings(**settings), folder, events.append)
     for body in bodies:
         devices.take(body, "", "", "", time.time())
     (session,) = devices.sessions.values()
@@ -74,13 +74,13 @@ def test_a_process_that_dies_loses_nothing_that_it_took(
     bodies = encoded(sensor_logger_messages(walk)) if is_real else own_messages(walk)
     expected, _ = taken(tmp_path / "whole", bodies)
     events: list[Event] = []
-    devices = Devices(Settings(), tmp_path / "broken", events.append)
+    devices = Sessions(Settings(), tmp_path / "broken", events.append)
     for i, body in enumerate(bodies):
         devices.take(body, "", "", "", 0.0)
         if i + 1 == n_saved:
             devices.close()
         if i in (n_saved + 5, n_saved + 30):
-            devices = Devices(Settings(), tmp_path / "broken", events.append)
+            devices = Sessions(Settings(), tmp_path / "broken", events.append)
             devices.take(body, "", "", "", 0.0)  # the answer was lost, so that it is sent again
     devices.close()
     (session,) = devices.sessions.values()
@@ -96,11 +96,11 @@ def test_writes_that_were_broken_off_are_left_out(walk: Recording, tmp_path: Pat
     samples = session.recorder.folder / "accelerometer.csv"
     whole = samples.read_bytes()
     samples.write_bytes(whole + b"9.0,1,2,3\n9.1,1")  # written, and then the state was not
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     devices.take(bodies[10], "", "", "", 0.0)
     (journal,) = session.recorder.folder.glob("journal_*.json")
     journal.write_bytes(journal.read_bytes()[:-7])
-    (again,) = Devices(Settings(), tmp_path, lambda _: None).sessions.values()
+    (again,) = Sessions(Settings(), tmp_path, lambda _: None).sessions.values()
     assert again.assembly.next_number == 10
     assert samples.read_bytes() == whole
 
@@ -162,7 +162,7 @@ def test_after_the_clock_is_set_back_by_minutes_i_am_here_is_of_now(tmp_path: Pa
 
 
 def test_two_phones_of_one_name_are_two_sessions(walk: Recording, tmp_path: Path) -> None:
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     for one, two in zip(own_messages(walk, "p", "a"), own_messages(walk, "p", "b"), strict=True):
         devices.take(one, "", "", "", 0.0)
         devices.take(two, "", "", "", 0.0)
@@ -174,7 +174,7 @@ def test_two_phones_of_one_name_are_two_sessions(walk: Recording, tmp_path: Path
 @pytest.mark.parametrize("name", ["../../etc", "/root/x", "a\x00b", "..", ".", "a" * 500, "con", "é\u202e", "\\\\h\\s"])
 def test_no_name_leads_out_of_the_folder(name: str, tmp_path: Path) -> None:
     folder = tmp_path / "inside"
-    devices = Devices(Settings(), folder, lambda _: None)
+    devices = Sessions(Settings(), folder, lambda _: None)
     body = json.dumps({"device": name, "session": name, "samples": {"gyroscope": [[0, 1, 2, 3]]}}).encode()
     devices.take(body, "", "", "", 0.0)
     assert [path.name for path in tmp_path.iterdir()] == ["inside"]
@@ -184,7 +184,7 @@ def test_no_name_leads_out_of_the_folder(name: str, tmp_path: Path) -> None:
 
 def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path) -> None:
     events: list[Event] = []
-    devices = Devices(Settings(), tmp_path, events.append)
+    devices = Sessions(Settings(), tmp_path, events.append)
     bodies = own_messages(walk)
     for body in bodies[:55]:
         devices.take(body, "", "", "", 0.0)
@@ -210,7 +210,7 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
 
 def test_a_range_to_an_anchor_is_used_and_is_on_record_as_a_file_of_ranges(walk: Recording, tmp_path: Path) -> None:
     events: list[Event] = []
-    devices = Devices(Settings(), tmp_path, events.append)
+    devices = Sessions(Settings(), tmp_path, events.append)
     bodies = own_messages(walk)
     for body in bodies[:55]:
         devices.take(body, "", "", "", 0.0)
@@ -235,7 +235,7 @@ def test_what_became_of_a_fix_is_told_also_by_the_next_process(
     walk: Recording, tmp_path: Path, away_m: float, outcome: str
 ) -> None:
     events: list[Event] = []
-    devices = Devices(Settings(), tmp_path, events.append)
+    devices = Sessions(Settings(), tmp_path, events.append)
     bodies = own_messages(walk)
     for body in bodies[:48]:
         devices.take(body, "", "", "", 0.0)
@@ -246,7 +246,7 @@ def test_what_became_of_a_fix_is_told_also_by_the_next_process(
     (waiting,) = (e for e in events if e["event"] == "fix")
     assert (waiting["outcome"], waiting["east_m"]) == ("waiting", pytest.approx(east_m + away_m))
     devices.close()
-    devices = Devices(Settings(), tmp_path, events.append)
+    devices = Sessions(Settings(), tmp_path, events.append)
     for body in bodies[48:58]:
         devices.take(body, "", "", "", 0.0)
     _, told = (e for e in events if e["event"] == "fix")
@@ -267,7 +267,7 @@ def test_what_became_of_a_fix_is_told_also_by_the_next_process(
 def test_a_fix_that_cannot_be_used_is_refused_and_changes_nothing(
     walk: Recording, tmp_path: Path, fix: dict, words: str
 ) -> None:
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     for body in own_messages(walk)[:20]:
         devices.take(body, "", "", "", 0.0)
     (session,) = devices.sessions.values()
@@ -280,7 +280,7 @@ def test_a_fix_that_cannot_be_used_is_refused_and_changes_nothing(
 
 def test_a_message_that_is_too_late_does_not_end_the_track(walk: Recording, tmp_path: Path) -> None:
     bodies = own_messages(walk)
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     for body in [*bodies[:10], *bodies[11:40]]:
         devices.take(body, "", "", "", 0.0)
     with pytest.raises(LateError, match="message 10 is too late"):
@@ -294,7 +294,7 @@ def test_a_message_that_is_too_late_does_not_end_the_track(walk: Recording, tmp_
 
 
 def test_there_is_room_for_so_many_phones_and_the_next_is_told_so(tmp_path: Path) -> None:
-    devices = Devices(Settings(max_devices=2), tmp_path, lambda _: None)
+    devices = Sessions(Settings(max_devices=2), tmp_path, lambda _: None)
     bodies = [json.dumps({"device": f"p{i}", "samples": {}}).encode() for i in range(3)]
     for body in bodies[:2]:
         devices.take(body, "", "", "", 0.0)
@@ -305,7 +305,7 @@ def test_there_is_room_for_so_many_phones_and_the_next_is_told_so(tmp_path: Path
 def test_what_comes_after_the_end_is_refused_also_by_the_next_process(walk: Recording, tmp_path: Path) -> None:
     bodies = own_messages(walk)
     taken(tmp_path, bodies)
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     with pytest.raises(SessionError, match="has ended"):
         devices.take(bodies[-1].replace(b'"number": ', b'"number": 9'), "", "", "", 0.0)
     (session,) = devices.sessions.values()
@@ -323,12 +323,12 @@ def test_the_gyroscope_bias_of_a_phone_is_used_in_its_next_session(walk: Recordi
     assert first.online is not None
     learnt = first.online.device
     bodies = own_messages(biased, session="second")
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     for body in bodies[:20]:
         devices.take(body, "", "", "", time.time())
     # killed before a state was saved, and the phone's device is written by another session in between
     learnt.after(days=400.0).save(next((tmp_path / "devices").glob("*.json")))
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     for body in bodies[20:]:
         devices.take(body, "", "", "", time.time())
     second = devices.sessions[session_id("p", "second")]
@@ -345,7 +345,7 @@ def test_a_gyroscope_bias_that_does_not_fit_the_session_is_noted_and_replaced(tm
     still = simulate([Leg("stationary", duration_s=60.0), Leg("walking", distance_m=20.0)], seed=2)
     taken(tmp_path, own_messages(with_bias(still, 0.05), session="first"))
     events: list[Event] = []
-    devices = Devices(Settings(), tmp_path, events.append)
+    devices = Sessions(Settings(), tmp_path, events.append)
     for body in own_messages(with_bias(still, -0.05), session="second"):
         devices.take(body, "", "", "", time.time())
     last = [e for e in events if e["event"] == "session"][-1]
@@ -365,7 +365,7 @@ def test_a_damaged_file_of_a_phone_does_not_stop_its_next_session(walk: Recordin
     first, _ = taken(tmp_path, own_messages(walk, session="first"))
     (file,) = (tmp_path / "devices").iterdir()
     file.write_text("{")
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     for body in own_messages(walk, session="second"):
         devices.take(body, "", "", "", time.time())
     second = devices.sessions[session_id("p", "second")]
@@ -398,7 +398,7 @@ def test_messages_of_many_phones_are_recorded_at_once_and_filtered_together(
 
     monkeypatch.setattr(live_session, "_pushed", counted)
     monkeypatch.setattr(live_session, "time", SimpleNamespace(monotonic=lambda: 1000.0, time=time.time))
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     for number in range(9):
         devices.take(own_messages(walk, f"other {number}")[0], "", "", "", 0.0)
     samples, n_sent = tmp_path / session_id("p", "s") / "accelerometer.csv", 0
@@ -418,17 +418,17 @@ def test_a_state_that_is_saved_between_two_passes_of_the_filter_misses_no_sample
 ) -> None:
     bodies = own_messages(walk)
     expected, _ = taken(tmp_path / "whole", bodies)
-    monkeypatch.setattr(live_devices, "_PASS_S", 1000.0)
-    monkeypatch.setattr(live_devices, "_LONGEST_WAIT_S", 1000.0)
+    monkeypatch.setattr(live_sessions, "_PASS_S", 1000.0)
+    monkeypatch.setattr(live_sessions, "_LONGEST_WAIT_S", 1000.0)
     for number, body in enumerate(bodies):
         if number % 30 == 0:  # the process before has died
-            devices = Devices(Settings(), tmp_path / "broken", lambda _: None)
+            devices = Sessions(Settings(), tmp_path / "broken", lambda _: None)
         devices.accept(parse(body), 0.0)
         devices.settle()
         if number % 30 == 20:
-            monkeypatch.setattr(live_devices, "_SAVE_S", -1.0)
-            devices.tick()
-            monkeypatch.setattr(live_devices, "_SAVE_S", 1000.0)
+            monkeypatch.setattr(live_sessions, "_SAVE_S", -1.0)
+            devices.maintain()
+            monkeypatch.setattr(live_sessions, "_SAVE_S", 1000.0)
     devices.close()
     (session,) = devices.sessions.values()
     np.testing.assert_array_equal(positions(session), positions(expected))
@@ -436,7 +436,7 @@ def test_a_state_that_is_saved_between_two_passes_of_the_filter_misses_no_sample
 
 def test_a_session_that_cannot_be_tracked_is_shown_with_the_reason(walk: Recording, tmp_path: Path) -> None:
     events: list[Event] = []
-    devices = Devices(Settings(), tmp_path, events.append)
+    devices = Sessions(Settings(), tmp_path, events.append)
     with pytest.raises(SessionError, match="--platform ios"):
         for body in encoded(sensor_logger_messages(walk, ios=True)[:10]):
             devices.take(body, "", "", "", 0.0)
@@ -450,12 +450,12 @@ def test_what_an_untracked_phone_sends_is_recorded_and_can_be_read(
     walk: Recording, tmp_path: Path, n: int | None, state: str
 ) -> None:
     messages = sensor_logger_messages(walk, ios=True)[:n]
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     for number, body in enumerate(encoded(messages)):
         with contextlib.suppress(SessionError):
             devices.take(body, "", "", "", 0.0)
         if number == 60:  # the process dies, and the next one records on
-            devices = Devices(Settings(), tmp_path, lambda _: None)
+            devices = Sessions(Settings(), tmp_path, lambda _: None)
     devices.close()
     (session,) = devices.sessions.values()
     assert session.about()[state]
@@ -473,7 +473,7 @@ def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     walk: Recording, tmp_path: Path, damage: str
 ) -> None:
     bodies = {name: own_messages(walk, name) for name in ("bad", "good")}
-    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices = Sessions(Settings(), tmp_path, lambda _: None)
     for one, two in zip(bodies["bad"][:20], bodies["good"][:20], strict=True):
         devices.take(one, "", "", "", 0.0)
         devices.take(two, "", "", "", 0.0)
@@ -481,7 +481,7 @@ def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     (bad,) = tmp_path.glob("bad-*")
     (bad / damage).write_bytes(b"damaged\n")
     events: list[Event] = []
-    devices = Devices(Settings(), tmp_path, events.append)
+    devices = Sessions(Settings(), tmp_path, events.append)
     for one, two in zip(bodies["bad"][20:], bodies["good"][20:], strict=True):
         devices.take(one, "", "", "", 0.0)
         devices.take(two, "", "", "", 0.0)

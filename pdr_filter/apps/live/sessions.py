@@ -1,6 +1,6 @@
 """Sessions of the phones of one worker: each has its own filter, its own recording and its own saved state.
 
-No web here: `Devices.take` gets the body of a message and returns what it held; events for pages go to `emit`.
+No web here: `Sessions.take` gets the body of a message and returns what it held; events for pages go to `emit`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ NAMES = "sessions"
 _LOG = logging.getLogger(__name__)
 
 
-class Devices:
+class Sessions:
     """Sessions that one worker serves. Events for the pages are passed to `emit` as JSON objects."""
 
     def __init__(
@@ -143,12 +143,12 @@ class Devices:
         self.emit(made.about())
         return made
 
-    def whole(self) -> list[Event]:
+    def snapshots(self) -> list[Event]:
         """Return the events that show all sessions to a newly opened page."""
         self.settle(is_all=True)
-        return [event for session in self.sessions.values() for event in session.whole()]
+        return [event for session in self.sessions.values() for event in session.snapshot()]
 
-    def tick(self) -> None:
+    def maintain(self) -> None:
         """Filter and save what remains, send events, and remove silent phones. Call it about once per second."""
         self.settle()
         for key, session in list(self.sessions.items()):
