@@ -121,16 +121,13 @@ class TreeMachine(Machine):
 
     @property
     def n_features(self) -> int:
-        """Number F of features."""
         return self.trees.n_features
 
     def to_arrays(self) -> Arrays:
-        """Return the arrays of trees and leaves for `from_arrays`. Integers are int32."""
         return self.trees.to_arrays() | {name: getattr(self, name) for name in self._of_leaves()}
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> Self:
-        """Create a classifier from the arrays of `to_arrays`. KeyError or ValueError for other arrays."""
         return cls(Trees.from_arrays(arrays), *(arrays[name] for name in cls._of_leaves()))
 
     @classmethod
