@@ -89,14 +89,13 @@ def solve_people(
     except np.linalg.LinAlgError as error:
         raise SingularError(_undetermined(G, precision, personal, W)) from error
     y_cov = root.T @ root
-    y = y_cov @ (people.message_vector.sum(axis=0) + precision * (prior_mean / scale))
+    y = root.T @ (root @ (people.message_vector.sum(axis=0) + precision * (prior_mean / scale)))
     n_people = len(g)
     diagonal = np.concatenate([1 / root.diagonal(), people.diagonal.ravel()])
     theta = np.repeat(y[None], n_people, axis=0)
     theta[:, personal] = people.constant + people.gain @ y
-    if not np.isfinite(theta).all() or diagonal.min() < _SINGULAR * max(
-        1.0, diagonal.max() / np.sqrt(max(n_people, 1))
-    ):
+    largest = max(1.0, diagonal.max() / np.sqrt(n_people))
+    if not np.isfinite(theta).all() or diagonal.min() < _SINGULAR * largest:
         raise SingularError(_undetermined(G, precision, personal, W))
     follow = np.repeat(np.eye(len(y))[None], n_people, axis=0)  # theta_s = follow_s y + constant + independent noise
     follow[:, personal] = people.gain
@@ -104,7 +103,7 @@ def solve_people(
     cov[:, personal[:, None], personal] += people.cov
     apart = follow[:, personal] - np.eye(len(y))[personal]
     apart_cov = people.cov + apart @ y_cov @ apart.transpose(0, 2, 1)
-    if free.any() and n_people:
+    if free.any():
         alone = personal[free]
         spread = theta[:, alone].var(axis=0, ddof=1) if n_people > 1 else np.diagonal(cov[0])[alone]
         y[alone] = theta[:, alone].mean(axis=0)

@@ -19,7 +19,6 @@ from pdr_filter.filter.step_length.models import (
     StepLengthModel,
     length_and_jacobian,
 )
-from pdr_filter.offline.calibration import estimation
 from pdr_filter.offline.calibration import model_forms as forms
 from pdr_filter.offline.calibration.estimation import Hierarchy, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate, calibrate_segments
