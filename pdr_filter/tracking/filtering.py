@@ -435,7 +435,8 @@ def _process(
     contexts = iter(with_climbs(contexts, [climb_at(climbs, w.time_s) for w in contexts], model.context_set))
     for known_s, event in events:
         if isinstance(event, Step):  # all steps before it are known
-            state = _with_last(state, undecided_s=max(state.last.undecided_s, event.time_s - event.duration_s))
+            begin_s = event.time_s - event.duration_s
+            state = _with_last(state, undecided_s=begin_s) if begin_s > state.last.undecided_s else state
         state, used = _use_due_fixes(config, state, known_s)
         output.fixes.extend(used)
         state = _with_climbs(config, state, known_s, output)
@@ -444,8 +445,10 @@ def _process(
         elif isinstance(event, WindowContext):
             context = next(contexts)
             output.windows.append(context)
-            state = _with_statistics(state, **_after_window(state.statistics, context, model.context_set))
-            state = _after(config, _with_last(state, window=context), Window(context, next(evidence)), known_s, output)
+            statistics = _after_window(state.statistics, context, model.context_set)
+            last = replace_unchecked(state.last, window=context)
+            state = replace_unchecked(state, statistics=statistics, last=last)
+            state = _after(config, state, Window(context, next(evidence)), known_s, output)
         elif isinstance(event, Step):
             state = _after_step(config, state, event, known_s, output, provisional)
         else:
@@ -473,35 +476,38 @@ def _with_statistics(state: State, **changes: Any) -> State:
 def _after(config: Config, state: State, event: ChainEvent, known_s: float, output: Output) -> State:
     """Return the state after an event of the chain, whose rows and floor passages are appended to the output."""
     chain, results = config.chain.on(state.chain, event, known_s)
-    walked, n_before, standing = state.statistics.walked, len(output.updates), config.model.context_set.standing
+    if not results:
+        return replace_unchecked(state, chain=chain)
+    statistics, last, standing = state.statistics, state.last, config.model.context_set.standing
     for result in results:
         if isinstance(result, StepUpdate):
             output.updates.append(result)
+            last = replace_unchecked(last, update=result)
             if result.is_final:
-                walked = walked.plus_context(bool(is_in_standing(result.context_prob, standing)))
+                is_standing = bool(is_in_standing(result.context_prob, standing))
+                statistics = replace_unchecked(statistics, walked=statistics.walked.plus_context(is_standing))
         elif isinstance(result, FloorPassage):
             output.floor_passages.append(result)
-    state = replace_unchecked(state, chain=chain)
-    if len(output.updates) == n_before:
-        return state
-    return _with_last(_with_statistics(state, walked=walked), update=output.updates[-1])
+    return replace_unchecked(state, chain=chain, statistics=statistics, last=last)
 
 
 def _after_step(config: Config, state: State, step: Step, known_s: float, output: Output, provisional: bool) -> State:
     """Return the state after a step, with a provisional row if the step is not final and `provisional` is True."""
     before, n_before = state.pedestrian, len(output.updates)
     state = _after(config, state, step, known_s, output)
-    walked_m = sum(update.step_length_m for update in output.updates[n_before:])
-    moved_m = moved_by_heading_m(before, state.pedestrian, walked_m)
-    heading_std_rad = math.sqrt(pedestrian.heading_var_rad2(state.pedestrian))
-    state = _with_statistics(state, walked=state.statistics.walked.plus(step, heading_std_rad, moved_m))
-    return _after(config, state, NewestStep(), known_s, output) if provisional else state
+    after = state.pedestrian
+    moved_m = moved_by_heading_m(before, after, sum(update.step_length_m for update in output.updates[n_before:]))
+    walked = state.statistics.walked.plus(step, math.sqrt(pedestrian.heading_var_rad2(after)), moved_m)
+    state = _with_statistics(state, walked=walked)
+    if provisional and config.tracker.waits_for_windows:
+        return _after(config, state, NewestStep(), known_s, output)
+    return state
 
 
-def _after_window(statistics: Statistics, context: WindowContext, context_set: ContextSet) -> dict[str, Any]:
+def _after_window(statistics: Statistics, context: WindowContext, context_set: ContextSet) -> Statistics:
     moving_s = context.hop_s * bool(is_moving(context.prob[context_set.standing].sum()))
     rides = statistics.rides.with_windows(context.hop_s, moving_s)
-    return {"rides": rides, "seen": statistics.seen.plus(context, context_set)}
+    return replace_unchecked(statistics, rides=rides, seen=statistics.seen.plus(context, context_set))
 
 
 def _with_climbs(config: Config, state: State, until_s: float, output: Output) -> State:
@@ -509,8 +515,11 @@ def _with_climbs(config: Config, state: State, until_s: float, output: Output) -
 
     All steps before that time are known, except the first step of a bout, which is detected later.
     """
-    waiting, until_s = state.waiting_climbs, until_s - config.sensing.step_latency_s
+    waiting = state.waiting_climbs
     n_used = waiting.n_used
+    if n_used == len(waiting.climbs):
+        return state
+    until_s -= config.sensing.step_latency_s
     while n_used < len(waiting.climbs) and waiting.climbs[n_used].time_s <= until_s:
         state = _after(config, state, waiting.climbs[n_used], until_s, output)
         n_used += 1

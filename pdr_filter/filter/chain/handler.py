@@ -134,7 +134,7 @@ class TrackerHandler:
         elif isinstance(event, Gap):
             state, outputs = self.tracker.on_gap(state, event.duration_s)
         elif isinstance(event, Stepless):
-            state = with_pedestrian(state, over_stepless(state.pedestrian, event.duration_s))
+            state = replace_unchecked(state, pedestrian=over_stepless(state.pedestrian, event.duration_s))
         elif isinstance(event, StepsEnd):
             state, outputs = self.tracker.finish(state)
         elif isinstance(event, NewestStep):
@@ -144,15 +144,16 @@ class TrackerHandler:
             state, outcome, nis = self.tracker.on_fix(state, event)
             outputs = (FixUse(event, outcome, nis),)
         pedestrian = state.pedestrian
+        if not pedestrian.changes:
+            return state, outputs
+        first = replace_unchecked(pedestrian, changes=(), rival=None)
+        outputs = (PathChanges(pedestrian.changes), *outputs)
         if pedestrian.rival is not None:
-            other, log_odds = pedestrian.rival.pedestrian, pedestrian.rival.log_odds
-            pedestrian = replace_unchecked(pedestrian, rival=None)
-            fork = Fork(with_pedestrian(state, without_changes(other)), log_odds, other.changes)
+            other = pedestrian.rival.pedestrian
+            second = replace_unchecked(state, pedestrian=without_changes(other))
+            fork = Fork(second, pedestrian.rival.log_odds, other.changes)
             outputs = (*outputs, fork)
-        if pedestrian.changes:
-            state = with_pedestrian(state, without_changes(pedestrian))
-            outputs = (PathChanges(pedestrian.changes), *outputs)
-        return state, outputs
+        return replace_unchecked(state, pedestrian=first), outputs
 
 
 V = TypeVar("V")

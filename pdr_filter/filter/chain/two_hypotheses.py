@@ -65,19 +65,23 @@ class TwoHypotheses:
     def on(self, state: Hypotheses, event: Event, known_s: float) -> tuple[Hypotheses, tuple[Output, ...]]:
         """Return the state after an event of both hypotheses, and the outputs of the more probable one."""
         inner, outputs = self.inner.on(state.inner, event, known_s)
-        use = next((output for output in outputs if isinstance(output, FixUse)), None)
+        use, fork = None, None
+        for output in outputs:
+            if isinstance(output, FixUse):
+                use = output
+            elif isinstance(output, Fork):
+                fork = output
         if use is None:
             rival = None if state.rival is None else self.inner.on(state.rival, event, known_s)[0]
             state = replace_unchecked(state, inner=inner, rival=rival)
         else:
-            conflict = _with_fix(state.conflict, use, inner.pedestrian)
-            fork = next((output for output in outputs if isinstance(output, Fork)), None)
-            outputs = tuple(output for output in outputs if output is not fork)
-            state = replace_unchecked(state, inner=inner, conflict=conflict)
+            state = replace_unchecked(state, inner=inner, conflict=_with_fix(state.conflict, use, inner.pedestrian))
             state = self._after_fix(state, use, known_s) if fork is None else _forked(state, fork)
         if state.rival is None and not state.conflict.is_doubtful:
             return state, outputs
-        return state, tuple(_with_spread(state, o) if isinstance(o, StepUpdate) else o for o in outputs)
+        return state, tuple(
+            _with_spread(state, o) if isinstance(o, StepUpdate) else o for o in outputs if o is not fork
+        )
 
     def _after_fix(self, state: Hypotheses, use: FixUse, known_s: float) -> Hypotheses:
         """Return the state after a fix that the more probable hypothesis has processed.

@@ -72,39 +72,39 @@ class WithHeight:
         if isinstance(event, Places):
             recent = state.places[state.places[:, 0] >= event.since_s]
             return replace_unchecked(state, places=np.concatenate([recent, event.rows])), ()
+        height, rows = state.height, list[Output]()
         if isinstance(event, Window):
-            height = height_filter.on_window(state.height, event.context, event.height_log_evidence)
-            state = replace_unchecked(state, height=height)
+            height = height_filter.on_window(height, event.context, event.height_log_evidence)
         inner, outputs = self.inner.on(state.inner, event, known_s)
-        state, all_outputs = replace_unchecked(state, inner=inner), list[Output]()
         for output in outputs:
             if isinstance(output, StepUpdate):
-                state, added = self._on_row(state, output, known_s)
-                all_outputs += added
+                height, row = self._on_row(height, state.places, output, known_s)
+                rows += row
             elif isinstance(output, FixUse):
-                all_outputs.append(output._replace(floor=state.height.known.floors.floor))
-                state = replace_unchecked(state, height=_with_fix(state.height, output))
+                rows.append(output._replace(floor=height.known.floors.floor))
+                height = _with_fix(height, output)
             else:
-                all_outputs.append(output)
+                rows.append(output)
         if isinstance(event, End):
-            height, passages = height_filter.finish(state.height)
-            return replace_unchecked(state, height=height), (*all_outputs, *passages)
-        return state, tuple(all_outputs)
+            height, passages = height_filter.finish(height)
+            rows += passages
+        return replace_unchecked(state, inner=inner, height=height), tuple(rows)
 
-    def _on_row(self, state: HeightTrack, row: StepUpdate, known_s: float) -> tuple[HeightTrack, tuple[Output, ...]]:
-        """Return the state after a row, the floor passages that it completes, and the row with height and storey."""
-        at_step, passages = state.height.known, ()
+    def _on_row(
+        self, height: HeightState, places: FloatArray, row: StepUpdate, known_s: float
+    ) -> tuple[HeightState, tuple[Output, ...]]:
+        """Return the height after a row, the floor passages that it completes, and the row with height and storey."""
+        at_step, passages = height.known, ()
         if row.is_final:
             up_prob, down_prob = self.on_stairs.dot(row.mode_prob).tolist()
-            place = place_at(state.places, row.step.time_s)
+            step_s = row.step.time_s
             height, at_step, passages = height_filter.on_step(
-                state.height, known_s, row.step.time_s, up_prob, down_prob, self.log_odds, place
+                height, known_s, step_s, up_prob, down_prob, self.log_odds, place_at(places, step_s)
             )
-            state = replace_unchecked(state, height=height)
         row = replace_unchecked(
             row, height_m=at_step.height_m, height_std_m=at_step.height_std_m, floor=at_step.floors.floor
         )
-        return state, (*passages, row)
+        return height, (*passages, row)
 
 
 def _with_fix(height: HeightState, use: FixUse) -> HeightState:

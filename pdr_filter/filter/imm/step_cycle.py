@@ -57,6 +57,8 @@ class Cycle(NamedTuple):
     ----------
     before : Estimates
         Estimates before the step. For the IMM these are the mixed estimates, with predicted mode probabilities.
+    unstepped_var_m2 : float
+        Variance of the motion without steps before the step.
     drifted_cov : (F, 4, 4) array
         Covariances after the drift of the heading offset, before its measurement.
     turned_mean, turned_cov : (F, 4) and (F, 4, 4) array
@@ -72,6 +74,7 @@ class Cycle(NamedTuple):
     """
 
     before: Estimates
+    unstepped_var_m2: float
     drifted_cov: FloatArray
     turned_mean: FloatArray
     turned_cov: FloatArray
@@ -114,7 +117,7 @@ def step_cycle(
             mean, cov = update_heading(mean, cov, step, zero.offset_rad)
     motion, ahead_mean, ahead_cov, by_state = advance(mean, cov, step, *lengths, directions, noise)
     ahead = replace_unchecked(before, mean=ahead_mean, cov=ahead_cov, walked_m=before.walked_m + motion.length_m)
-    return Cycle(before, drifted_cov, mean, cov, zero, ahead, motion, by_state)
+    return Cycle(before, unstepped_var_m2, drifted_cov, mean, cov, zero, ahead, motion, by_state)
 
 
 def predict_heading(

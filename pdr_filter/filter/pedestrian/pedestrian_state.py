@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -355,9 +356,9 @@ def after_step(
         frame=_with_compass(previous.frame, step, float(x[HEADING_OFFSET])),
         heading_zero=cycle.zero,
         steps=previous.steps.plus(step, walked, x, P),
-        unstepped_var_m2=previous.unstepped_var_m2 + since_last_step(previous, step)[1],
+        unstepped_var_m2=previous.unstepped_var_m2 + cycle.unstepped_var_m2,
+        changes=(*previous.changes, partial(PastPath.with_event, event=event)),
     )
-    updated = with_change(updated, lambda path: path.with_event(event))
     return updated, _step_update(model, previous, updated, step, walked, estimate, is_final)
 
 
