@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import dataclasses
 import doctest
@@ -21,6 +22,7 @@ from numpydoc.validate import validate
 import pdr_filter
 
 ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "pdr_filter"
 
 # Codes of numpydoc's validation. Left out are those on layout (capitals, periods, See Also, Yields).
 CHECKED = {
@@ -66,7 +68,8 @@ def public_names() -> dict[str, str]:
             is_documented = inspect.isfunction(of_member) or isinstance(
                 of_member, (classmethod, staticmethod, property)
             )
-            if is_documented and not member.startswith("_"):
+            is_inherited = not of_member.__doc__ and bool(inspect.getdoc(getattr(value, member)))
+            if is_documented and not is_inherited and not member.startswith("_"):
                 names[f"{name}.{member}"] = f"{defined}.{member}"
     return names
 
@@ -104,6 +107,28 @@ def complaints(name: str) -> list[str]:
     if missing := undocumented_fields(value):
         errors.append(("PR01", f"fields {sorted(missing)} are not under Attributes"))
     return [f"{code} {text}" for code, text in errors]
+
+
+def test_every_method_has_a_docstring_or_inherits_one() -> None:
+    classes = [
+        node
+        for path in PACKAGE.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text("utf-8")))
+        if isinstance(node, ast.ClassDef)
+    ]
+    bases = {node.name: [re.split(r"\W", ast.unparse(base))[0] for base in node.bases] for node in classes}
+    methods = {
+        (node.name, method.name): ast.get_docstring(method)
+        for node in classes
+        for method in node.body
+        if isinstance(method, ast.FunctionDef | ast.AsyncFunctionDef) and not method.name.startswith("_")
+    }
+
+    def is_documented(owner: str, method: str) -> bool:
+        return bool(methods.get((owner, method))) or any(is_documented(base, method) for base in bases.get(owner, ()))
+
+    methods["_LinearModel", "regressors"] = "assigned from the protocol"
+    assert not {pair for pair in methods if not is_documented(*pair) and not pair[0].startswith("_")}
 
 
 @pytest.mark.parametrize("name", sorted(public_names()))
@@ -146,7 +171,6 @@ def test_a_field_without_description_is_noticed() -> None:
     assert fields_of(float) == set()
 
 
-PACKAGE = ROOT / "pdr_filter"
 WITH_EXAMPLES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
     for path in sorted(PACKAGE.rglob("*.py"))

@@ -45,12 +45,10 @@ class Blend(Machine):
 
     @property
     def n_features(self) -> int:
-        """Number F of features."""
         return self.parts[0].n_features
 
     @property
     def n_classes(self) -> int:
-        """Number K of classes."""
         return self.parts[0].n_classes
 
     def _predict(self, rows: FloatArray) -> FloatArray:
@@ -61,7 +59,6 @@ class Blend(Machine):
         return np.add.reduce([weight * value for weight, value in zip(weights, values, strict=True)])
 
     def to_arrays(self) -> Arrays:
-        """Return the kinds of the parts and their arrays, with prefixed names, for `from_arrays`."""
         arrays: Arrays = {_KINDS: np.array([kind_of(part) for part in self.parts])}
         if self.weights:
             arrays[_WEIGHTS] = np.array(self.weights)
@@ -71,7 +68,6 @@ class Blend(Machine):
 
     @classmethod
     def from_arrays(cls, arrays: Arrays) -> Self:
-        """Create the blend from the arrays of `to_arrays`. KeyError or ValueError for other arrays."""
         if _KINDS not in arrays:
             return cls(tuple(MACHINES[kind].from_arrays(of_prefix(p, arrays)) for kind, p in _FORMER.items()))
         kinds = arrays[_KINDS].tolist()

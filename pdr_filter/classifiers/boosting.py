@@ -43,7 +43,6 @@ class BoostedTrees(TreeMachine):
 
     @property
     def n_classes(self) -> int:
-        """Number K of classes."""
         return len(self.baseline)
 
     @classmethod

@@ -38,12 +38,10 @@ class ForeignClassifier(Machine):
 
     @property
     def n_features(self) -> int:
-        """Number F of features."""
         return self.features
 
     @property
     def n_classes(self) -> int:
-        """Number K of classes."""
         return len(self.estimator.classes_)
 
     def _predict(self, rows: FloatArray) -> FloatArray:
@@ -52,7 +50,6 @@ class ForeignClassifier(Machine):
         return np.asarray(self.estimator.predict_proba(rows), dtype=np.float64)
 
     def to_arrays(self) -> Arrays:
-        """Raise ValueError, because a classifier of another library contains code and cannot be stored as arrays."""
         raise ValueError(
             f"a classifier of another library ({self.kind}) cannot be saved, because files hold arrays and no code: "
             "keep the model with joblib.dump(model, path), which executes code when it is loaded; or pass the "

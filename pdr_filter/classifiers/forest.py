@@ -34,7 +34,6 @@ class Forest(TreeMachine):
 
     @property
     def n_classes(self) -> int:
-        """Number C of classes."""
         return self.probability.shape[1]
 
     @classmethod

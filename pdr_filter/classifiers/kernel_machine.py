@@ -64,12 +64,10 @@ class RelevanceVectors(Machine):
 
     @property
     def n_features(self) -> int:
-        """Number F of features."""
         return self.vectors.shape[1]
 
     @property
     def n_classes(self) -> int:
-        """Number K of classes."""
         return len(self.weights)
 
     def _predict(self, rows: FloatArray) -> FloatArray:

@@ -28,12 +28,10 @@ class SoftmaxRegression(Machine):
 
     @property
     def n_features(self) -> int:
-        """Number F of features."""
         return self.weights.shape[1]
 
     @property
     def n_classes(self) -> int:
-        """Number K of classes."""
         return len(self.weights)
 
     def _predict(self, rows: FloatArray) -> FloatArray:

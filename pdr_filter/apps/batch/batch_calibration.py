@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from pdr_filter.apps.batch.workers import Failure, each
 from pdr_filter.data.io.folders import recordings_of
 from pdr_filter.data.io.formats import known_format, read
+from pdr_filter.filter.step_length.models import StepLengthModel, is_linear
 from pdr_filter.offline.calibration.segments import AnySegment, SummedSegment, segments_of, with_distinct_names
 from pdr_filter.offline.robust_loss import LOSSES
 from pdr_filter.tracking import whole_recording as recording_run
@@ -25,7 +26,6 @@ from pdr_filter.values.serialisation import from_bytes, to_bytes
 from pdr_filter.version import __version__
 
 if TYPE_CHECKING:
-    from pdr_filter.filter.step_length.models import StepLengthModel
     from pdr_filter.offline.calibration.priors import StepLengthPrior
     from pdr_filter.recipes.calibration import Calibration
 
@@ -141,7 +141,7 @@ def calibrate(
     check_subject(subject, each_a_person)
     files = recordings_of(paths)
     every = {pair: None for form in forms_of(priors, model, prior_std).values() for pair in models_in(form)}
-    sums = tuple(every) if all(hasattr(m, "regressors") for _, m in every) else None
+    sums = tuple(every) if all(is_linear(m) for _, m in every) else None
     reduce = partial(
         reduced,
         models=sums,

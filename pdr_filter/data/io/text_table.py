@@ -11,9 +11,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdr_filter.values import FloatArray, IntArray, limits
 from pdr_filter.values.errors import RecordingError
@@ -195,83 +196,70 @@ def refuse_far_times(whole: IntArray, where: str) -> None:
         )
 
 
-def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
-    """Parse lines that have a number in every picked field. ValueError if a field is not a number."""
-    columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
-    kinds = [(f"f{i}", np.int64 if column == layout.whole and i == 0 else float) for i, column in enumerate(columns)]
-    rows = np.loadtxt(lines, np.dtype(kinds), None, layout.separator, usecols=columns, ndmin=1, quotechar='"')
-    values = np.empty((len(rows), len(layout.picked)), order="F")
-    for i in range(len(layout.picked)):
-        values[:, i] = rows[f"f{len(columns) - len(layout.picked) + i}"]
-    whole = np.zeros(len(rows), dtype=np.int64) if layout.whole is None else rows["f0"].copy()
-    return NumberTable(whole, values)
-
-
 def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], line: int) -> NumberTable:
-    if (found := _by_arrow(block, layout)) is not None:
-        return found
-    text = decode(block, where, line)
-    if layout.decimal == layout.separator:  # in quotation marks, which only a look at each row tells
-        return _parse_rows(text, layout, where, notes, line, block.endswith(b"\n"))
+    """Return the table in a block of lines, by a fast reader if every field is plain, otherwise row by row."""
+    # A last line without line feed may be cut off in the middle of a number, and decimal commas may stand in quotation
+    # marks between commas: only row by row are they looked at closely.
+    if block.endswith(b"\n") and not layout.texts and layout.decimal != layout.separator:
+        columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
+        for read in (_by_arrow, _by_numpy):
+            with contextlib.suppress(ImportError, KeyError, ValueError):
+                found = read(block, layout, columns)
+                values = np.empty((len(found[0]), len(layout.picked)), order="F")
+                for i, column in enumerate(found[len(columns) - len(layout.picked) :]):
+                    values[:, i] = column
+                return NumberTable(np.zeros(len(values), np.int64) if layout.whole is None else found[0].copy(), values)
+    return _parse_rows(decode(block, where, line), layout, where, notes, line, block.endswith(b"\n"))
+
+
+def _by_arrow(block: bytes, layout: Layout, columns: Sequence[int]) -> list[NDArray[Any]]:
+    """Return columns of a large block by pyarrow, which gives the same bits as numpy in a third of the time.
+
+    ImportError, KeyError or ValueError if pyarrow is not installed, or if anything in the block is unusual.
+    """
+    if len(block) < LARGE_BYTES or not block.isascii() or b'"' in block or len(set(columns)) < len(columns):
+        raise ValueError
+    import pyarrow as pa
+    from pyarrow import csv as arrow_csv
+
+    names = [f"f{column}" for column in columns]
+    kinds = dict.fromkeys(names, pa.float64()) | ({} if layout.whole is None else {names[0]: pa.int64()})
+    rows = arrow_csv.read_csv(
+        pa.BufferReader(block),
+        arrow_csv.ReadOptions(use_threads=False, autogenerate_column_names=True, block_size=len(block)),
+        arrow_csv.ParseOptions(delimiter=layout.separator, quote_char=False),
+        arrow_csv.ConvertOptions(
+            include_columns=names, column_types=kinds, null_values=["", *UNKNOWN], decimal_point=layout.decimal
+        ),
+    )
+    if layout.whole is not None and rows.column(0).null_count:
+        raise ValueError
+    return [column.to_numpy() for column in rows.columns]
+
+
+def _by_numpy(block: bytes, layout: Layout, columns: Sequence[int]) -> list[NDArray[Any]]:
+    """Return columns of a block whose fields are numbers, or empty if no whole numbers are asked for.
+
+    ValueError if a field is not a number.
+    """
+    text = block.decode("utf-8-sig")
     if layout.decimal != ".":
         text = text.replace(layout.decimal, ".")
-    # A last line without line feed may be cut off in the middle of a number: only row by row it is looked at closely.
-    is_whole = block.endswith(b"\n")
-    if is_whole and not layout.texts:
-        with contextlib.suppress(ValueError):
-            return parse_lines(text.split("\n"), layout)
-        with contextlib.suppress(ValueError):  # with empty fields filled: five times faster than row by row
-            if layout.whole is None:
-                return parse_lines(_filled(text, layout.separator).split("\n"), layout)
-    return _parse_rows(text, layout, where, notes, line, is_whole)
+    kinds = [(f"f{i}", np.int64 if column == layout.whole and i == 0 else float) for i, column in enumerate(columns)]
 
+    def read(text: str) -> list[NDArray[Any]]:
+        lines = text.split("\n")
+        rows = np.loadtxt(lines, np.dtype(kinds), None, layout.separator, usecols=columns, ndmin=1, quotechar='"')
+        return [rows[name] for name, _ in kinds]
 
-def _by_arrow(block: bytes, layout: Layout) -> NumberTable | None:
-    """Parse a large block of rows with pyarrow, which gives the same bits in a third of the time.
-
-    None if pyarrow is not installed, or if anything in the block is unusual. The caller then parses it row by row.
-    """
-    is_plain = block.endswith(b"\n") and not layout.texts and layout.decimal != layout.separator
-    if len(block) < LARGE_BYTES or not is_plain or not block.isascii() or b'"' in block:
-        return None
     try:
-        import pyarrow as pa
-        from pyarrow import csv as arrow_csv
-    except ImportError:
-        return None
-    columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
-    names = [f"f{column}" for column in columns]
-    kinds = {name: pa.int64() if i == 0 and layout.whole is not None else pa.float64() for i, name in enumerate(names)}
-    if len(kinds) < len(names):
-        return None
-    try:
-        rows = arrow_csv.read_csv(
-            pa.BufferReader(block),
-            arrow_csv.ReadOptions(use_threads=False, autogenerate_column_names=True, block_size=len(block)),
-            arrow_csv.ParseOptions(delimiter=layout.separator, quote_char=False),
-            arrow_csv.ConvertOptions(
-                include_columns=names,
-                column_types=kinds,
-                null_values=["", *UNKNOWN],
-                decimal_point=layout.decimal,
-            ),
-        )
-    except (pa.ArrowException, KeyError):
-        return None
-    if layout.whole is not None and rows.column(0).null_count:
-        return None
-    values = np.empty((len(rows), len(layout.picked)), order="F")
-    for i in range(len(layout.picked)):
-        values[:, i] = rows.column(len(names) - len(layout.picked) + i).to_numpy()
-    whole = np.zeros(len(rows), np.int64) if layout.whole is None else rows.column(0).to_numpy().copy()
-    return NumberTable(whole, values)
-
-
-def _filled(text: str, separator: str) -> str:
-    between = re.escape(separator)
-    return re.sub(
-        rf"(?m)^{between}", f"nan{separator}", re.sub(rf"{between}(?={between}|\n|$)", f"{separator}nan", text)
-    )
+        return read(text)
+    except ValueError:
+        if layout.whole is not None:
+            raise
+        mark = re.escape(layout.separator)  # with empty fields filled: five times faster than row by row
+        text = re.sub(rf"{mark}(?={mark}|\n|$)", f"{layout.separator}nan", text)
+        return read(re.sub(rf"(?m)^{mark}", f"nan{layout.separator}", text))
 
 
 def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: int, is_whole: bool) -> NumberTable:
@@ -285,7 +273,7 @@ def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: i
     texts: list[list[str]] = []
     n_timeless = n_long = 0
     for at, row, is_last in _rows(text, layout.separator, where, line):
-        if layout.decimal == layout.separator:
+        if layout.decimal != ".":
             row = [field.replace(layout.decimal, ".") for field in row]
         if not is_whole and is_last and not _is_complete(row, layout):
             notes.append(f"{where}: the last line is cut off and was left out")

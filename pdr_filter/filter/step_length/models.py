@@ -190,7 +190,7 @@ def length_and_jacobian(model: StepLengthModel, step: Step, theta: FloatArray) -
     >>> round(float(length_m), 4), jacobian
     (0.6625, array([1.  , 1.85]))
     """
-    if _is_linear(model):
+    if is_linear(model):
         r = np.asarray(model.regressors(step), dtype=float)
         return np.add.reduce(theta * r, axis=-1), r
     if _is_smooth(model):
@@ -201,7 +201,8 @@ def length_and_jacobian(model: StepLengthModel, step: Step, theta: FloatArray) -
     )
 
 
-def _is_linear(model: StepLengthModel) -> TypeGuard[LinearStepLengthModel]:
+def is_linear(model: StepLengthModel) -> TypeGuard[LinearStepLengthModel]:
+    """Return True if a model has regressors, so that it is linear in its parameters."""
     return hasattr(model, "regressors")
 
 
@@ -212,11 +213,21 @@ def _is_smooth(model: StepLengthModel) -> TypeGuard[SmoothStepLengthModel]:
 # Body height of a person of unknown height, in m: between the means of women and men.
 USUAL_HEIGHT_M = 1.70
 
+
+class _LinearModel:
+    """Base class of the models below that are linear in their parameters, with the docstring of the protocol."""
+
+    def regressors(self, step: Step) -> FloatArray:
+        raise NotImplementedError
+
+    regressors.__doc__ = LinearStepLengthModel.regressors.__doc__
+
+
 # --- models from papers ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class StaticStepLength:
+class StaticStepLength(_LinearModel):
     """Step length proportional to the body height, L = k h.
 
     The parameter theta = (k,) has no unit.
@@ -254,23 +265,11 @@ class StaticStepLength:
         check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors (h,) of a step, with the body height h in m.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-
-        Returns
-        -------
-        (p,) array
-            Regressors. The length is `regressors(step) @ theta`.
-        """
         return np.array([self.height_m])
 
 
 @dataclass(frozen=True)
-class FrequencyStepLength:
+class FrequencyStepLength(_LinearModel):
     """Step length linear in the step frequency, L = k0 + k1 f.
 
     The parameters are theta = (k0, k1) in m and m s.
@@ -299,23 +298,11 @@ class FrequencyStepLength:
     n_params: int = 2
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors (1, f) of a step, with the step frequency f in Hz.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-
-        Returns
-        -------
-        (p,) array
-            Regressors. The length is `regressors(step) @ theta`.
-        """
         return np.array([1.0, step.frequency_hz])
 
 
 @dataclass(frozen=True)
-class FrequencyVarianceStepLength:
+class FrequencyVarianceStepLength(_LinearModel):
     """Step length linear in step frequency and variance, L = k0 + k1 f_s + k2 sigma_f^2.
 
     The parameters are theta = (k0, k1, k2) in m, m s and s4/m. sigma_f^2 is the variance of the magnitude of the
@@ -366,27 +353,12 @@ class FrequencyVarianceStepLength:
         check_numbers(self, infinite=("max_variance", "max_frequency_hz"))
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors (1, f_s, sigma_f^2) of a step.
-
-        f_s is the step frequency in Hz. sigma_f^2 is the variance of the magnitude of the specific force, in m2/s4.
-        Both are at most the bounds `max_frequency_hz` and `max_variance`.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-
-        Returns
-        -------
-        (p,) array
-            Regressors. The length is `regressors(step) @ theta`.
-        """
         frequency_hz = min(step.frequency_hz, self.max_frequency_hz)
         return np.array([1.0, frequency_hz, min(step.variance, self.max_variance)])
 
 
 @dataclass(frozen=True)
-class PeriodPeakStepLength:
+class PeriodPeakStepLength(_LinearModel):
     """Step length linear in step duration and acceleration maximum, L = k0 + k1 / f + k2 max(a).
 
     The parameters are theta = (k0, k1, k2) in m, m/s and s2. a = |f| - g is the magnitude of the specific force less
@@ -416,26 +388,11 @@ class PeriodPeakStepLength:
     n_params: int = 3
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors (1, 1 / f, max(a)) of a step.
-
-        f is the step frequency in Hz. max(a) is the maximum of the magnitude of the specific force less standard
-        gravity, in m/s2.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-
-        Returns
-        -------
-        (p,) array
-            Regressors. The length is `regressors(step) @ theta`.
-        """
         return np.array([1.0, 1 / step.frequency_hz, step.magnitude_max_mps2 - STANDARD_GRAVITY_MPS2])
 
 
 @dataclass(frozen=True)
-class WeinbergStepLength:
+class WeinbergStepLength(_LinearModel):
     """Step length from the range of the vertical acceleration, L = k (a_max - a_min)^(1/4).
 
     The parameter theta = (k,) has the unit m^(3/4) s^(1/2). a is the vertical specific force less gravity.
@@ -467,25 +424,11 @@ class WeinbergStepLength:
     n_params: int = 1
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors ((a_max - a_min)^(1/4),) of a step.
-
-        a_max and a_min are the maximum and the minimum of the vertical specific force less gravity, in m/s2.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-
-        Returns
-        -------
-        (p,) array
-            Regressors. The length is `regressors(step) @ theta`.
-        """
         return np.array([step.vertical_range_mps2**0.25])
 
 
 @dataclass(frozen=True)
-class MagnitudeRangeStepLength:
+class MagnitudeRangeStepLength(_LinearModel):
     """Step length from the range of the acceleration magnitude, L = k (max(a) - min(a))^(1/4).
 
     The parameter theta = (k,) has the unit m^(3/4) s^(1/2). a = |f| - g is the magnitude of the specific force less
@@ -515,23 +458,11 @@ class MagnitudeRangeStepLength:
     n_params: int = 1
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors ((max(a) - min(a))^(1/4),) of a step, with the acceleration magnitude a in m/s2.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-
-        Returns
-        -------
-        (p,) array
-            Regressors. The length is `regressors(step) @ theta`.
-        """
         return np.array([(step.magnitude_max_mps2 - step.magnitude_min_mps2) ** 0.25])
 
 
 @dataclass(frozen=True)
-class KimStepLength:
+class KimStepLength(_LinearModel):
     """Step length from the mean absolute acceleration, L = k (mean |a|)^(1/3).
 
     The parameter theta = (k,) has the unit m^(2/3) s^(2/3). a = |f| - g is the magnitude of the specific force less
@@ -572,25 +503,11 @@ class KimStepLength:
     n_params: int = 1
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors ((mean |a|)^(1/3),) of a step.
-
-        a is the magnitude of the specific force less standard gravity, in m/s2.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-
-        Returns
-        -------
-        (p,) array
-            Regressors. The length is `regressors(step) @ theta`.
-        """
         return np.array([np.cbrt(step.mean_abs_mps2)])
 
 
 @dataclass(frozen=True)
-class TianStepLength:
+class TianStepLength(_LinearModel):
     """Step length from body height and step frequency, L = k h sqrt(f).
 
     The parameter theta = (k,) has the unit s^(1/2).
@@ -631,18 +548,6 @@ class TianStepLength:
         check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors (h sqrt(f),) of a step, with body height h in m and step frequency f in Hz.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-
-        Returns
-        -------
-        (p,) array
-            Regressors. The length is `regressors(step) @ theta`.
-        """
         return np.array([self.height_m * np.sqrt(step.frequency_hz)])
 
 
@@ -729,7 +634,7 @@ class ChenStepLength:
 
 
 @dataclass(frozen=True)
-class ZhouWalkingStepLength:
+class ZhouWalkingStepLength(_LinearModel):
     """Step length of walking from step duration and acceleration maximum, model M7 of Zhou et al.
 
     L = k0 + k1 / f + k2 / sqrt(f) + k3 max(a), with a = |f| - g the magnitude of the specific force less standard
@@ -760,21 +665,6 @@ class ZhouWalkingStepLength:
     n_params: int = 4
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors (1, 1 / f, 1 / sqrt(f), max(a)) of a step.
-
-        f is the step frequency in Hz. max(a) is the maximum of the magnitude of the specific force less standard
-        gravity, in m/s2.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-
-        Returns
-        -------
-        (p,) array
-            Regressors. The length is `regressors(step) @ theta`.
-        """
         f = step.frequency_hz
         return np.array([1.0, 1 / f, 1 / np.sqrt(f), step.magnitude_max_mps2 - STANDARD_GRAVITY_MPS2])
 
@@ -783,7 +673,7 @@ class ZhouWalkingStepLength:
 
 
 @dataclass(frozen=True)
-class BounceStepLength:
+class BounceStepLength(_LinearModel):
     """Default step-length model, L = k h r A^(1/4), from body height and vertical bounce.
 
     The parameter theta = (k,) has the unit s^(1/2) m^(-1/4). A is the amplitude of the vertical force at the frequency
@@ -857,21 +747,6 @@ class BounceStepLength:
         check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
-        """Return the regressors (h r A^(1/4),) of a step.
-
-        h is the body height in m. A is the amplitude of the vertical force at the step frequency, in m/s2. The factor
-        r <= 1 shortens steps that are shorter than the usual steps of the person.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-
-        Returns
-        -------
-        (p,) array
-            Regressors. The length is `regressors(step) @ theta`.
-        """
         amplitude_mps2 = min(max(step.vertical_amplitude_mps2, self.min_amplitude_mps2), self.max_amplitude_mps2)
         return np.array([self.height_m * self._part_of_usual(step) * amplitude_mps2**0.25])
 
@@ -977,7 +852,7 @@ class StepLengths:
     @cached_property
     def _linear(self) -> tuple[LinearStepLengthModel, ...]:
         """Distinct linear models of the fits."""
-        return tuple({_key(fit.model): fit.model for fit in self.fits if _is_linear(fit.model)}.values())
+        return tuple({_key(fit.model): fit.model for fit in self.fits if is_linear(fit.model)}.values())
 
     @cached_property
     def _of_terms(self) -> FloatArray:
@@ -991,7 +866,7 @@ class StepLengths:
             starts[_key(model)], n_terms = n_terms, n_terms + model.n_params + model.n_params**2
         coefficients = np.zeros((2, len(self.fits), n_terms))
         for (of_length, of_var), fit in zip(coefficients.swapaxes(0, 1), self.fits, strict=True):
-            if _is_linear(fit.model):
+            if is_linear(fit.model):
                 start, p = starts[_key(fit.model)], fit.model.n_params
                 of_length[start : start + p] = fit.theta
                 of_var[start + p : start + p + p * p] = fit.theta_cov.ravel()
@@ -1026,7 +901,7 @@ class StepLengths:
     @cached_property
     def _smooth(self) -> list[tuple[int, StepLengthFit]]:
         """Fits with a nonlinear model, each with its index in `fits`."""
-        return [(i, fit) for i, fit in enumerate(self.fits) if not _is_linear(fit.model)]
+        return [(i, fit) for i, fit in enumerate(self.fits) if not is_linear(fit.model)]
 
 
 def _key(model: StepLengthModel) -> Hashable:

@@ -17,7 +17,6 @@ _MAX_ITERATIONS = 500
 # An extrapolation covers at most twenty further steps and changes no variance by more than a factor of two. No
 # extrapolation takes place after so many iterations, so that plain steps can settle.
 _MAX_RATE, _MAX_FACTOR, _EXTRAPOLATED = 0.95, 2.0, 60
-_CHUNK_SEGMENTS = 4096
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,6 +132,7 @@ def estimate_parameters(
     """
     weights(np.zeros(1), loss)
     task = _Task(sums, prior)
+    segments = task.segments
     theta, variances = task.start_theta, task.start_variances
     posterior: PeoplePosterior | None = None
     about = theta
@@ -142,13 +142,12 @@ def estimate_parameters(
     while iteration < _MAX_ITERATIONS and not converged:
         iteration += 1
         if relinearise is not None and iteration > 1:
-            task.set_regressors(relinearise(task.all_parameters(theta)))
+            segments.set_regressors(relinearise(task.all_parameters(theta)), prior.mean, task.fixed)
         ratio, information = moments(stage, mu)
         about, before, old = theta, posterior, variances
         posterior = task.posterior(about, variances, information, iteration == 1)
         theta = posterior.people
-        for chunk in task.chunks:
-            chunk.compute_residuals(about, posterior, variances.noise)
+        segments.compute_residuals(about, posterior, variances.noise)
         # Before the outliers are found, the variances stay fixed: otherwise outliers would increase the noise and the
         # differences between people.
         if is_final:
@@ -156,10 +155,9 @@ def estimate_parameters(
             path = [*path[-2:], variances]
             if len(path) == 3 and iteration <= _EXTRAPOLATED:
                 variances, path = path[2].extrapolated(path[0], path[1]), []
-        largest = max(float(np.abs(chunk.misfit).max()) for chunk in task.chunks)
+        largest = float(np.abs(segments.misfit).max())
         stage, mu, is_final = next_stage(loss, iteration, largest, mu)
-        for chunk in task.chunks:
-            chunk.w = weights(chunk.misfit, stage, mu)
+        segments.w = weights(segments.misfit, stage, mu)
         settled_from = settled_from if is_final else iteration
         if before is not None and iteration > settled_from + 1:
             moved = np.abs(theta - before.people) / np.sqrt(np.diagonal(posterior.people_cov, axis1=1, axis2=2))
@@ -215,7 +213,7 @@ class _Variances:
 class _Task:
     """Quantities that stay fixed during the iterations.
 
-    They are the chunks of segments, the priors, and the indices of the free and the personal parameters.
+    They are the segments, the priors, and the indices of the free and the personal parameters.
     """
 
     def __init__(self, sums: SegmentSums, prior: Hierarchy) -> None:
@@ -232,9 +230,7 @@ class _Task:
         with np.errstate(divide="ignore"):
             self.precision = 1 / prior.std[self.free] ** 2
         order = np.lexsort((sums.recording, sums.subject))
-        pieces = _chunks_of_people(sums.subject[order], order)
-        self.chunks = [_Chunk(sums, rows, prior, self.fixed) for rows in pieces]
-        self.n_segments = len(sums)
+        self.segments = _Segments(sums, order, prior, self.fixed)
         self.start_theta = np.repeat(prior.mean[None, self.free], self.n_people, axis=0)
         self.start_variances = _Variances(
             np.ones(len(prior.step_std_m)),
@@ -243,14 +239,6 @@ class _Task:
         )
         n_free = len(self.free)
         self.G, self.g = np.zeros((self.n_people, n_free, n_free)), np.zeros((self.n_people, n_free))
-
-    def set_regressors(self, sums: SegmentSums) -> None:
-        """Replace the regressors of all segments by the regressors in `sums`.
-
-        `sums` has the same segments, linearised at other parameters.
-        """
-        for chunk in self.chunks:
-            chunk.set_regressors(sums, self.prior.mean, self.fixed)
 
     def all_parameters(self, theta: FloatArray) -> FloatArray:
         """Return all P parameters of S people, (S, P), from the F estimated ones (S, F).
@@ -271,9 +259,8 @@ class _Task:
         first iteration: the scale error of a recording then multiplies the known distances, and later the predicted
         ones.
         """
-        for chunk in self.chunks:
-            phi = variances.noise / information
-            chunk.normal_equations(about, phi, variances.recording, first, self.G, self.g)
+        phi = variances.noise / information
+        self.segments.normal_equations(about, phi, variances.recording, first, self.G, self.g)
         W = np.zeros_like(variances.between)
         tied = np.ix_(~self.alone, ~self.alone)
         W[tied] = np.linalg.inv(variances.between[tied])
@@ -290,20 +277,18 @@ class _Task:
         segment is not an outlier. `ratio` is E w u^2 / E w of the loss for standard normal residuals u
         (`robust_loss.moments`).
         """
-        prior, n_contexts = self.prior, len(self.prior.step_std_m)
-        excess, counts, found, n_recordings = np.zeros(n_contexts), np.zeros(n_contexts), 0.0, 0
-        for chunk in self.chunks:
-            square, share = chunk.w * chunk.misfit**2, chunk.w * (1 - chunk.noise_share)
-            excess += np.bincount(chunk.context, chunk.noise_share * square + share, minlength=n_contexts)
-            counts += np.bincount(chunk.context, chunk.w * chunk.noise_share * ratio + share, minlength=n_contexts)
-            found += chunk.rho_square
-            n_recordings += len(chunk.kappa)
+        prior, n_contexts, own = self.prior, len(self.prior.step_std_m), self.segments
+        square, share = own.w * own.misfit**2, own.w * (1 - own.noise_share)
+        excess = np.bincount(own.context, own.noise_share * square + share, minlength=n_contexts)
+        counts = np.bincount(own.context, own.w * own.noise_share * ratio + share, minlength=n_contexts)
         noise, recording, between = old.noise, old.recording, old.between
         if np.isfinite(prior.noise_dof):
             total = prior.noise_dof + counts
             noise = np.where(total > 0, (prior.noise_dof + noise * excess) / np.where(total > 0, total, 1), 1.0)
         if np.isfinite(prior.recording_dof) and recording > 0:
-            recording = (prior.recording_dof * prior.recording_std**2 + found) / (prior.recording_dof + n_recordings)
+            recording = (prior.recording_dof * prior.recording_std**2 + own.rho_square) / (
+                prior.recording_dof + len(own.kappa)
+            )
         if np.isfinite(prior.between_dof) and len(self.personal):
             apart = posterior.people[:, self.personal] - posterior.population[self.personal]
             scatter = apart.T @ apart + posterior.apart_cov.sum(axis=0)
@@ -322,13 +307,9 @@ class _Task:
         if self.n_people > 1 and not self.alone.any():
             W = np.asarray(np.linalg.inv(between), dtype=float) if len(self.personal) else between
             others = population_without_each(posterior, self.G, self.g, self.personal, W)
-        predicted, left_out, stranger, misfit, weight = (np.empty(self.n_segments) for _ in range(5))
-        for chunk in self.chunks:
-            rows = chunk.rows
-            predicted[rows] = chunk.length(theta)
-            left_out[rows] = predicted[rows] - chunk.own_influence(about, posterior)
-            stranger[rows] = chunk.length(others)
-            misfit[rows], weight[rows] = chunk.misfit, chunk.w
+        own = self.segments
+        place = np.argsort(own.rows)  # of each segment in the order of people
+        predicted = own.length(theta)
         between[self.alone, self.alone] = np.inf
         n_params = len(self.prior.mean)
         people_cov = np.zeros((self.n_people, n_params, n_params))
@@ -341,11 +322,11 @@ class _Task:
             between_cov=_embedded_cov(n_params, self.free[self.personal], between),
             recording_std=float(np.sqrt(variances.recording)),
             noise_factor=variances.noise,
-            predicted_m=predicted,
-            left_out_m=left_out,
-            stranger_m=stranger,
-            misfit=misfit,
-            weight=weight,
+            predicted_m=predicted[place],
+            left_out_m=(predicted - own.own_influence(about, posterior))[place],
+            stranger_m=own.length(others)[place],
+            misfit=own.misfit[place],
+            weight=own.w[place],
             n_iterations=n_iterations,
             converged=converged,
         )
@@ -361,21 +342,8 @@ def _embedded_cov(n: int, index: IntArray, cov: FloatArray) -> FloatArray:
     return full
 
 
-def _chunks_of_people(person: IntArray, order: IntArray) -> list[IntArray]:
-    """Return the rows `order` in consecutive chunks of some thousand segments, which keep each person together.
-
-    `person` has the person of each row in this order, ascending. Chunks of this size keep temporary arrays in the
-    processor cache.
-    """
-    cuts = [0]
-    for end in _starts(person)[1:]:
-        if end - cuts[-1] >= _CHUNK_SEGMENTS or end == len(person):
-            cuts.append(int(end))
-    return [order[a:b] for a, b in pairwise(cuts)]
-
-
-class _Chunk:
-    """Segments of some people, with the results of one iteration that the next one needs."""
+class _Segments:
+    """Segments in the order of people and recordings, with the results of an iteration that the next one needs."""
 
     def __init__(self, sums: SegmentSums, rows: IntArray, prior: Hierarchy, fixed: BoolArray) -> None:
         self.rows = rows
@@ -507,7 +475,7 @@ class _Groups:
     recording : array (n,)
         Recording of each segment, numbered in order of appearance.
     present : array (S',)
-        People with segments in this chunk.
+        People with segments.
     person_of_recording : array (W,)
         Person of each recording.
     people : array (S' + 1,)

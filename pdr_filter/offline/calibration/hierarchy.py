@@ -8,14 +8,11 @@ residuals is a single quadratic form.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-import gtsam
 import numpy as np
 
 from pdr_filter.values import FloatArray, IntArray
 
-_POPULATION = 0  # key of the population's parameters; people have the keys 1 to S
 # Limit on the ratio of the smallest to the largest diagonal entry of a square-root factor with columns of unit size.
 # Below it, two parameters cannot be separated within rounding errors.
 _SINGULAR = 1e-7
@@ -86,10 +83,27 @@ def solve_people(
     precision = prior_precision * scale**2
     # keeps the system regular; the result is overwritten below
     precision[personal[free]] = np.maximum(precision[personal[free]], 1.0)
-    found = _eliminated(G, g, prior_mean / scale, precision, personal, W)
-    y, y_cov, theta, cov = found.population, found.population_cov, found.people, found.people_cov
-    n_people = len(theta)
-    if free.any() and n_people:
+    try:
+        people = _Eliminated.of(G, g, personal, W)
+        root = np.linalg.inv(np.linalg.cholesky(people.message.sum(axis=0) + np.diag(precision)))
+    except np.linalg.LinAlgError as error:
+        raise SingularError(_undetermined(G, precision, personal, W)) from error
+    y_cov = root.T @ root
+    y = root.T @ (root @ (people.message_vector.sum(axis=0) + precision * (prior_mean / scale)))
+    n_people = len(g)
+    diagonal = np.concatenate([1 / root.diagonal(), people.diagonal.ravel()])
+    theta = np.repeat(y[None], n_people, axis=0)
+    theta[:, personal] = people.constant + people.gain @ y
+    largest = max(1.0, diagonal.max() / np.sqrt(n_people))
+    if not np.isfinite(theta).all() or diagonal.min() < _SINGULAR * largest:
+        raise SingularError(_undetermined(G, precision, personal, W))
+    follow = np.repeat(np.eye(len(y))[None], n_people, axis=0)  # theta_s = follow_s y + constant + independent noise
+    follow[:, personal] = people.gain
+    cov = follow @ y_cov @ follow.transpose(0, 2, 1)
+    cov[:, personal[:, None], personal] += people.cov
+    apart = follow[:, personal] - np.eye(len(y))[personal]
+    apart_cov = people.cov + apart @ y_cov @ apart.transpose(0, 2, 1)
+    if free.any():
         alone = personal[free]
         spread = theta[:, alone].var(axis=0, ddof=1) if n_people > 1 else np.diagonal(cov[0])[alone]
         y[alone] = theta[:, alone].mean(axis=0)
@@ -97,90 +111,57 @@ def solve_people(
         y_cov[alone, alone] = spread / n_people + np.diagonal(cov, axis1=1, axis2=2)[:, alone].mean(axis=0) / n_people
     both = scale[:, None] * scale
     own = both[np.ix_(personal, personal)]
-    return PeoplePosterior(y * scale, y_cov * both, theta * scale, cov * both, found.apart_cov * own)
+    return PeoplePosterior(y * scale, y_cov * both, theta * scale, cov * both, apart_cov * own)
 
 
-def _eliminated(
-    G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
-) -> PeoplePosterior:
-    """Return the posterior of the population's and all people's step-length parameters, by elimination with GTSAM.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Eliminated:
+    """People's own parameters t_s eliminated: normal density of t_s given y, and information that s adds about y.
 
-    The parameters are scaled so that their values are about one. GTSAM first eliminates the own parameters t_s of each
-    person s, then the population's parameters y. Elimination gives R t_s + S y = d + unit normal noise for each person,
-    with the matrices R (triangular) and S and the vector d. The arguments are the same as of `solve_people`.
-    SingularError if the data do not determine the parameters.
+    Attributes
+    ----------
+    constant, gain : arrays (S, Q) and (S, Q, P)
+        The mean of t_s given the population's parameters y is constant_s + gain_s y.
+    cov : array (S, Q, Q)
+        Covariance of t_s given y.
+    diagonal : array (S, Q)
+        Diagonal of the Cholesky factor of the inverse of `cov`.
+    message, message_vector : arrays (S, P, P) and (S, P)
+        Quadratic form of person s in y, without the prior of y (Schur complement).
     """
-    n_people, n_params = g.shape
-    ordering = gtsam.Ordering()
-    for key in (*range(1, n_people + 1), _POPULATION):
-        if key == _POPULATION or len(personal):
-            ordering.push_back(key)
-    try:
-        net: Any = _graph(G, g, mean, precision, personal, W).eliminateSequential(ordering)
-    except RuntimeError as error:
-        raise SingularError(_undetermined(G, precision, personal, W)) from error
-    R, _, d = _parts(net.at(net.size() - 1))
-    diagonal = [R.diagonal()]
-    inverse = np.linalg.inv(R)
-    y, y_cov = inverse @ d, inverse @ inverse.T
-    theta = np.repeat(y[None], n_people, axis=0)
-    own_cov = np.zeros((n_people, len(personal), len(personal)))
-    follow = np.repeat(np.eye(n_params)[None], n_people, axis=0)  # theta_s = follow_s y + constant + independent noise
-    if len(personal):
-        parts = [_parts(net.at(s)) for s in range(n_people)]
-        R_s, S_s, d_s = (np.stack([p[k] for p in parts]) for k in range(3))
-        diagonal.append(np.diagonal(R_s, axis1=1, axis2=2).ravel())
-        inverse_s = np.linalg.inv(R_s)
-        gain = -inverse_s @ S_s
-        theta[:, personal] = np.einsum("sij,sj->si", inverse_s, d_s) + gain @ y
-        own_cov = inverse_s @ inverse_s.transpose(0, 2, 1)
-        follow[:, personal] = gain
-    size = np.abs(np.concatenate(diagonal))
-    if not np.isfinite(theta).all() or size.min() < _SINGULAR * max(1.0, float(size.max()) / np.sqrt(max(n_people, 1))):
-        raise SingularError(_undetermined(G, precision, personal, W))
-    cov = follow @ y_cov @ follow.transpose(0, 2, 1)
-    cov[:, personal[:, None], personal] += own_cov
-    apart = follow[:, personal] - np.eye(n_params)[personal]
-    return PeoplePosterior(y, y_cov, theta, cov, own_cov + apart @ y_cov @ apart.transpose(0, 2, 1))
 
+    constant: FloatArray
+    gain: FloatArray
+    cov: FloatArray
+    diagonal: FloatArray
+    message: FloatArray
+    message_vector: FloatArray
 
-def _graph(
-    G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
-) -> gtsam.GaussianFactorGraph:
-    """Return the factor graph: one factor for the prior of the population, and one per person."""
-    n_params = g.shape[1]
-    graph = gtsam.GaussianFactorGraph()
-    root = np.sqrt(precision)
-    unit = gtsam.noiseModel.Unit.Create(n_params)
-    graph.add(gtsam.JacobianFactor(_POPULATION, np.diag(root), root * mean, unit))
-    if len(personal) == 0:
-        for G_s, g_s in zip(G, g, strict=True):
-            graph.add(gtsam.HessianFactor(_POPULATION, G_s, g_s, 0.0))
-        return graph
-    blocks = _blocks(G, g, personal, W)
-    for s, (own, cross, own_vector, rest, rest_vector) in enumerate(zip(*blocks, strict=True), 1):
-        graph.add(gtsam.HessianFactor(s, _POPULATION, own, cross, own_vector, rest, rest_vector, 0.0))
-    return graph
-
-
-def _blocks(
-    G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return the quadratic form of each person s in the own parameters t_s and the population's parameters y.
-
-    It includes the prior of t_s given y. The five blocks are the matrix of t_s, the mixed matrix, the vector of t_s,
-    the matrix of y, and the vector of y.
-    """
-    n_people, n_params = g.shape
-    shared = np.delete(np.arange(n_params), personal)
-    cross = np.zeros((n_people, len(personal), n_params))
-    rest, rest_vector = np.zeros_like(G), np.zeros_like(g)
-    cross[:, :, shared] = G[:, personal][:, :, shared]
-    cross[:, :, personal] -= W
-    rest[:, shared[:, None], shared] = G[:, shared][:, :, shared]
-    rest[:, personal[:, None], personal] += W
-    rest_vector[:, shared] = g[:, shared]
-    return G[:, personal][:, :, personal] + W, cross, g[:, personal], rest, rest_vector
+    @classmethod
+    def of(cls, G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray) -> _Eliminated:
+        """Return the elimination of all people. LinAlgError if a person's own parameters are undetermined."""
+        own = G[:, personal][:, :, personal] + W
+        shared = np.delete(np.arange(g.shape[1]), personal)
+        cross = np.zeros((*g.shape[:1], len(personal), g.shape[1]))  # of t_s and y
+        rest, rest_vector = np.zeros_like(G), np.zeros_like(g)  # of y alone
+        cross[:, :, shared] = G[:, personal][:, :, shared]
+        cross[:, :, personal] -= W
+        rest[:, shared[:, None], shared] = G[:, shared][:, :, shared]
+        rest[:, personal[:, None], personal] += W
+        rest_vector[:, shared] = g[:, shared]
+        root = np.linalg.cholesky(own)
+        half = np.linalg.solve(root, np.concatenate([cross, g[:, personal, None]], axis=2))
+        inverse = np.linalg.inv(root).transpose(0, 2, 1)
+        mean = inverse @ half
+        schur = half[:, :, :-1].transpose(0, 2, 1) @ half
+        return cls(
+            mean[:, :, -1],
+            -mean[:, :, :-1],
+            inverse @ inverse.transpose(0, 2, 1),
+            np.einsum("sii->si", root),
+            rest - schur[:, :, :-1],
+            rest_vector - schur[:, :, -1],
+        )
 
 
 def population_without_each(
@@ -191,29 +172,16 @@ def population_without_each(
     The person's marginal contribution is subtracted from the population's information. Rows are NaN where the rest does
     not determine the parameters.
     """
-    own, cross, own_vector, message, message_vector = _blocks(G, g, personal, W)
-    if len(personal):
-        gain = np.linalg.solve(own, cross)
-        message -= cross.transpose(0, 2, 1) @ gain
-        message_vector -= np.einsum("sqp,sq->sp", gain, own_vector)
+    people = _Eliminated.of(G, g, personal, W)
     scale = np.sqrt(np.diagonal(posterior.population_cov))
     total = np.linalg.inv(posterior.population_cov / scale[:, None] / scale)
-    left = total - message * scale[:, None] * scale
-    left_vector = total @ (posterior.population / scale) - message_vector * scale
+    left = total - people.message * scale[:, None] * scale
+    left_vector = total @ (posterior.population / scale) - people.message_vector * scale
     result = np.full_like(g, np.nan)
     for s, (matrix, vector) in enumerate(zip(left, left_vector, strict=True)):
         if np.linalg.eigvalsh(matrix)[0] > 1e-9:
             result[s] = np.linalg.solve(matrix, vector) * scale
     return result
-
-
-def _parts(conditional: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return R, S and d of a Gaussian conditional density of GTSAM.
-
-    Under the density, R t + S y - d has zero mean and unit covariance. The vector t holds the eliminated variables, and
-    y the variables on which they depend.
-    """
-    return np.asarray(conditional.R()), np.asarray(conditional.S()), np.asarray(conditional.d())
 
 
 def _undetermined(G: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray) -> tuple[int, ...]:

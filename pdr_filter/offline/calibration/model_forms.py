@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.filter.step_length.calibration_result import slices_of
-from pdr_filter.filter.step_length.models import RECORDING_STD, StepLengthModel
+from pdr_filter.filter.step_length.models import RECORDING_STD, StepLengthModel, is_linear
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.hierarchy import SingularError
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, candidates, with_relative_std
@@ -106,7 +106,7 @@ def estimate_segments(
         about = [{name: theta[s][part] for name, part in slices.items()} for s in sums.subject]
         return integrate(segments, models, about)
 
-    linear = all(hasattr(model, "regressors") for model in models.values())
+    linear = all(map(is_linear, models.values()))
     prior = hierarchy_of(priors, recording_std, segments[0].context_names)
     return estimate_sums(sums, prior, models, loss, None if linear else relinearise)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.filter.step_length.calibration_result import UNNAMED, of_height, slices_of
-from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
+from pdr_filter.filter.step_length.models import StepLengthModel, is_linear, length_and_jacobian
 from pdr_filter.values import (
     CONTEXTS,
     RADIUS_68,
@@ -169,7 +169,7 @@ class Segment:
             vectors = np.stack([np.sin(self.heading_rad[used]), np.cos(self.heading_rad[used])]) * weight[used]
         pairs = [length_and_jacobian(own, self.steps[k], about) for k in used]
         jacobian = np.array([j for _, j in pairs]).reshape(-1, model.n_params)
-        if hasattr(model, "regressors"):
+        if is_linear(model):
             return vectors @ jacobian, np.zeros(2)
         length = np.array([float(x) for x, _ in pairs])
         return vectors @ jacobian, vectors @ (length - jacobian @ about)

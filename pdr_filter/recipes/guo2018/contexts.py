@@ -104,32 +104,9 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
         return self.model.name if has_all else f"{self.model.name}_without_light_and_proximity"
 
     def first_memory(self) -> FloatArray | None:
-        """Return None, because the pose is unknown before the first walking window.
-
-        Returns
-        -------
-        None
-            Memory before the first window.
-        """
         return None
 
     def assess(self, memory: FloatArray | None, window: PoseWindow) -> tuple[FloatArray | None, WindowContext]:
-        """Return the pose after a window, and the context of the window.
-
-        Parameters
-        ----------
-        memory : ndarray of shape (5,) or None
-            Pose probabilities of the last walking window, or None if there is none.
-        window : PoseWindow
-            Features of the window.
-
-        Returns
-        -------
-        memory : ndarray of shape (5,) or None
-            Pose probabilities after this window.
-        context : WindowContext
-            Context and carrying mode of the window.
-        """
         min_level = self.min_level if window.has_gyroscope else self.min_level_accelerometer
         is_walking = min_level < window.level < self.max_level  # eq. 1
         if is_walking:

@@ -253,13 +253,11 @@ class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
         return MotionLevel(self.rate_hz, self.window_s)
 
     def init(self) -> PoseWindowState:
-        """Return the state at the start of a segment, that is, of samples without a gap."""
         return PoseWindowState(self._level.init(), no_samples(4 if self.ambient is None else 6))
 
     def update(
         self, state: PoseWindowState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[PoseWindowState, list[tuple[int, PoseWindow]]]:
-        """Return the new state and the completed windows, each with the index of its last sample in the segment."""
         level_state, level, has_rate = self._level.update(state.level, block)
         ambient = () if self.ambient is None else self.ambient.at(block.time_s)
         signals = np.vstack([*pitch_and_roll(attitude.up_sensor), *ambient, level, has_rate.astype(float)])

@@ -142,7 +142,6 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
 
     @property
     def latency_s(self) -> float:
-        """Longest time in s from a contact to its detection."""
         return (math.ceil(float(self._delay[1].max())) + 2) / self.rate_hz
 
     @cached_property
@@ -154,13 +153,6 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
         return round(self.statistics_s * self.rate_hz)
 
     def init(self) -> PoseStepState:
-        """Return the state before the first sample of a segment.
-
-        Returns
-        -------
-        PoseStepState
-            State to pass to `update`.
-        """
         line = np.zeros((6, self._n_line))
         return PoseStepState(self._log.init(), line, self._level.init(), None, np.empty((6, 0)), -np.inf)
 

@@ -128,13 +128,6 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
         return self.min_peak_mps2
 
     def init(self) -> WaveletDetectorState:
-        """Return the state before the first sample of a segment.
-
-        Returns
-        -------
-        WaveletDetectorState
-            State to pass to `update`.
-        """
         line = np.zeros((2, self._n_line))
         return WaveletDetectorState(self._log.init(), line, np.zeros((1, 2)), np.zeros((1, 2)), 0.0)
 

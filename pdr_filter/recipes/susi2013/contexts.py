@@ -219,22 +219,6 @@ class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
         """
 
     def assess(self, memory: None, window: MotionWindow) -> tuple[None, WindowContext]:
-        """Return the context of a window.
-
-        Parameters
-        ----------
-        memory : None
-            Not used.
-        window : MotionWindow
-            Features of the window.
-
-        Returns
-        -------
-        memory : None
-            None.
-        context : WindowContext
-            Context and carrying mode of the window.
-        """
         tree = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
         p = tree.prob(tree.classify(window))
         walking = p["arm_at_rest"] + p["swinging"]

@@ -163,7 +163,6 @@ class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
         return butterworth(10, self.low_pass_hz, self.rate_hz)
 
     def init(self) -> MotionWindowState:
-        """Return the state at the start of a segment, that is, of samples without a gap."""
         return MotionWindowState(0, None, np.zeros((2, self.window_samples - 1)), no_samples(4))
 
     def update(

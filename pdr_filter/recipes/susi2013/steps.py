@@ -169,18 +169,10 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
 
     @property
     def latency_s(self) -> float:
-        """Longest time in s from a contact to its detection. The default is 2.7 s, and 2.1 s are typical."""
         slowest_s = 0.5 * _MAX_STEP_S + float(self._delays[1].max())
         return slowest_s + (self._half_samples + self._wait_samples + 2) / self.rate_hz
 
     def init(self) -> NormMinimaState:
-        """Return the state before the first sample of a segment.
-
-        Returns
-        -------
-        NormMinimaState
-            State to pass to `update`.
-        """
         line = np.zeros((6, self._n_line))
         return NormMinimaState(self._log.init(), line, None, np.zeros(6), (Trough(), Trough()))
 

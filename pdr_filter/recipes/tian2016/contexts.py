@@ -27,6 +27,7 @@ from pdr_filter.recipes.tian2016.steps import (
 )
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.contexts.context_stage import ContextStage
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.values import (
     CARRYING_MODES,
@@ -221,7 +222,7 @@ class TianContextsState:
 
 
 @dataclass(frozen=True)
-class TianContexts:
+class TianContexts(ContextStage):
     """Context stage of Tian et al. 2016, which reports the carrying mode, and walking or stationary.
 
     A report is made at every change and once per second. Probabilities are 0 or 1.
@@ -271,27 +272,17 @@ class TianContexts:
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Names of the contexts, `pdr_filter.CONTEXTS`."""
         return CONTEXTS
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate of the blocks in Hz."""
         return self.machine.rate_hz
 
     @property
     def hop_s(self) -> float:
-        """Longest time between two reports of context and carrying mode by this stage, s."""
         return 1.0
 
     def init(self) -> TianContextsState:
-        """Return the state before the first sample.
-
-        Returns
-        -------
-        TianContextsState
-            State to pass to `update`.
-        """
         return TianContextsState(self.machine.init(), self.steps.init(), 0, -1, False, -1, 0)
 
     def after_gap(self, state: TianContextsState) -> TianContextsState:
@@ -313,24 +304,6 @@ class TianContexts:
     def update(
         self, state: TianContextsState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[TianContextsState, list[tuple[int, WindowContext]]]:
-        """Process a block of samples.
-
-        Parameters
-        ----------
-        state : TianContextsState
-            State after the previous block.
-        block : UniformBlock
-            Specific force and angular rate at the sampling rate.
-        attitude : AttitudeBlock
-            Vertical direction in the sensor frame for each sample.
-
-        Returns
-        -------
-        state : TianContextsState
-            State after the block.
-        reports : list of (int, WindowContext)
-            Reports, each with the number of its last sample in the segment.
-        """
         n = len(block.time_s)
         machine, modes = self.machine.update(
             state.machine, block.angular_rate_radps, block.angular_rate_known, attitude.up_sensor

@@ -19,6 +19,7 @@ from pdr_filter.recipes.tian2016.steps import HOLDING, POCKET, SWING, TRANS, Car
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.step_detector import ContextBlock
+from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.values import FloatArray, Step, check_numbers, circular_mean, replace_unchecked, wrap_angle
 
 # Standard deviation of an unknown angle, uniform over the circle.
@@ -79,7 +80,7 @@ class OffsetCompensationState:
 
 
 @dataclass(frozen=True)
-class OffsetCompensation:
+class OffsetCompensation(StepStage):
     """Heading stage of Tian et al. 2016 with adaptive offset compensation.
 
     `walking_heading_rad` of a step is the device heading while the phone is held. During a transition, and until the
@@ -152,13 +153,6 @@ class OffsetCompensation:
         return Carried(self.rate_hz, self.transition_s)
 
     def init(self) -> OffsetCompensationState:
-        """Return the state before the first sample.
-
-        Returns
-        -------
-        OffsetCompensationState
-            State to pass to `update`.
-        """
         return OffsetCompensationState(self._carried.init())
 
     def after_gap(self, state: OffsetCompensationState) -> OffsetCompensationState:
@@ -187,28 +181,6 @@ class OffsetCompensation:
         contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[OffsetCompensationState, list[tuple[int, Step]]]:
-        """Add walking headings to the steps that were detected with a block.
-
-        Parameters
-        ----------
-        state : OffsetCompensationState
-            State after the previous block.
-        block : UniformBlock
-            Specific force and angular rate at the sampling rate.
-        attitude : AttitudeBlock
-            Vertical direction and device heading for each sample.
-        contexts : ContextBlock
-            Context and carrying mode for each sample.
-        steps : list of (int, Step)
-            Steps, each with the number of the sample at which it was detected.
-
-        Returns
-        -------
-        state : OffsetCompensationState
-            State after the block.
-        steps : list of (int, Step)
-            Steps with `walking_heading_rad` and its standard deviation.
-        """
         carried, states = self._carried.update(state.carried, contexts.carrying_mode)
         turned = wrap_angle(viewing_direction(block.specific_force_mps2, attitude) - attitude.device_heading_rad)
         new = np.stack([block.time_s, states.astype(float), turned])
@@ -224,22 +196,6 @@ class OffsetCompensation:
     def finish(
         self, state: OffsetCompensationState, steps: list[tuple[int, Step]]
     ) -> tuple[OffsetCompensationState, list[tuple[int, Step]]]:
-        """Add walking headings to the steps that were detected at a gap or at the end.
-
-        Parameters
-        ----------
-        state : OffsetCompensationState
-            State after the last block.
-        steps : list of (int, Step)
-            Steps, each with the number of the sample at which it was detected.
-
-        Returns
-        -------
-        state : OffsetCompensationState
-            State after these steps.
-        steps : list of (int, Step)
-            Steps with `walking_heading_rad` and its standard deviation.
-        """
         out: list[tuple[int, Step]] = []
         for number, step in steps:
             state, annotated = self._annotate(state, number, step)

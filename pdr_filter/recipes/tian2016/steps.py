@@ -206,7 +206,6 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
 
     @property
     def latency_s(self) -> float:
-        """Longest time in s from a contact to its detection, for a step at the start of a transition."""
         return self.transition_s + self._n_ahead / self.rate_hz + self._filter_delay_s + 1.0 / self.rate_hz
 
     @cached_property
@@ -214,13 +213,6 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
         return Carried(self.rate_hz, self.transition_s)
 
     def init(self) -> TianDetectorState:
-        """Return the state before the first sample of a segment.
-
-        Returns
-        -------
-        TianDetectorState
-            State to pass to `update`.
-        """
         line = np.zeros((4, self._n_line))
         return TianDetectorState(self._log.init(), line, self._carried.init(), None, -1, 0.0)
 

@@ -158,13 +158,6 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
             )
 
     def first_memory(self) -> BehaviourMemory:
-        """Return the memory before the first window, with unknown behaviour.
-
-        Returns
-        -------
-        BehaviourMemory
-            Memory before the first window.
-        """
         return BehaviourMemory("", (), 0)
 
     def assess(self, memory: BehaviourMemory, window: BehaviourWindow) -> tuple[BehaviourMemory, WindowContext]:

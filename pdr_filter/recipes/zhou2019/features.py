@@ -140,17 +140,14 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
         return low_pass_kernel(self.low_pass_hz, self.rate_hz, self.low_pass_s)
 
     def init(self) -> BehaviourState:
-        """Return the state at the start of a recording."""
         return BehaviourState(np.empty((0, 4)), None, np.empty(0), no_samples(1))
 
     def after_gap(self, state: BehaviourState) -> BehaviourState:
-        """Return the state after a gap. The bias is kept, because the person may walk after the gap."""
         return replace_unchecked(self.init(), bias_mps2=state.bias_mps2)
 
     def update(
         self, state: BehaviourState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[BehaviourState, list[tuple[int, BehaviourWindow]]]:
-        """Return the new state and the completed windows, each with the index of the sample that completed it."""
         rows = np.concatenate([state.waiting, np.column_stack([block.time_s, block.specific_force_mps2])])
         bias = state.bias_mps2
         if bias is None:

@@ -216,13 +216,6 @@ class ReferenceLineStepDetector(BaseStepDetector[ReferenceLineState]):
         return self.hold_s + longest_window_s + within_event_s + (self._delay_samples + 1) / self.rate_hz
 
     def init(self) -> ReferenceLineState:
-        """Return the state before the first sample of a segment.
-
-        Returns
-        -------
-        ReferenceLineState
-            State to pass to `update`.
-        """
         period_s = 2.0 / (self.walking.min_frequency_hz + self.walking.max_frequency_hz)
         line = np.zeros((2, self._n_line))
         return ReferenceLineState(self._log.init(), line, period_s, np.empty((3, 0)), np.empty((0, 2)))

@@ -160,7 +160,7 @@ class WindowStageState(Generic[W, M]):
 
 
 @dataclass(frozen=True, eq=False)
-class WindowStage(ABC, Generic[W, X, M]):
+class WindowStage(ContextStage, ABC, Generic[W, X, M]):
     """Base class of context stages that classify sliding windows one after the other.
 
     Parameters
@@ -180,17 +180,14 @@ class WindowStage(ABC, Generic[W, X, M]):
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Names of the contexts. Here they are the default contexts."""
         return CONTEXTS
 
     @property
     def rate_hz(self) -> float:
-        """Sampling rate of the blocks, Hz."""
         return self.windows.rate_hz
 
     @property
     def hop_s(self) -> float:
-        """Time between the ends of consecutive windows, s."""
         return self.windows.hop_s
 
     @abstractmethod
@@ -261,13 +258,6 @@ class WindowStage(ABC, Generic[W, X, M]):
         return self.first_memory()
 
     def init(self) -> WindowStageState[W, M]:
-        """Return the state before the first sample.
-
-        Returns
-        -------
-        WindowStageState
-            Initial state.
-        """
         return WindowStageState(self.windows.init(), self.first_memory())
 
     def after_gap(self, state: WindowStageState[W, M]) -> WindowStageState[W, M]:
@@ -288,24 +278,6 @@ class WindowStage(ABC, Generic[W, X, M]):
     def update(
         self, state: WindowStageState[W, M], block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[WindowStageState[W, M], list[tuple[int, WindowContext]]]:
-        """Return the new state and the windows that a block completes.
-
-        Parameters
-        ----------
-        state : WindowStageState
-            State after the previous block.
-        block : UniformBlock
-            Uniform samples that follow, N samples.
-        attitude : AttitudeBlock
-            Attitude at these samples.
-
-        Returns
-        -------
-        state : WindowStageState
-            New state.
-        windows : list of (int, WindowContext)
-            Classified windows, each with the number of its last sample.
-        """
         windows, found = self.windows.update(state.windows, block, attitude)
         if not found:
             return WindowStageState(windows, state.memory), []

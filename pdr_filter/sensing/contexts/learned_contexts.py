@@ -59,72 +59,20 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
 
     @property
     def contexts(self) -> tuple[str, ...]:
-        """Names of the contexts that the models distinguish."""
         return self.models.with_gyroscope.labels
 
     def first_memory(self) -> FloatArray:
-        """Return equal probabilities of all carrying modes that the models know.
-
-        Returns
-        -------
-        FloatArray
-            Carrying-mode probabilities, shape (5,).
-        """
         return self.models.init()
 
     def memory_after_gap(self, memory: FloatArray) -> FloatArray:
-        """Return the unchanged carrying-mode probabilities, because the phone probably stays in its place during a gap.
-
-        Parameters
-        ----------
-        memory : FloatArray
-            Carrying-mode probabilities before the gap, shape (5,).
-
-        Returns
-        -------
-        FloatArray
-            The same probabilities.
-        """
         return memory
 
     def assess(self, memory: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
-        """Return the new carrying-mode probabilities and the classification of a window.
-
-        Parameters
-        ----------
-        memory : FloatArray
-            Carrying-mode probabilities after the previous window, shape (5,).
-        window : FeatureWindow
-            Features of the window.
-
-        Returns
-        -------
-        memory : FloatArray
-            New carrying-mode probabilities, shape (5,).
-        context : WindowContext
-            Classification of the window.
-        """
         return self.models.update(memory, window, self.context_set)
 
     def assess_all(
         self, memory: FloatArray, windows: Sequence[FeatureWindow]
     ) -> tuple[FloatArray, list[WindowContext]]:
-        """Return the new carrying-mode probabilities and the classifications of consecutive windows.
-
-        Parameters
-        ----------
-        memory : FloatArray
-            Carrying-mode probabilities after the previous window, shape (5,).
-        windows : sequence of FeatureWindow
-            Features of the windows.
-
-        Returns
-        -------
-        memory : FloatArray
-            New carrying-mode probabilities, shape (5,).
-        contexts : list of WindowContext
-            Classifications in the same order.
-        """
         return self.models.update_all(memory, windows, self.context_set)
 
 

@@ -137,36 +137,11 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
         return None if low_pass_hz is None else butterworth(2, low_pass_hz, self.rate_hz)
 
     def init(self) -> WindowState:
-        """Return the state at the start of a segment.
-
-        Returns
-        -------
-        WindowState
-            Initial state.
-        """
         return WindowState(None, no_samples(1 + N_SIGNALS))
 
     def update(
         self, state: WindowState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[WindowState, list[tuple[int, FeatureWindow]]]:
-        """Return the new state and the windows that a block completes.
-
-        Parameters
-        ----------
-        state : WindowState
-            State after the previous block.
-        block : UniformBlock
-            Uniform samples that follow.
-        attitude : AttitudeBlock
-            Attitude at these samples.
-
-        Returns
-        -------
-        state : WindowState
-            New state.
-        windows : list of (int, FeatureWindow)
-            Windows with their features, each with the number of its last sample.
-        """
         force = specific_force_magnitude(block.specific_force_mps2)
         low_passed, zi = np.zeros((1, len(force))), None
         if self._sos is not None:

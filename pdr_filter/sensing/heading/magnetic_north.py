@@ -164,13 +164,6 @@ class MagneticNorth(StepStage):
     memory_s: float = 100.0
 
     def init(self) -> MagneticNorthState:
-        """Return the state before the first sample.
-
-        Returns
-        -------
-        MagneticNorthState
-            Initial state.
-        """
         return MagneticNorthState(
             samples=np.empty((0, _SAMPLE_COLUMNS)),
             readings=np.empty((0, _READING_COLUMNS)),
@@ -181,18 +174,6 @@ class MagneticNorth(StepStage):
         )
 
     def after_gap(self, state: MagneticNorthState) -> MagneticNorthState:
-        """Return the initial state, because a phone that is turned in a gap has unknown directions.
-
-        Parameters
-        ----------
-        state : MagneticNorthState
-            State before the gap.
-
-        Returns
-        -------
-        MagneticNorthState
-            Initial state.
-        """
         return self.init()
 
     def update(
@@ -203,28 +184,6 @@ class MagneticNorth(StepStage):
         contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
-        """Return the new state and the steps of a block with the direction of north.
-
-        Parameters
-        ----------
-        state : MagneticNorthState
-            State after the previous block.
-        block : UniformBlock
-            Uniform samples that follow.
-        attitude : AttitudeBlock
-            Attitude at these samples.
-        contexts : ContextBlock
-            Most probable context and carrying mode at each sample, which are not used.
-        steps : list of (int, Step)
-            Steps that became known in this block, each with the number of the sample that revealed it.
-
-        Returns
-        -------
-        state : MagneticNorthState
-            New state.
-        steps : list of (int, Step)
-            The same steps with `north_rad` and `north_std_rad`.
-        """
         is_sampled = block.magnetic_field_known & block.angular_rate_known
         samples = np.concatenate(
             [state.samples, np.column_stack([block.magnetic_field_ut, attitude.quat, is_sampled.astype(float)])]
@@ -244,22 +203,6 @@ class MagneticNorth(StepStage):
     def finish(
         self, state: MagneticNorthState, steps: list[tuple[int, Step]]
     ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
-        """Return the new state and the steps revealed by a gap or the end, with the direction of north.
-
-        Parameters
-        ----------
-        state : MagneticNorthState
-            State after the last block.
-        steps : list of (int, Step)
-            Steps that were completed at the gap or the end, each with the number of the last sample.
-
-        Returns
-        -------
-        state : MagneticNorthState
-            New state.
-        steps : list of (int, Step)
-            The same steps with `north_rad` and `north_std_rad`.
-        """
         result: list[tuple[int, Step]] = []
         times: list[float] = state.readings[:, _TIME].tolist()
         for number, step in steps:

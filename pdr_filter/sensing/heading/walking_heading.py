@@ -38,6 +38,7 @@ from pdr_filter.sensing.heading.reported_heading import Reported, Shown
 from pdr_filter.sensing.heading.stride_harmonics import Phases, Stride, StrideSamples, carry_axis, strides_of
 from pdr_filter.sensing.heading.vectors import Vector, cross, dot, linear_sum, unit
 from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_contexts
+from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.values import (
     CARRYING_MODES,
     FloatArray,
@@ -214,7 +215,7 @@ class WalkingHeadingState:
 
 
 @dataclass(frozen=True)
-class WalkingHeading:
+class WalkingHeading(StepStage):
     """Causal heading stage that estimates the walking direction of each step for any carrying mode.
 
     It needs a gyroscope, and gives no headings without. It is the heading stage of the default recipe.
@@ -320,13 +321,6 @@ class WalkingHeading:
         return replace(self, known_places=known_places(steps))
 
     def init(self) -> WalkingHeadingState:
-        """Return the state before the first sample.
-
-        Returns
-        -------
-        WalkingHeadingState
-            Initial state.
-        """
         return WalkingHeadingState(
             n_samples=0,
             start_s=math.nan,
@@ -387,28 +381,6 @@ class WalkingHeading:
         contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
-        """Return the new state and the steps of a block with their walking headings.
-
-        Parameters
-        ----------
-        state : WalkingHeadingState
-            State after the previous block.
-        block : UniformBlock
-            Uniform samples that follow.
-        attitude : AttitudeBlock
-            Attitude at these samples.
-        contexts : ContextBlock
-            Most probable context and carrying mode at each sample.
-        steps : list of (int, Step)
-            Steps that became known in this block, each with the number of the sample that revealed it.
-
-        Returns
-        -------
-        state : WalkingHeadingState
-            New state.
-        steps : list of (int, Step)
-            The same steps with their walking headings and heading offsets.
-        """
         n_before = state.n_samples
         if n_before == 0:
             gap_s = block.gap_before_s if math.isfinite(block.gap_before_s) else 0.0
@@ -435,24 +407,6 @@ class WalkingHeading:
     def finish(
         self, state: WalkingHeadingState, steps: list[tuple[int, Step]]
     ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
-        """Return the new state and the steps revealed by a gap or the end, with their walking headings.
-
-        The carrying mode and the context of these steps are unknown.
-
-        Parameters
-        ----------
-        state : WalkingHeadingState
-            State after the last block.
-        steps : list of (int, Step)
-            Steps that were completed at the gap or the end, each with the number of the last sample.
-
-        Returns
-        -------
-        state : WalkingHeadingState
-            New state.
-        steps : list of (int, Step)
-            The same steps with their walking headings and heading offsets.
-        """
         return self._with_headings(state, steps, unknown_contexts(len(steps)))
 
     @property

@@ -210,13 +210,6 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         return self.rhythm_share * self.min_peak_mps2
 
     def init(self) -> AdaptiveDetectorState:
-        """Return the state before the first sample of a segment.
-
-        Returns
-        -------
-        AdaptiveDetectorState
-            Initial state.
-        """
         return AdaptiveDetectorState(self._log.init(), np.zeros((1, self._n_line)), np.zeros((3, 2)), Rhythm(0.0, 0))
 
     @property

@@ -82,34 +82,11 @@ class ContactTimeSmoothing(StepStage):
     """
 
     def init(self) -> ContactTimeSmoothingState:
-        """Return the state before the first step.
-
-        Returns
-        -------
-        ContactTimeSmoothingState
-            Initial state.
-        """
         return ContactTimeSmoothingState()
 
     def finish(
         self, state: ContactTimeSmoothingState, steps: Sequence[tuple[int, Step]]
     ) -> tuple[ContactTimeSmoothingState, list[tuple[int, Step]]]:
-        """Return the new state and the steps with corrected times, durations and frequencies.
-
-        Parameters
-        ----------
-        state : ContactTimeSmoothingState
-            State after the previous steps.
-        steps : sequence of (int, Step)
-            Steps in order, each with the number of the sample that revealed it.
-
-        Returns
-        -------
-        state : ContactTimeSmoothingState
-            New state.
-        steps : list of (int, Step)
-            Corrected steps with the same numbers. A step that spans two steps becomes two.
-        """
         moved: list[tuple[int, Step]] = []
         for number, step in steps:
             for part in _halves(step) if step.is_two else (step,):

@@ -350,7 +350,6 @@ class ResponseStepDetector(BaseStepDetector[R]):
 
     @property
     def latency_s(self) -> float:
-        """Time from a contact to its detection, s."""
         return (self._delay_samples + 1) / self.rate_hz
 
     def _detect(self, state: R, line: FloatArray, first: int) -> tuple[R, list[tuple[int, Step]]]:

@@ -232,13 +232,6 @@ class StepGate(StepStage):
         return (self._n_after + 1) / EVIDENCE_HZ
 
     def init(self) -> StepGateState:
-        """Return the state before the first sample.
-
-        Returns
-        -------
-        StepGateState
-            Initial state.
-        """
         return StepGateState(self._walking_share)
 
     def update(
@@ -249,28 +242,6 @@ class StepGate(StepStage):
         contexts: ContextBlock,
         steps: Sequence[tuple[int, Step]],
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
-        """Return the new state and the steps released by a block.
-
-        Parameters
-        ----------
-        state : StepGateState
-            State after the previous block.
-        block : UniformBlock
-            Uniform samples that follow.
-        attitude : AttitudeBlock
-            Attitude at these samples, which is not used.
-        contexts : ContextBlock
-            Most probable context and carrying mode at each sample, which are not used.
-        steps : sequence of (int, Step)
-            Steps that the detector found in this block, in order, each with the number of the sample that revealed it.
-
-        Returns
-        -------
-        state : StepGateState
-            New state.
-        steps : list of (int, Step)
-            Released steps, each with the number of the sample that decided it.
-        """
         samples = np.concatenate([state.rest, block.specific_force_mps2])
         n = self._samples_per_row
         whole = samples[: len(samples) // n * n]
@@ -295,24 +266,7 @@ class StepGate(StepStage):
     def finish(
         self, state: StepGateState, steps: Sequence[tuple[int, Step]]
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
-        """Return the state after the end of a segment, and the steps released by it.
-
-        A bout continues after a short gap. The probability of walking decays towards its stationary value with time.
-
-        Parameters
-        ----------
-        state : StepGateState
-            State after the last block of the segment.
-        steps : sequence of (int, Step)
-            Steps that `finish` of the detector returned.
-
-        Returns
-        -------
-        state : StepGateState
-            State before the first sample of the next segment.
-        steps : list of (int, Step)
-            Released steps, each with the number of the last sample.
-        """
+        # A bout continues after a short gap. The probability of walking decays towards its stationary value with time.
         state = replace_unchecked(state, waiting=(*state.waiting, *steps))
         state, released = self._judge(state, [state.n_samples - 1] * len(state.waiting))
         # Steps that do not form a bout yet are dropped, because a gap gives no evidence for more steps.

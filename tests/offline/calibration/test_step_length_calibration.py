@@ -19,7 +19,6 @@ from pdr_filter.filter.step_length.models import (
     StepLengthModel,
     length_and_jacobian,
 )
-from pdr_filter.offline.calibration import estimation
 from pdr_filter.offline.calibration import model_forms as forms
 from pdr_filter.offline.calibration.estimation import Hierarchy, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate, calibrate_segments
@@ -115,13 +114,6 @@ def test_the_prediction_for_a_held_out_person_is_that_of_a_calibration_without_t
     without = estimate_parameters(sums.rows(others), HELD, loss="none")
     own = sums.subject == 2
     np.testing.assert_allclose(found.stranger_m[own], sums.regressors[own, 0] @ without.population, rtol=1e-5)
-
-
-def test_the_size_of_the_chunks_does_not_change_the_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    sums, _ = design(np.random.default_rng(4))
-    whole = estimate_parameters(sums, HELD)
-    monkeypatch.setattr(estimation, "_CHUNK_SEGMENTS", 50)
-    np.testing.assert_allclose(estimate_parameters(sums, HELD).people, whole.people, rtol=1e-12)
 
 
 def test_the_order_of_the_segments_does_not_change_the_result() -> None:
