@@ -77,6 +77,7 @@ def load(content: Any) -> pdr.OnlineFilter:
 
 STATE = ("value", "dict", "state", "fields")
 SENSING = (*STATE, "sensing", "fields")
+STATISTICS = (*STATE, "statistics", "fields")
 ATTITUDE_OF_CONFIG = ("value", "dict", "config", "fields", "sensing", "fields", "attitude", "fields")
 
 
@@ -85,16 +86,20 @@ ATTITUDE_OF_CONFIG = ("value", "dict", "config", "fields", "sensing", "fields", 
     [
         ((*ATTITUDE_OF_CONFIG, "tau_acc_s"), 0.0, "tau_acc_s of AttitudeEstimator must be positive"),
         ((*ATTITUDE_OF_CONFIG, "tau_acc_s"), "3", "tau_acc_s of AttitudeEstimator must be .*float"),
-        ((*STATE, "n_rejected_fixes"), 1.5, "n_rejected_fixes of State must be .*int.*, got 1.5"),
-        ((*STATE, "n_rejected_fixes"), 10**400, "n_rejected_fixes of State must be|digits"),
+        ((*STATISTICS, "n_rejected_fixes"), 1.5, "n_rejected_fixes of Statistics must be .*int.*, got 1.5"),
+        ((*STATISTICS, "n_rejected_fixes"), 10**400, "n_rejected_fixes of Statistics must be|digits"),
         ((*STATE, "finished"), 0, "finished of State must be .*bool"),
         ((*STATE, "waiting_fixes"), {"tuple": [1.0]}, "waiting_fixes of State must be"),
         ((*STATE, "waiting_fixes"), {"tuple": {}}, "the items of a tuple must be stored as a list, got {}.*: process"),
-        ((*STATE, "walked"), None, "walked of State must be .*StepCounts"),
+        ((*STATISTICS, "walked"), None, "walked of Statistics must be .*StepCounts"),
         ((*SENSING, "cadence"), {"tuple": [{"tuple": [1.0]}]}, "cadence of SensingState must be"),
         ((*SENSING, "processed_s"), 1e31, "processed_s of SensingState must be"),
         ((*SENSING, "n_samples"), 2**70, "n_samples of SensingState must be"),
-        ((*STATE, "n_climbs_used"), -1, "n_climbs_used of State must be a non-negative count, got -1"),
+        (
+            (*STATE, "waiting_climbs", "fields", "n_used"),
+            -1,
+            "n_used of WaitingClimbs must be a non-negative count",
+        ),
         ((*SENSING, "vibration", "fields", "extra"), 1.0, "VehicleVibrationState has no field extra"),
     ],
 )

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pdr_filter import recipes
+from pdr_filter.filter.chain.handler import StepsEnd, TrackerHandler, Window
 from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.chain.weighted_tracker import DetectedStepTracker, WeightedState, WeightedTracker
+from pdr_filter.filter.chain.with_path import PathState, WithPath
 from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.motion_model import (
     Directions,
@@ -33,6 +36,7 @@ from pdr_filter.filter.pedestrian.pedestrian_state import (
 )
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
 from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step, WindowContext, replace_unchecked
+from pdr_filter.values.events import Stepless
 
 LATENCY_S = 0.74
 EVEN_PRIOR = np.full(6, 1 / 6)
@@ -642,15 +646,21 @@ def test_rotating_the_frame_rotates_the_shared_errors() -> None:
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
 def test_motion_without_steps_adds_its_variance_once_to_the_position_and_to_the_path(weighting: str) -> None:
-    filter_ = tracker(weighting)
-    state, _ = run(filter_, [a_step(1.0), WindowContext(2.0, sure(WALKING), EVEN_PRIOR)])
-    moved = replace_unchecked(state, pedestrian=over_stepless(state.pedestrian, 4.0))
+    chain = WithPath(TrackerHandler(tracker(weighting)))
+
+    def after_events(state: PathState, *events: Any) -> PathState:
+        for event in (*events, StepsEnd()):
+            state, _ = chain.on(state, event, 0.0)
+        return state
+
+    state = after_events(chain.init(), a_step(1.0), Window(WindowContext(2.0, sure(WALKING), EVEN_PRIOR), None))
+    moved = after_events(state, Stepless(4.0))
     added = position_cov(moved) - position_cov(state)
     np.testing.assert_allclose(added, stepless_var_m2(4.0) * np.eye(2), atol=1e-12)
-    later = [WindowContext(22.0, sure(WALKING), EVEN_PRIOR)]
-    usual, _ = run(filter_, [a_step(20.0), *later], state)
+    later = Window(WindowContext(22.0, sure(WALKING), EVEN_PRIOR), None)
+    usual = after_events(state, a_step(20.0), later)
     for before, stepless_s in ((state, 10.0), (moved, 10.0), (moved, 4.0)):
-        after, _ = run(filter_, [replace(a_step(20.0), stepless_s=stepless_s), *later], before)
+        after = after_events(before, replace(a_step(20.0), stepless_s=stepless_s), later)
         added = position_cov(after) - position_cov(usual)
         np.testing.assert_allclose(added, stepless_var_m2(stepless_s) * np.eye(2), atol=1e-9)
         # the motion is not added to the step before the pause
@@ -690,9 +700,9 @@ def test_a_lost_heading_leaves_the_centre_of_its_rotation_and_its_variance_as_th
     assert (centre.var_m2, reopened.frame.north_var_rad2) == pytest.approx((0.5, 1.0))
 
 
-def first_var_m2(state: State) -> np.ndarray:
+def first_var_m2(state: PathState) -> np.ndarray:
     x, P = state.pedestrian.estimates.combined
-    return state.pedestrian.path.places(P, np.zeros((2, 2)), x[:2])[2][[0, 2], 0]
+    return state.path.places(P, np.zeros((2, 2)), x[:2])[2][[0, 2], 0]
 
 
 def position_cov(state: State) -> np.ndarray:
