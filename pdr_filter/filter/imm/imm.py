@@ -246,13 +246,13 @@ def update(
     return updated_mean, updated_cov, log_likelihood, nis
 
 
-def update_mode_prob(predicted_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+def update_mode_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
     """Return the posterior mode probabilities (..., M): mu_j proportional to c_j exp(log_likelihood_j).
 
-    `predicted_prob` (..., M) are the probabilities c_j after the interaction (`mix`), and `log_likelihood` (..., M) the
+    `prior_prob` (..., M) are the predicted probabilities c_j after the interaction (`mix`), and `log_likelihood` (..., M) the
     log evidence of each mode (`posterior_prob`).
     """
-    return posterior_prob(predicted_prob, log_likelihood)
+    return posterior_prob(prior_prob, log_likelihood)
 
 
 @cache
