@@ -249,8 +249,8 @@ def update(
 def update_mode_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
     """Return the posterior mode probabilities (..., M): mu_j proportional to c_j exp(log_likelihood_j).
 
-    `prior_prob` (..., M) are the predicted probabilities c_j after the interaction (`mix`), and `log_likelihood` (..., M) the
-    log evidence of each mode (`posterior_prob`).
+    `prior_prob` (..., M) are the predicted probabilities c_j after the interaction (`mix`), and `log_likelihood`
+    (..., M) is the log evidence of each mode (`posterior_prob`).
     """
     return posterior_prob(prior_prob, log_likelihood)
 
