@@ -46,7 +46,7 @@ BOXES: dict[str, tuple[float, float, float, float, str, str, dict[str, object]]]
     "steps": (8.7, 6.8, 1.25, 0.42, "steps, gate", "sensing.steps, recipes", ONLINE),
     "heading": (5.2, 5.2, 1.45, 0.42, "walking heading", "sensing.heading, recipes", ONLINE),
     "climb": (1.55, 3.35, 1.3, 0.42, "climb rate", "sensing.features", ONLINE),
-    "filter": (5.2, 3.35, 1.35, 0.6, "filter", "filter: step_length,\nimm, fixes, height", ONLINE),
+    "filter": (5.2, 3.35, 1.35, 0.6, "filter", "filter.chain: tracker,\npath, height, plan", ONLINE),
     "fixes": (8.9, 3.35, 1.2, 0.42, "fixes", "values.fixes", OUTSIDE),
     "calibrate": (1.55, 1.6, 1.3, 0.42, "calibrate", "offline.calibration", OFFLINE),
     "track": (5.2, 1.6, 1.4, 0.42, "Track", "tracking", OUTSIDE),
