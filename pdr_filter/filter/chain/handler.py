@@ -29,7 +29,7 @@ class Places(NamedTuple):
 
 
 class NewestStep(NamedTuple):
-    """Request of a provisional row of the last step."""
+    """Request of a provisional row of the last step. It changes no state."""
 
 
 class StepsEnd(NamedTuple):
@@ -107,7 +107,8 @@ class Handler(Protocol[S]):
         """Return the state after an event, and its consequences in order: rows, uses of fixes and floor passages.
 
         `known_s` is the time in s at which the event became known. A handler passes on events and outputs that it does
-        not know.
+        not know. Provisional rows, which apps get for `NewestStep`, must not change its state. `OnlineFilter.now` and
+        `path` show the tracker, without the changes of rows by other handlers than those of the package.
         """
         ...
 
