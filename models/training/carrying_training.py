@@ -33,7 +33,7 @@ from models.training.synthetic_windows import (
     windows_of_one,
 )
 from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.classifiers.probability_calibration import fit_temperature, tempered
+from pdr_filter.classifiers.probability_calibration import fit_temperature, tempered_prob
 from pdr_filter.offline.training.classifier_choice import fit_softmax
 from pdr_filter.offline.training.cross_validation import (
     Columns,
@@ -101,7 +101,7 @@ class CarryingPlan(ShippedPlan):
         even = _even_rows(real)
         label = np.array([CARRYING_MODES.index(mode) for mode in real.carrying_mode])
         temperature = fit_temperature(prob[even], label[even])
-        prob = tempered(prob, temperature)
+        prob = tempered_prob(prob, temperature)
         sites = {str(site): site_scores(real, prob, real.dataset == site) for site in np.unique(real.dataset)}
         people = sites.pop(SCORED_DATASET, {})
         card = {

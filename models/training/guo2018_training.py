@@ -39,7 +39,7 @@ from pdr_filter.offline.training.cross_validation import (
     LabelledWindows,
     Progress,
     TextArray,
-    predicted,
+    most_probable_labels,
     score,
     silent,
     train_one,
@@ -339,7 +339,7 @@ def kappa(truth: TextArray, prob: FloatArray) -> float:
 
     `truth` must have at least two classes.
     """
-    found = predicted(prob, CARRYING_MODES)
+    found = most_probable_labels(prob, CARRYING_MODES)
     by_chance = sum(float(np.mean(truth == c) * np.mean(found == c)) for c in CARRYING_MODES)
     agreed = float(np.mean(truth == found))
     return round((agreed - by_chance) / (1 - by_chance), 4)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.chain.handler import Around, End, Event, FixUse, Handler, Output, Places, Window
-from pdr_filter.filter.fixes.gnss import place_at
+from pdr_filter.filter.chain.handler import Around, End, Event, FixUse, Handler, Locations, Output, Window
+from pdr_filter.filter.fixes.gnss import location_at
 from pdr_filter.filter.height import height_filter
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.height.vertical_modes import N_MODES
@@ -31,12 +31,12 @@ class HeightTrack(Around):
         State of the inner handler.
     height : HeightState
         State of the height filter.
-    places : ndarray, shape (N, 3)
-        Recent accurate locations (`gnss.good_places`), which distinguish hills from storeys.
+    locations : ndarray, shape (N, 3)
+        Recent accurate locations (`gnss.good_locations`), which distinguish hills from storeys.
     """
 
     height: HeightState
-    places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    locations: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:
@@ -66,12 +66,12 @@ class WithHeight:
     def on(self, state: HeightTrack, event: Event, known_s: float) -> tuple[HeightTrack, tuple[Output, ...]]:
         """Return the state after an event, and the outputs of the inner handler with heights and floor passages."""
         if isinstance(event, Climb):
-            place = place_at(state.places, event.time_s)
-            height, passages = height_filter.on_pressure(state.height, event, self.log_odds, place)
+            position = location_at(state.locations, event.time_s)
+            height, passages = height_filter.on_pressure(state.height, event, self.log_odds, position)
             return replace_unchecked(state, height=height), passages
-        if isinstance(event, Places):
-            recent = state.places[state.places[:, 0] >= event.since_s]
-            return replace_unchecked(state, places=np.concatenate([recent, event.rows])), ()
+        if isinstance(event, Locations):
+            recent = state.locations[state.locations[:, 0] >= event.since_s]
+            return replace_unchecked(state, locations=np.concatenate([recent, event.rows])), ()
         if isinstance(event, Window):
             height = height_filter.on_window(state.height, event.context, event.height_log_evidence)
             state = replace_unchecked(state, height=height)
@@ -87,7 +87,7 @@ class WithHeight:
             else:
                 all_outputs.append(output)
         if isinstance(event, End):
-            height, passages = height_filter.finish(state.height)
+            height, passages = height_filter.finish_height(state.height)
             return replace_unchecked(state, height=height), (*all_outputs, *passages)
         return state, tuple(all_outputs)
 
@@ -96,9 +96,9 @@ class WithHeight:
         at_step, passages = state.height.known, ()
         if row.is_final:
             up_prob, down_prob = self.on_stairs.dot(row.mode_prob).tolist()
-            place = place_at(state.places, row.step.time_s)
+            position = location_at(state.locations, row.step.time_s)
             height, at_step, passages = height_filter.on_step(
-                state.height, known_s, row.step.time_s, up_prob, down_prob, self.log_odds, place
+                state.height, known_s, row.step.time_s, up_prob, down_prob, self.log_odds, position
             )
             state = replace_unchecked(state, height=height)
         row = replace_unchecked(

@@ -33,7 +33,7 @@ def joined_updates(updates: Sequence[KalmanUpdate]) -> KalmanUpdate:
     return KalmanUpdate(*(np.concatenate(arrays) for arrays in zip(*updates, strict=True)))
 
 
-def gated(arithmetic: ImmArithmetic, state: PedestrianState, update: KalmanUpdate, gate_nis: float) -> Result:
+def gated_update(arithmetic: ImmArithmetic, state: PedestrianState, update: KalmanUpdate, gate_nis: float) -> Result:
     """Return the state after an update, the outcome "used" or "rejected", and the NIS of the mixture of all filters.
 
     With the probability p_f and the NIS q_f of filter f, the NIS of the mixture is -2 log sum_f p_f exp(-q_f / 2). A

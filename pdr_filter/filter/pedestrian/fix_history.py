@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pdr_filter.filter.pedestrian.range_placement import PairedRange
+from pdr_filter.filter.pedestrian.range_solutions import PairedRange
 from pdr_filter.filter.pedestrian.relocation import RelocationEvidence
 from pdr_filter.filter.pedestrian.repeated_fixes import FixMemory
 from pdr_filter.values import N_BEFORE, FloatArray, PositionFix, Standstill, read_only, replace_unchecked

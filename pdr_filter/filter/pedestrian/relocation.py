@@ -23,7 +23,7 @@ from pdr_filter.filter.pedestrian.frame_rotation import (
     agreement_limit,
     align,
     least_squares_error,
-    thinned,
+    spaced_pairs,
 )
 from pdr_filter.values import FloatArray
 
@@ -150,7 +150,7 @@ def _thinned(pairs: tuple[PairedPoint, ...]) -> tuple[PairedPoint, ...]:
     times_s = [pair.time_s for pair in pairs]
     while len(pairs) > _MIN_REJECTED and times_s[-1] - times_s[1] >= 2.0 * PATIENCE_S:
         pairs, times_s = pairs[1:], times_s[1:]
-    return thinned(pairs, MAX_REJECTED)
+    return spaced_pairs(pairs, MAX_REJECTED)
 
 
 def _agree(pairs: Sequence[PairedPoint]) -> bool:
