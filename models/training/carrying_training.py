@@ -90,7 +90,9 @@ class CarryingPlan(ShippedPlan):
         """Return the windows of each real person as masks (W,) by name, including synthetic ones made from them."""
         return {str(name): windows.person == name for name in np.unique(windows.person[self.is_real(windows)])}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+    def final_model(
+        self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]
+    ) -> ContextModel:
         """Return the final model, with its temperature, its `Familiarity` and its card.
 
         The temperature and the limit of `Familiarity` are determined from held-out people.
@@ -183,7 +185,7 @@ def carrying_windows(
             f"no windows for {plan.name}: give recordings of {', '.join(plan.datasets)} with moving people and "
             f"the carrying modes {', '.join(MODES)} in their truth_labels.csv"
         )
-    return LabelledWindows.joined(parts)
+    return LabelledWindows.concatenate(parts)
 
 
 @dataclass(frozen=True)
@@ -289,7 +291,7 @@ def _turned(signals: _Signals, name: str) -> _Signals:
         for rows in (_RATE, _UP, _FORCE):
             samples[:, rows] = matrix @ samples[:, rows]
         parts.append(replace(half, samples=samples, mode=np.full(len(samples), "calling")))
-    return _Signals.joined(parts)
+    return _Signals.concatenate(parts)
 
 
 def _weak(signals: _Signals, name: str) -> _Signals:

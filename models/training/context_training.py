@@ -115,7 +115,9 @@ class ContextPlan(ShippedPlan):
         groups |= {site: windows.dataset == site for site in sites}
         return {name: group for name, group in groups.items() if group.any()}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+    def final_model(
+        self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]
+    ) -> ContextModel:
         """Return the final model, with its calibration, its `Familiarity` and its card.
 
         The model is calibrated on all held-out people. To score a person, the calibration is fitted on all other

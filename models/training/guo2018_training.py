@@ -103,7 +103,9 @@ class PosePlan(ShippedPlan):
         real = self.is_real(windows)
         return {name: group for name, group in groups.items() if (group & real).any() and (~group & real).any()}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+    def final_model(
+        self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]
+    ) -> ContextModel:
         """Return the model with its card: scores of each held-out site, and recall of the pocket for held-out people.
 
         The recall is given as the mean over the people of the scored data set and for the worst person.
@@ -248,7 +250,7 @@ def labelled_poses(
     if not levels:
         raise ValueError(f"no labelled windows of {', '.join(DATASETS)}: give their recordings with truth_labels.csv")
     poses = [part for of_source, _ in found for part in of_source]
-    return LabelledWindows.joined(poses), WalkWindows.joined(levels)
+    return LabelledWindows.concatenate(poses), WalkWindows.concatenate(levels)
 
 
 def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[LabelledWindows], list[WalkWindows]]:

@@ -236,7 +236,7 @@ async def _run(
     """Start the workers, serve, and stop the workers at the end."""
     try:
         await shared.start()
-        await serve(server, listening, [*tasks(shared), until_exit(server, shared.broadcast.end)], say)
+        await serve_page(server, listening, [*tasks(shared), until_exit(server, shared.broadcast.end)], say)
     finally:
         await shared.stop()
 
@@ -248,7 +248,7 @@ async def until_exit(server: Any, end: Callable[[], None]) -> None:
     end()
 
 
-async def serve(
+async def serve_page(
     server: Any, listening: socket.socket, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]
 ) -> None:
     """Serve until Ctrl+C. Sources start when the server accepts connections."""

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pdr_filter.apps.cli import console
-from pdr_filter.apps.cli.live import Address, bound_socket, serve, until_exit
+from pdr_filter.apps.cli.live import Address, bound_socket, serve_page, until_exit
 
 if TYPE_CHECKING:
     import socket
@@ -93,7 +93,7 @@ async def _run(
     try:
         for each in shared:
             await each.start()
-        await serve(server, listening, [until_exit(server, each.broadcast.end) for each in shared], say)
+        await serve_page(server, listening, [until_exit(server, each.broadcast.end) for each in shared], say)
     finally:
         for each in shared:
             await each.stop()

@@ -282,7 +282,7 @@ class WeightedTracker:
         previous, lengths = before_step(state.pedestrian, step), model.lengths(step)
         is_standing = previous.fixes.is_standing(step.time_s)
         weights = 1.0 - model.moves if is_standing else free_weights
-        directions, mean_lengths = model.directions.weighted(weights), lengths.weighted(weights)
+        directions, mean_lengths = model.directions.of_one_filter(weights), lengths.of_one_filter(weights)
         own, since = (mean_lengths.length_m, mean_lengths.residual_var_m2), since_last_step(previous, step)
         cycle = step_cycle(previous.estimates, previous.heading_zero, step, since, own, directions, model.noise)
         motion, (x,), (P,) = cycle.motion, cycle.ahead.mean, cycle.ahead.cov

@@ -160,7 +160,7 @@ def _on_position(
         fixes = replace(fixes, relocation=fixes.relocation.with_used(), n_errors=n_errors, squares=squares)
         frame = updated.frame.with_position(fix.position_m, fix.var_m2)
         updated = replace(updated, estimates=estimates, fixes=fixes, frame=frame)
-        updated = with_change(updated, lambda path: path.corrected(np.zeros(N_STATES), larger))
+        updated = with_change(updated, lambda path: path.after_correction(np.zeros(N_STATES), larger))
     return updated if outcome == "used" else state, outcome, nis
 
 
@@ -220,7 +220,7 @@ def _on_known_frame(
     state = in_other_frame(replace(state, estimates=replace(state.estimates, cov=cov), fixes=fixes), alignment)
     moved = replace(alignment, since=alignment.n_steps)
     state = replace(state, frame=replace(state.frame, later=(*state.frame.later, moved)))
-    pairs = [pair.moved(alignment.positions) for pair in relocation.pairs]
+    pairs = [pair.with_moved_track(alignment.positions) for pair in relocation.pairs]
     state, nis = _with_second_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
     return state, "moved", nis
 
@@ -326,7 +326,7 @@ def _on_first_positions(
     state = in_other_frame(state, alignment)
     fixes = replace(state.fixes, n_errors=degrees_of_freedom(agreeing), squares=squares)
     state = replace(state, frame=frame.with_alignment(alignment), fixes=fixes)
-    pairs = [pair.moved(alignment.positions) for pair in agreeing]
+    pairs = [pair.with_moved_track(alignment.positions) for pair in agreeing]
     state, nis = _with_second_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
     return state, "turned", nis
 

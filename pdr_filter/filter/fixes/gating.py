@@ -51,7 +51,7 @@ def gated_update(arithmetic: ImmArithmetic, state: PedestrianState, update: Kalm
     prob = arithmetic.update_mode_prob(mode_prob, update.log_likelihood)
     state = replace(state, estimates=replace(state.estimates, mean=update.mean, cov=update.cov, prob=prob))
     moved = state.estimates.combined[0] - prior_x
-    state, shift_m = with_change(state, lambda path: path.corrected(moved, 1.0)), moved[[EAST, NORTH]]
+    state, shift_m = with_change(state, lambda path: path.after_correction(moved, 1.0)), moved[[EAST, NORTH]]
     return with_moved_past(state, lambda position_m: position_m + shift_m), "used", nis
 
 

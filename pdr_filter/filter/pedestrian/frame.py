@@ -381,12 +381,14 @@ class Frame:
         angle_rad, var_rad2 = self._north.angle_rad, self._north.std_rad**2
         return Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
 
-    def moved(self, alignment: Alignment) -> Frame:
+    def with_moved_track(self, alignment: Alignment) -> Frame:
         """Return the frame with the track positions of its pairs transformed by an alignment.
 
         The rotation is estimated again.
         """
-        return replace(self, pairs=tuple(pair.moved(alignment.positions) for pair in self.pairs))._reestimated()
+        return replace(
+            self, pairs=tuple(pair.with_moved_track(alignment.positions) for pair in self.pairs)
+        )._reestimated()
 
 
 START_FRAME = Frame(is_joined=True)

@@ -89,7 +89,7 @@ class PairedPoint:
     time_s: float = 0.0
     correlation_s: float = 0.0
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> PairedPoint:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> PairedPoint:
         """Return the pair with the track position transformed by a function of positions (2,)."""
         return replace(self, track_m=read_only(positions(self.track_m)))
 

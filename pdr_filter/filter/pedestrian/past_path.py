@@ -199,7 +199,7 @@ class PastSteps:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def joined(self, later: PastSteps) -> PastSteps:
+    def with_later(self, later: PastSteps) -> PastSteps:
         """Return these steps and later ones, thinned to at most `MAX_STEPS`."""
         keep = np.ones(len(self), dtype=bool)
         if len(self) + len(later) > MAX_STEPS:
@@ -227,7 +227,7 @@ class PastSteps:
         position_m[NORTH] -= versine * lever_m[EAST]
         return position_m
 
-    def rebased(self, back: BackwardRelation) -> PastSteps:
+    def related_to(self, back: BackwardRelation) -> PastSteps:
         """Return the steps related to a later state x' instead of the state x.
 
         `back` is the backward relation from x' to x.
@@ -280,27 +280,27 @@ class PastPath:
     def with_event(self, event: WalkedStep | BackwardRelation) -> PastPath:
         """Return the path after one more event: a step, or a backward relation over a change of the state."""
         if abs(event.turned_rad) > _LARGE_TURN_RAD:
-            return replace_unchecked(self.rebased(), events=(event,)).rebased()
+            return replace_unchecked(self.related_to_present(), events=(event,)).related_to_present()
         path = replace_unchecked(self, events=(*self.events, event))
-        return path.rebased() if len(path.events) >= _BLOCK else path
+        return path.related_to_present() if len(path.events) >= _BLOCK else path
 
-    def predicted(self, before: FloatArray, after: FloatArray) -> PastPath:
+    def after_prediction(self, before: FloatArray, after: FloatArray) -> PastPath:
         """Return the path after the covariance (4, 4) of the present state has grown from `before` to `after`."""
         return self.with_event(BackwardRelation.over_prediction(before, before, after))
 
-    def corrected(self, moved: FloatArray, scale: float) -> PastPath:
+    def after_correction(self, moved: FloatArray, scale: float) -> PastPath:
         """Return the path after a correction (4,) of the present state.
 
         `scale` is the factor by which the covariances of all errors so far are multiplied.
         """
         return self.with_event(replace_unchecked(_UNCHANGED, correction=moved, scale=scale))
 
-    def rebased(self) -> PastPath:
+    def related_to_present(self) -> PastPath:
         """Return the path with all steps related to the present state."""
         if not self.events:
             return self
         back, last = self._last()
-        return replace_unchecked(self, earlier=self.earlier.rebased(back).joined(last), events=())
+        return replace_unchecked(self, earlier=self.earlier.related_to(back).with_later(last), events=())
 
     def _last(self) -> tuple[BackwardRelation, PastSteps]:
         """Return the backward relation over all stored events, and the stored steps related to the present state."""
@@ -326,8 +326,14 @@ class PastPath:
         move the step, too. Shared errors that arise later accumulate from `present_m`.
         """
         if np.trace(shared_m2) < _MIN_SHARED * np.trace(before[:2, :2]):
-            return replace_unchecked(self.predicted(before, after), shared_from_s=time_s, shared_from_m=present_m)
-        path, displacement_m, share = self.rebased(), present_m - self.shared_from_m, self._share(shared_m2, present_m)
+            return replace_unchecked(
+                self.after_prediction(before, after), shared_from_s=time_s, shared_from_m=present_m
+            )
+        path, displacement_m, share = (
+            self.related_to_present(),
+            present_m - self.shared_from_m,
+            self._share(shared_m2, present_m),
+        )
         steps = path.earlier
         since_m = self._since_shared_m(steps.time_s, steps.position_m)
         cross = before @ steps.by_state
@@ -342,14 +348,14 @@ class PastPath:
         `cov` (4, 4) is the covariance of the present state, `time_s` the present time, and `present_m` (2,) the present
         position. Later changes of the frame do not move the steps until `time_s`.
         """
-        path = self.rebased()
+        path = self.related_to_present()
         steps = path.earlier
         fixed = replace_unchecked(steps, by_state=np.zeros_like(steps.by_state), own_cov_m2=steps.cov_m2(cov))
         return replace_unchecked(path, earlier=fixed, since_s=time_s, shared_from_s=time_s, shared_from_m=present_m)
 
     def turned_until_loss(self, alignment: Alignment) -> PastPath:
         """Return the path whose steps until `since_s` are transformed by an alignment."""
-        path = self.rebased()
+        path = self.related_to_present()
         steps, first = path.earlier, int(np.searchsorted(path.earlier.time_s, self.since_s, side="right"))
         position_m, cov_m2 = steps.position_m.copy(), steps.own_cov_m2.copy()
         position_m[:, :first], cov_m2[:, :first] = aligned_positions(
@@ -357,7 +363,9 @@ class PastPath:
         )
         return replace_unchecked(path, earlier=replace_unchecked(steps, position_m=position_m, own_cov_m2=cov_m2))
 
-    def turned(self, alignment: Alignment, before: FloatArray, after: FloatArray, present_m: FloatArray) -> PastPath:
+    def with_alignment(
+        self, alignment: Alignment, before: FloatArray, after: FloatArray, present_m: FloatArray
+    ) -> PastPath:
         """Return the path transformed by an alignment from the present frame to another one.
 
         `before` and `after` are the covariances (4, 4) of the present state in the two frames, and `present_m` (2,) is
@@ -365,7 +373,7 @@ class PastPath:
         and the present position together. Their variances and their covariance with the present state grow
         accordingly. Steps until `since_s` are already in the frame of the fixes and do not change.
         """
-        path, T = self.rebased(), np.eye(N_STATES)
+        path, T = self.related_to_present(), np.eye(N_STATES)
         T[:2, :2] = alignment.rotation
         steps, first = path.earlier, int(np.searchsorted(path.earlier.time_s, self.since_s, side="right"))
         past, present = (
@@ -383,7 +391,7 @@ class PastPath:
         )
         present = present.with_moments(position_m, cov_m2, cross, after)
         from_m = alignment.positions(self.shared_from_m)
-        return replace_unchecked(path, earlier=past.joined(present), shared_from_m=from_m)
+        return replace_unchecked(path, earlier=past.with_later(present), shared_from_m=from_m)
 
     def positions(
         self, cov: FloatArray, shared_m2: FloatArray, present_m: FloatArray

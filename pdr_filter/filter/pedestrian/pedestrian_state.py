@@ -404,7 +404,7 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
         fixes=state.fixes.after_gap(),
         std_at_start_m=state.std_at_start_m + math.sqrt(noise.gap_var_m2(gap_s)),
     )
-    return with_change(changed, lambda path: path.predicted(P, after_P))
+    return with_change(changed, lambda path: path.after_prediction(P, after_P))
 
 
 def over_stepless(state: PedestrianState, stepless_s: float) -> PedestrianState:
@@ -420,7 +420,7 @@ def over_stepless(state: PedestrianState, stepless_s: float) -> PedestrianState:
         steps=replace_unchecked(state.steps, stepless_s=state.steps.stepless_s + stepless_s),
         unstepped_var_m2=state.unstepped_var_m2 + var_m2,
     )
-    return with_change(changed, lambda path: path.predicted(P, grown_P))
+    return with_change(changed, lambda path: path.after_prediction(P, grown_P))
 
 
 _MAX_NORTH_STD_RAD = 1.0  # limit of a normal density on a circle
@@ -518,14 +518,16 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
         with_moved_past(state, alignment.positions),
         estimates=turned,
         heading_zero=HeadingZero(state.heading_zero.offset_rad - alignment.angle_rad, state.heading_zero.time_s),
-        frame=state.frame.moved(alignment),
+        frame=state.frame.with_moved_track(alignment),
     )
-    return with_change(state, lambda path: path.turned(alignment, P, turned_P, x[:2]))
+    return with_change(state, lambda path: path.with_alignment(alignment, P, turned_P, x[:2]))
 
 
 def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], FloatArray]) -> PedestrianState:
     """Return the state with stored positions of steps and fixes transformed by a function of positions (..., 2)."""
-    return replace_unchecked(state, steps=state.steps.moved(positions), fixes=state.fixes.moved(positions))
+    return replace_unchecked(
+        state, steps=state.steps.with_moved_track(positions), fixes=state.fixes.with_moved_track(positions)
+    )
 
 
 def with_detached_path(state: PedestrianState) -> PedestrianState:

@@ -60,7 +60,7 @@ class PairedRange:
     track_m: FloatArray
     is_used: bool
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> PairedRange:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> PairedRange:
         """Return the range with the track position transformed by a function of positions (..., 2)."""
         return replace_unchecked(self, track_m=read_only(positions(self.track_m)))
 

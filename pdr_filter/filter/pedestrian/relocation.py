@@ -59,12 +59,12 @@ class RelocationEvidence:
     rival: tuple[PairedPoint, ...] = ()
     is_used_last: bool = False
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> RelocationEvidence:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> RelocationEvidence:
         """Return the evidence with the track positions of its fixes transformed by a function of positions (..., 2)."""
         return replace(
             self,
-            pairs=tuple(pair.moved(positions) for pair in self.pairs),
-            rival=tuple(pair.moved(positions) for pair in self.rival),
+            pairs=tuple(pair.with_moved_track(positions) for pair in self.pairs),
+            rival=tuple(pair.with_moved_track(positions) for pair in self.rival),
         )
 
     def with_rejected(self, pair: PairedPoint) -> RelocationEvidence:

@@ -160,7 +160,7 @@ class FixMemory:
                 return FixMemory(seen, recent), "frozen"
         return FixMemory(seen, recent), "repeated" if is_repeated else ""
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> FixMemory:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> FixMemory:
         """Return the memory with the track position of `seen` transformed by a function of positions (..., 2)."""
         if self.seen is None:
             return self

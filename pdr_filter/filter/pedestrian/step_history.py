@@ -103,7 +103,7 @@ class StepHistory:
         """
         return replace_unchecked(self, last_s=math.nan, gap_s=self.gap_s + gap_s, speed=None)
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> StepHistory:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> StepHistory:
         """Return the history with its positions transformed by a function of positions (..., 2)."""
         trail = self.trail.copy()
         trail[:, TRAIL_POSITION] = positions(self.trail[:, TRAIL_POSITION])

@@ -307,7 +307,7 @@ def estimate_jointly(
     between_cov = np.zeros((n_free, n_free))
     between_cov[np.ix_(parameters.personal, parameters.personal)] = variances.between
     smoothed = [
-        w.walk.smoothed(of_one.steps, of_one.graph.problem, of_one.graph.solution(values, tree, guess))
+        w.walk.smoothed_walk(of_one.steps, of_one.graph.problem, of_one.graph.solution(values, tree, guess))
         for w, of_one, guess in zip(walks, linearised, guesses, strict=True)
     ]
     return JointEstimate(

@@ -70,7 +70,7 @@ class SwitchingWalk:
     transition_prob: FloatArray
     observed: dict[int, list[Observed]] = field(default_factory=dict[int, list[Observed]])
 
-    def smoothed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def smoothed_modes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return probabilities (K, M), means (K, M, D) and covariances of the modes at each step."""
         n, n_modes, size = self.shift.shape
         prob, mean, cov = np.empty((n, n_modes)), np.empty((n, n_modes, size)), np.empty((n, n_modes, size, size))

@@ -455,7 +455,7 @@ class ReckonedWalk(NamedTuple):
         steps, _ = increments(track.steps, track.mode_prob, config.model, track.gap_before_s, is_weighted=is_weighted)
         return _with_withheld_steps(steps, track, config, self.stood)
 
-    def smoothed(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
+    def smoothed_walk(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
         """Return the smoothed walk for a solution of `problem`, with step lengths whose parameters are in `found`."""
         known = np.zeros_like(self.posed.parameter_error_m)
         posed, on_clock = _Posed(steps, known, self.posed.used, problem), _on_clock(self.observed, self.clocks)
@@ -658,7 +658,7 @@ def _with_observed_modes(filtered: Track, blind: Track, config: Config, posed: _
     between = start_prob[likely], transition_prob[likely][:, likely]
     walk = switching_walk(posed.steps, of_modes, posed.problem, found, evidence, *between)
     prob = blind.mode_prob.copy()
-    prob[:, likely] = walk.smoothed()[0] * prob[:, likely].sum(axis=1, keepdims=True)
+    prob[:, likely] = walk.smoothed_modes()[0] * prob[:, likely].sum(axis=1, keepdims=True)
     return replace(blind, mode_prob=read_only(prob))
 
 

@@ -461,7 +461,9 @@ class FittingPlan(TrainingPlan):
         n = min(len(units), MAX_PARTS)
         return {", ".join(map(str, units[k::n])): np.isin(self.unit, units[k::n]) for k in range(n)}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+    def final_model(
+        self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]
+    ) -> ContextModel:
         """Return the model, calibrated on held-out windows, with its card, transitions and exponents."""
         left, label = in_window_order(left_out.values()), windows.label(self.head)
         scored = np.zeros(len(label), dtype=bool)

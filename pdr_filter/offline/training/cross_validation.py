@@ -78,7 +78,7 @@ class Columns:
         return type(self)(*(getattr(self, name)[use] for name in vars(self)))
 
     @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
         """Return the windows of one or more parts, concatenated."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])))
 
@@ -275,7 +275,9 @@ class TrainingPlan(ABC):
         """Return the groups of windows that are held out together, as masks (W,) by the name of the group."""
 
     @abstractmethod
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+    def final_model(
+        self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]
+    ) -> ContextModel:
         """Return the final model with its card and the calibration from the held-out groups."""
 
 
@@ -324,7 +326,7 @@ def fit_groups(plan: TrainingPlan, windows: LabelledWindows, progress: Progress,
 def calibrate_fits(plan: TrainingPlan, windows: LabelledWindows, fits: Fits) -> ContextModel:
     """Return the final model of a training plan, calibrated and scored on its held-out groups."""
     with threadpool_limits(1):
-        return plan.finished(fits.model, windows, predictions(plan, windows, fits))
+        return plan.final_model(fits.model, windows, predictions(plan, windows, fits))
 
 
 def predictions(plan: TrainingPlan, windows: LabelledWindows, fits: Fits) -> dict[str, HeldOut]:
