@@ -94,7 +94,7 @@ def test_an_alignment_rotates_past_and_present_with_a_shared_error() -> None:
     after = T @ P @ T.T + 0.01 * np.outer(g, g) + shift
     before_m = path.positions(P, np.zeros((2, 2)), joint.mean[-4:-2])[1]
     moved = path.with_alignment(alignment, P, after, present_m)
-    _, position_m, cov_m2 = moved.places(after, np.zeros((2, 2)), present_m)
+    _, position_m, cov_m2 = moved.positions(after, np.zeros((2, 2)), present_m)
     np.testing.assert_allclose(position_m.T, alignment.positions(before_m.T), atol=1e-9)
     first = alignment.positions(joint.mean[4:6])
     east_m, north_m = first - alignment.world_centre_m
@@ -104,7 +104,7 @@ def test_an_alignment_rotates_past_and_present_with_a_shared_error() -> None:
     # correction of the present state in proportion to its covariance with one component
     cross = alignment.rotation @ joint.cov[4:6, -4:] @ T.T + 0.01 * np.outer([north_m, -east_m], g) + shift[:2]
     corrected = moved.after_correction(after[:, 0] / after[0, 0], 1.0)
-    by_m = corrected.places(after, np.zeros((2, 2)), present_m)[1][:, 0] - position_m[:, 0]
+    by_m = corrected.positions(after, np.zeros((2, 2)), present_m)[1][:, 0] - position_m[:, 0]
     np.testing.assert_allclose(by_m, cross[:, 0] / after[0, 0], rtol=0.05, atol=1e-3)
 
 
@@ -128,7 +128,7 @@ def test_a_detached_path_is_not_corrected() -> None:
     before = path.positions(P, np.zeros((2, 2)), np.zeros(2))
     alignment = Alignment(1.0, 0.1, np.zeros(2), np.zeros(2), 1.0, 0)
     moved = fixed.after_correction(np.ones(4), 1.0).with_alignment(alignment, P, P, np.zeros(2))
-    after = moved.places(P, np.zeros((2, 2)), np.zeros(2))
+    after = moved.positions(P, np.zeros((2, 2)), np.zeros(2))
     for a, b in zip(before, after, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
@@ -139,7 +139,7 @@ def test_a_late_fix_scales_the_errors_of_all_steps_before_it() -> None:
     before = path.positions(P, np.zeros((2, 2)), np.zeros(2))[2]
     scaled = path.after_correction(np.zeros(4), 3.0)
     for later in (scaled, scaled.related_to_present()):
-        after = later.places(3.0 * P, np.zeros((2, 2)), np.zeros(2))[2]
+        after = later.positions(3.0 * P, np.zeros((2, 2)), np.zeros(2))[2]
         np.testing.assert_allclose(after, 3.0 * before, rtol=1e-7)
 
 
