@@ -19,11 +19,11 @@ from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, Step, WindowContext, measured, wrap_angle
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, Step, WindowContext, measurement_of, wrap_angle
 from pdr_filter.values.schema import missing_members
 from pdr_filter.values.serialisation import from_bytes, to_bytes
 
-__all__ = ["check_fix", "check_stage", "check_step_length"]
+__all__ = ["verify_fix", "verify_stage", "verify_step_length"]
 
 # Duration of the test walk in s, and times at which states are saved and loaded.
 _WALK_S, _SAVED_AFTER_S = 18.0, (0.01, 4.3, 9.03, 13.33)
@@ -171,7 +171,7 @@ def bits(found: Sequence[tuple[int, Any]]) -> bytes:
     return to_bytes(tuple(found))
 
 
-def check_stage(stage: Any) -> None:
+def verify_stage(stage: Any) -> None:
     """Check that a stage conforms to its interface in `pdr_filter.protocols`.
 
     The stage processes a simulated walk of 18 s. It must
@@ -195,7 +195,7 @@ def check_stage(stage: Any) -> None:
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> pdr.testing.check_stage(pdr.recipes.default().sensing.steps)
+    >>> pdr.testing.verify_stage(pdr.recipes.default().sensing.steps)
     """
     run = _Run(stage)
     samples = stage_samples(float(getattr(stage, "rate_hz", 100.0)))
@@ -305,7 +305,7 @@ def _check_windows(run: _Run, found: list[tuple[int, Any]]) -> None:
             run.fail(f"returns context probabilities {window.prob}, which must be non-negative with sum one")
 
 
-def check_step_length(model: Any) -> None:
+def verify_step_length(model: Any) -> None:
     """Check that a step-length model conforms to `pdr_filter.protocols.StepLengthModel`.
 
     Shapes are checked, and the Jacobian is compared with finite differences, for the steps of a simulated walk.
@@ -325,7 +325,7 @@ def check_step_length(model: Any) -> None:
     --------
     >>> import pdr_filter as pdr
     >>> from pdr_filter.filter.step_length.models import bounce_fit
-    >>> pdr.testing.check_step_length(bounce_fit(1.8))
+    >>> pdr.testing.verify_step_length(bounce_fit(1.8))
     """
     theta = None
     if isinstance(model, StepLengthFit):
@@ -386,7 +386,7 @@ def _differences(function: Any, at: FloatArray) -> Iterator[Any]:
         yield (function(at + small) - function(at - small)) / (2.0 * small[k])
 
 
-def check_fix(fix: Any, position_m: Sequence[float] = (1.0, 2.0), heading_rad: float = 0.3) -> None:
+def verify_fix(fix: Any, position_m: Sequence[float] = (1.0, 2.0), heading_rad: float = 0.3) -> None:
     """Check that a measurement conforms to `pdr_filter.protocols.Fix`.
 
     The Jacobian of the residual is compared with finite differences at a position and heading.
@@ -408,7 +408,7 @@ def check_fix(fix: Any, position_m: Sequence[float] = (1.0, 2.0), heading_rad: f
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> pdr.testing.check_fix(pdr.RangeFix(1.0, (3.0, 4.0), 5.2, 0.3))
+    >>> pdr.testing.verify_fix(pdr.RangeFix(1.0, (3.0, 4.0), 5.2, 0.3))
     """
     name = type(fix).__name__
     for attribute in ("time_s", "received_time_s", "measurement"):
@@ -416,7 +416,7 @@ def check_fix(fix: Any, position_m: Sequence[float] = (1.0, 2.0), heading_rad: f
             raise AssertionError(f"{name} has no {attribute}; see pdr_filter.protocols.Fix")
     pose = np.array([*position_m, heading_rad], dtype=float)
     try:
-        _, jacobian, _ = measured(fix, pose[:2], heading_rad)
+        _, jacobian, _ = measurement_of(fix, pose[:2], heading_rad)
     except ValueError as error:
         raise AssertionError(str(error)) from None
 

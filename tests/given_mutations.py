@@ -183,7 +183,7 @@ def use_messages(bodies: list[bytes]) -> None:
             if message.fix is None:
                 state, held, ready = assembly.take(state, held, message, "android")
                 n_ready += check_ready(ready)
-    state, held, ready = assembly.finish(state, held, "android")
+    state, held, ready = assembly.finish_assembly(state, held, "android")
     check_ready(ready)
     assert not held
     if refused is not None:

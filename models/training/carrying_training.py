@@ -33,7 +33,7 @@ from models.training.synthetic_windows import (
     windows_of_one,
 )
 from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.classifiers.probability_calibration import fit_temperature, tempered
+from pdr_filter.classifiers.probability_calibration import fit_temperature, tempered_prob
 from pdr_filter.offline.training.classifier_choice import fit_softmax
 from pdr_filter.offline.training.cross_validation import (
     Columns,
@@ -90,7 +90,9 @@ class CarryingPlan(ShippedPlan):
         """Return the windows of each real person as masks (W,) by name, including synthetic ones made from them."""
         return {str(name): windows.person == name for name in np.unique(windows.person[self.is_real(windows)])}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+    def final_model(
+        self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]
+    ) -> ContextModel:
         """Return the final model, with its temperature, its `Familiarity` and its card.
 
         The temperature and the limit of `Familiarity` are determined from held-out people.
@@ -101,7 +103,7 @@ class CarryingPlan(ShippedPlan):
         even = _even_rows(real)
         label = np.array([CARRYING_MODES.index(mode) for mode in real.carrying_mode])
         temperature = fit_temperature(prob[even], label[even])
-        prob = tempered(prob, temperature)
+        prob = tempered_prob(prob, temperature)
         sites = {str(site): site_scores(real, prob, real.dataset == site) for site in np.unique(real.dataset)}
         people = sites.pop(SCORED_DATASET, {})
         card = {
@@ -183,7 +185,7 @@ def carrying_windows(
             f"no windows for {plan.name}: give recordings of {', '.join(plan.datasets)} with moving people and "
             f"the carrying modes {', '.join(MODES)} in their truth_labels.csv"
         )
-    return LabelledWindows.joined(parts)
+    return LabelledWindows.concatenate(parts)
 
 
 @dataclass(frozen=True)
@@ -289,7 +291,7 @@ def _turned(signals: _Signals, name: str) -> _Signals:
         for rows in (_RATE, _UP, _FORCE):
             samples[:, rows] = matrix @ samples[:, rows]
         parts.append(replace(half, samples=samples, mode=np.full(len(samples), "calling")))
-    return _Signals.joined(parts)
+    return _Signals.concatenate(parts)
 
 
 def _weak(signals: _Signals, name: str) -> _Signals:

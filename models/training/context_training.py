@@ -40,13 +40,13 @@ from pdr_filter.offline.training.cross_validation import (
     LabelledWindows,
     Progress,
     TextArray,
-    calibrated,
-    calibration,
+    calibrated_prob,
     cross_calibrated,
     in_window_order,
     score,
     silent,
     source_of,
+    temperature_and_slip,
     with_familiarity,
     worst_person_accuracy,
 )
@@ -115,7 +115,9 @@ class ContextPlan(ShippedPlan):
         groups |= {site: windows.dataset == site for site in sites}
         return {name: group for name, group in groups.items() if group.any()}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+    def final_model(
+        self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]
+    ) -> ContextModel:
         """Return the final model, with its calibration, its `Familiarity` and its card.
 
         The model is calibrated on all held-out people. To score a person, the calibration is fitted on all other
@@ -126,7 +128,7 @@ class ContextPlan(ShippedPlan):
         of_left = windows.part(left.rows)
         y, person = of_left.context, of_left.person
         prob = cross_calibrated(left.prob, y, person, model)
-        temperature, slip = calibration(left.prob, y, model)
+        temperature, slip = temperature_and_slip(left.prob, y, model)
         limit = float(np.quantile(distance, 0.99))
         stairs_limit = None
         if self.guards_stairs:
@@ -137,7 +139,7 @@ class ContextPlan(ShippedPlan):
         for site in self.datasets:
             if site in left_out:
                 of_site = left_out[site]
-                without = calibrated(of_site.prob, model, temperature, slip)
+                without = calibrated_prob(of_site.prob, model, temperature, slip)
                 without = self._guarded(without, of_site.stairs_distance, stairs_limit)
                 sites[site] = walking_scores(without[windows.context[of_site.rows] == "walking"])
         card = self.card(windows, {**scores.pop(SCORED_DATASET, {}), **scores}, sites)

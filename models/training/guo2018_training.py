@@ -39,7 +39,7 @@ from pdr_filter.offline.training.cross_validation import (
     LabelledWindows,
     Progress,
     TextArray,
-    predicted,
+    most_probable_labels,
     score,
     silent,
     train_one,
@@ -103,7 +103,9 @@ class PosePlan(ShippedPlan):
         real = self.is_real(windows)
         return {name: group for name, group in groups.items() if (group & real).any() and (~group & real).any()}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+    def final_model(
+        self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]
+    ) -> ContextModel:
         """Return the model with its card: scores of each held-out site, and recall of the pocket for held-out people.
 
         The recall is given as the mean over the people of the scored data set and for the worst person.
@@ -248,7 +250,7 @@ def labelled_poses(
     if not levels:
         raise ValueError(f"no labelled windows of {', '.join(DATASETS)}: give their recordings with truth_labels.csv")
     poses = [part for of_source, _ in found for part in of_source]
-    return LabelledWindows.joined(poses), WalkWindows.joined(levels)
+    return LabelledWindows.concatenate(poses), WalkWindows.concatenate(levels)
 
 
 def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[LabelledWindows], list[WalkWindows]]:
@@ -339,7 +341,7 @@ def kappa(truth: TextArray, prob: FloatArray) -> float:
 
     `truth` must have at least two classes.
     """
-    found = predicted(prob, CARRYING_MODES)
+    found = most_probable_labels(prob, CARRYING_MODES)
     by_chance = sum(float(np.mean(truth == c) * np.mean(found == c)) for c in CARRYING_MODES)
     agreed = float(np.mean(truth == found))
     return round((agreed - by_chance) / (1 - by_chance), 4)

@@ -15,7 +15,7 @@ from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.boosting import BoostedTrees
 from pdr_filter.classifiers.forest import Forest
 from pdr_filter.classifiers.kernel_machine import RelevanceVectors
-from pdr_filter.classifiers.model_files import Arrays, of_prefix, prefixed
+from pdr_filter.classifiers.model_files import Arrays, of_prefix, with_prefix
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.values import FloatArray, softmax
 
@@ -63,7 +63,7 @@ class Blend(Machine):
         if self.weights:
             arrays[_WEIGHTS] = np.array(self.weights)
         for i, part in enumerate(self.parts):
-            arrays |= prefixed(f"{i}_", part.to_arrays())
+            arrays |= with_prefix(f"{i}_", part.to_arrays())
         return arrays
 
     @classmethod

@@ -19,8 +19,8 @@ import numpy as np
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.blend import MACHINES, kind_of
 from pdr_filter.classifiers.familiarity import Familiarity, unknown_share
-from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
-from pdr_filter.classifiers.probability_calibration import slipped, tempered
+from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, with_prefix
+from pdr_filter.classifiers.probability_calibration import slipped_prob, tempered_prob
 from pdr_filter.values import (
     CARRYING_MODES,
     CONTEXTS,
@@ -100,9 +100,9 @@ class ContextModel(Shipped):
     head : {"context", "carrying_mode"}
         Kind of the labels: contexts of motion, or carrying modes of the phone.
     temperature : float, default 1.0
-        Divisor of the logits (`probability_calibration.tempered`), fitted on held-out people.
+        Divisor of the logits (`probability_calibration.tempered_prob`), fitted on held-out people.
     slip : float, default 0.0
-        Probability that a window belongs to any class with equal probability (`probability_calibration.slipped`),
+        Probability that a window belongs to any class with equal probability (`probability_calibration.slipped_prob`),
         fitted with the temperature.
     feature_limit : float, default inf
         Standardised features are cut at plus and minus this value, so that an unfamiliar value of one feature cannot
@@ -380,7 +380,7 @@ class ContextModel(Shipped):
     def _predict_standardised(self, rows: FloatArray) -> FloatArray:
         cut = np.clip(rows, -self.feature_limit, self.feature_limit)
         prob = np.zeros((len(rows), len(self.labels)))
-        known = slipped(tempered(self.machine.predict_proba(cut), self.temperature), self.slip)
+        known = slipped_prob(tempered_prob(self.machine.predict_proba(cut), self.temperature), self.slip)
         prob[:, [self.labels.index(c) for c in self.classes]] = known
         return prob
 
@@ -406,12 +406,12 @@ class ContextModel(Shipped):
         """
         arrays: Arrays = {name: np.asarray(getattr(self, name)) for name in (*_ARRAYS, *_NUMBERS)}
         if self.familiarity is not None:
-            arrays |= prefixed(_FAMILIARITY, self.familiarity.to_arrays())
+            arrays |= with_prefix(_FAMILIARITY, self.familiarity.to_arrays())
         if self.stairs is not None:
-            arrays |= prefixed(_STAIRS, self.stairs.to_arrays())
+            arrays |= with_prefix(_STAIRS, self.stairs.to_arrays())
         if self.transition_prob is not None:
             arrays["transition_prob"] = self.transition_prob
-        arrays |= prefixed(_MACHINE, self.machine.to_arrays())
+        arrays |= with_prefix(_MACHINE, self.machine.to_arrays())
         description = {
             "name": self.name,
             "head": self.head,

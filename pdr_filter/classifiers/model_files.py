@@ -122,13 +122,13 @@ def file_pair(path: str | Path) -> tuple[Path, Path]:
     return Path(f"{stem}.json"), Path(f"{stem}.npz")
 
 
-def prefixed(prefix: str, arrays: Arrays) -> Arrays:
+def with_prefix(prefix: str, arrays: Arrays) -> Arrays:
     """Return arrays with a prefix before their names."""
     return {prefix + name: array for name, array in arrays.items()}
 
 
 def of_prefix(prefix: str, arrays: Arrays) -> Arrays:
-    """Return the arrays whose names have a prefix, without the prefix: the inverse of `prefixed`."""
+    """Return the arrays whose names have a prefix, without the prefix: the inverse of `with_prefix`."""
     return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pdr_filter.values import BoolArray, FloatArray, IntArray, softmax
 
 
-def tempered(prob: FloatArray, temperature: float) -> FloatArray:
+def tempered_prob(prob: FloatArray, temperature: float) -> FloatArray:
     """Return probabilities (..., K) proportional to p^(1 / T), with p = `prob` and the temperature T = `temperature`.
 
     They are less confident for T > 1 and more confident for T < 1. For a softmax, the logits are divided by T (Guo,
@@ -43,7 +43,7 @@ def fit_temperature(prob: FloatArray, label: IntArray) -> float:
     return float(np.exp(found.x))
 
 
-def slipped(prob: FloatArray, slip: float) -> FloatArray:
+def slipped_prob(prob: FloatArray, slip: float) -> FloatArray:
     """Return the probabilities (1 - e) p + e / K, (..., K), of K classes from the probabilities p.
 
     With the slip probability e, a window belongs to any class with equal probability.
@@ -64,7 +64,7 @@ def fit_calibration(prob: FloatArray, label: IntArray) -> tuple[float, float]:
 
     def log_loss(parameters: FloatArray) -> float:
         temperature, slip = np.exp(np.clip(parameters[0], -1.6, 1.6)), expit(parameters[1])
-        calibrated = slipped(tempered(prob, float(temperature)), float(slip))
+        calibrated = slipped_prob(tempered_prob(prob, float(temperature)), float(slip))
         return float(-np.log(np.maximum(calibrated[chosen], 1e-300)).mean())
 
     options = {"xatol": 1e-3, "fatol": 1e-7}
@@ -90,7 +90,7 @@ class Reliability:
         return float(self.share @ np.abs(self.confidence - self.accuracy))
 
 
-def reliability(prob: FloatArray, correct: BoolArray, n_bins: int = 15) -> Reliability:
+def reliability_diagram(prob: FloatArray, correct: BoolArray, n_bins: int = 15) -> Reliability:
     """Return the reliability diagram of probabilities (N, K) in bins of equal width.
 
     `correct` (N,) states whether the most probable class was correct.

@@ -24,7 +24,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits  # scikit-learn depends on it
 
 from pdr_filter.classifiers.kernel_machine import KERNELS, RelevanceVectors
-from pdr_filter.classifiers.rvm_training import Bernoulli, Posterior, Trained, train
+from pdr_filter.classifiers.rvm_training import Bernoulli, Posterior, Trained, train_rvm
 from pdr_filter.values import FloatArray, IntArray, check_array
 
 MULTI_CLASS = ("one_against_all", "multinomial")
@@ -156,7 +156,7 @@ def _joint_value(logit: FloatArray, label: IntArray, weight: FloatArray, trained
 def _train(
     functions: FloatArray, likelihood: Bernoulli, start: Posterior | None, max_passes: int, budget: Budget
 ) -> Trained:
-    return train(likelihood, functions, start, max_basis=budget.max_basis, max_passes=max_passes, tol=budget.tol)
+    return train_rvm(likelihood, functions, start, max_basis=budget.max_basis, max_passes=max_passes, tol=budget.tol)
 
 
 def assemble(

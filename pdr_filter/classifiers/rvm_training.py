@@ -182,7 +182,7 @@ def spread_start(likelihood: Likelihood, functions: FloatArray, n_functions: int
     return posterior(likelihood, functions, basis, alpha, np.zeros(len(basis)), np.zeros(functions.shape[1]))
 
 
-def train(
+def train_rvm(
     likelihood: Likelihood,
     functions: FloatArray,
     start: Posterior | None = None,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdr_filter.classifiers.probability_calibration import brier_score as brier_score
-from pdr_filter.classifiers.probability_calibration import check_classes, check_labels, reliability
+from pdr_filter.classifiers.probability_calibration import check_classes, check_labels, reliability_diagram
 from pdr_filter.values import FloatArray, IntArray, Table, table
 
 
@@ -262,7 +262,7 @@ def calibration_error(prob: FloatArray, label: IntArray, n_bins: int = 15) -> fl
     check_labels(prob, label)
     if not len(label):
         return np.nan
-    return reliability(prob, prob.argmax(axis=1) == label, n_bins).expected_calibration_error
+    return reliability_diagram(prob, prob.argmax(axis=1) == label, n_bins).expected_calibration_error
 
 
 def class_table(confusion: IntArray, classes: Sequence[str]) -> Table:

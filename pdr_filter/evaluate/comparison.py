@@ -12,7 +12,7 @@ from pdr_filter.evaluate.distance import percent_error
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.evaluate.tracks import end_error_percent, first_of_path, moved_m, path_m, position_rmse_m, positions_at
 from pdr_filter.values import FloatArray, Table, TrackRows, limits, rigid_fit, table
-from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values.interpolation import interpolated_rows
 from pdr_filter.values.recording import Recording
 
 # Columns of a comparison: relative or absolute errors, then the consistency of covariances.
@@ -274,5 +274,5 @@ def _at_known_places(recording: Recording, track: TrackRows) -> tuple[FloatArray
     time_s, reference_m = known.time_s[is_known], reference_m[is_known]
     if is_path and len(time_s):
         within = (track.time_s >= time_s.min()) & (track.time_s <= time_s.max())
-        time_s, reference_m = track.time_s[within], interpolated(track.time_s[within], time_s, reference_m)
+        time_s, reference_m = track.time_s[within], interpolated_rows(track.time_s[within], time_s, reference_m)
     return time_s, positions_at(track.time_s, track.position_m, time_s, track.start_position_m), reference_m

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values import BoolArray, FloatArray, interpolated, rigid_fit, wrap_angle
+from pdr_filter.values import BoolArray, FloatArray, interpolated_rows, rigid_fit, wrap_angle
 
 Alignment = Literal["none", "origin", "first", "all"]
 
@@ -56,7 +56,7 @@ def positions_at(
     at = np.atleast_1d(np.asarray(at_s, dtype=float))
     way_m = np.vstack([np.asarray(start_position_m, dtype=float), np.reshape(position_m, (-1, 2))])
     time = np.concatenate([[np.fmin.reduce(at, initial=np.min(time_s, initial=np.inf)) - 1e-3], time_s])
-    return interpolated(at, time, way_m)
+    return interpolated_rows(at, time, way_m)
 
 
 def moved_m(

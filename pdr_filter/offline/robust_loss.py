@@ -49,7 +49,7 @@ def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
 
 
 @cache
-def moments(loss: str, mu: float = 1.0) -> tuple[float, float]:
+def loss_moments(loss: str, mu: float = 1.0) -> tuple[float, float]:
     """Return E w u^2 / E w and the information factor of a loss with weights w(u), for standard normal residuals u.
 
     The first value corrects the estimated variance of the residuals. For unit variance, sum w u^2 / sum w tends to this

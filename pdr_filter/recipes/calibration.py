@@ -240,7 +240,7 @@ class Calibration(CalibrationResult):
         OSError
             If a file cannot be written.
         """
-        return calibration_files.write(path, self)
+        return calibration_files.write_calibration(path, self)
 
 
 def _replaced(before: Sequence[Mode], after: Sequence[Mode]) -> list[Note]:

@@ -37,8 +37,8 @@ from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.stream_merging import StreamMerger
 from pdr_filter.values import DECLINATION_STD_RAD, FloatArray, Note, Plan, PositionFix, check_members
+from pdr_filter.values.georeference import Georeference
 from pdr_filter.values.serialisation import to_bytes
-from pdr_filter.values.track_placement import TrackPlacement
 
 # Standard deviation of the mean horizontal and upward field in a building around the World Magnetic Model, uT. Over 63
 # walks with turns in ms_indoor, ipin2023, ipin21 and tyrex, the differences are -3 +- 4 and 10 +- 8 uT.
@@ -316,23 +316,23 @@ class Config:
             raise ValueError(
                 f"plan must be a FloorPlan, got {plan!r}: read one from a file with pdr_filter.FloorPlan.read(path)"
             )
-        placed = self if start is None else self.in_world_frame()
-        return replace(placed, on_plan=plan.stage(start, seed))
+        framed = self if start is None else self.in_world_frame()
+        return replace(framed, on_plan=plan.stage(start, seed))
 
-    def placed(self, placement: TrackPlacement) -> Config:
-        """Return a copy with the floor plan and the start of a placement, or this configuration if it has no plan.
+    def with_georeference(self, georeference: Georeference) -> Config:
+        """Return a copy with the floor plan and the start of a georeference, or this configuration if it has no plan.
 
         Parameters
         ----------
-        placement : TrackPlacement
-            Place, north and floor plan of a track.
+        georeference : Georeference
+            Position, north and floor plan of a track.
 
         Returns
         -------
         Config
             Changed copy, or this configuration.
         """
-        return self if placement.plan is None else self.with_plan(placement.plan, placement.start)
+        return self if georeference.plan is None else self.with_plan(georeference.plan, georeference.start)
 
     def in_hindsight(self) -> Config:
         """Return a copy for offline smoothing, with another weight of the context windows.

@@ -42,7 +42,7 @@ import numpy as np
 from vqf import VQF
 
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, interpolated, median
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, interpolated_rows, median
 from pdr_filter.values.quaternions import rotation_matrix
 from pdr_filter.values.recording import Recording
 
@@ -148,7 +148,7 @@ def with_gravity(acceleration: Samples, gyroscope: Samples | None = None) -> Res
     (True, True)
     """
     up_s, up, sense = _up(_segments(acceleration, gyroscope))
-    ups = interpolated(acceleration.time_s, up_s, up)
+    ups = interpolated_rows(acceleration.time_s, up_s, up)
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
     force = Samples(acceleration.time_s, acceleration.values + STANDARD_GRAVITY_MPS2 * ups)
     return Restored(force, sense > _SURE)
@@ -188,7 +188,7 @@ def _up(segments: Sequence[_Segment]) -> tuple[FloatArray, FloatArray, float]:
         at_s = np.array([w.time_s for w in windows])
         up, sense = _local_up(at_s, np.array([w.axis for w in windows]), np.array([w.sense for w in windows]))
         times.append(segment.time_s)
-        ups.append(np.einsum("nji,nj->ni", segment.turned, interpolated(segment.time_s, at_s, up)))
+        ups.append(np.einsum("nji,nj->ni", segment.turned, interpolated_rows(segment.time_s, at_s, up)))
         senses.append(sense)
     found = np.concatenate(senses) if senses else np.empty(0)
     if len(found) < _LEAST_WINDOWS:

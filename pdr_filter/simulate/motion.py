@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from pdr_filter.simulate.gait import CONTEXT_GAITS, FORCE_POWER, Gait, Leg, StepPlan, nominal_step
 from pdr_filter.simulate.strides import FORCE, N_HARMONICS, TURN, Strides, of_person, usual_force_mps2, waveform
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated_rows
 
 GRID_HZ = 1000.0
 # The grid extends this far beyond the walk, because the sensors have different clocks.
@@ -155,7 +155,7 @@ class Motion:
 
     def body_at(self, time_s: FloatArray) -> FloatArray:
         """Return the position of the body (east, north, height of the ground) at some times, (N, 3), m."""
-        return interpolated(time_s, self.grid_s, self.body_position_m)
+        return interpolated_rows(time_s, self.grid_s, self.body_position_m)
 
 
 def _about(axis: str, angle_rad: FloatArray) -> Rotation:

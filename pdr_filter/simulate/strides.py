@@ -97,17 +97,17 @@ class Strides:
         mean = self.people[like]
         if rng is not None:
             others = (self.people - self.people.mean(axis=0)) / np.sqrt(len(self.people))
-            mean = mean + spread * drawn(others, self.people_rest, rng, 1)[0]
+            mean = mean + spread * random_deviations(others, self.people_rest, rng, 1)[0]
         return replace(
             self, people=mean[None], amplitude_mps2=self.amplitude_mps2[like, None], level=self.level[like, None]
         )
 
     def differences(self, rng: np.random.Generator, n: int) -> ComplexArray:
         """Return the deviations of n strides of the first person from the mean, (n, N_HARMONICS, N_CHANNELS)."""
-        return np.repeat(self.level[0], 3) * drawn(self.ways, self.ways_rest, rng, n)
+        return np.repeat(self.level[0], 3) * random_deviations(self.ways, self.ways_rest, rng, n)
 
 
-def drawn(ways: ComplexArray, rest: FloatArray, rng: np.random.Generator, n: int) -> ComplexArray:
+def random_deviations(ways: ComplexArray, rest: FloatArray, rng: np.random.Generator, n: int) -> ComplexArray:
     """Return n random deviations of strides, (n, N_HARMONICS, N_CHANNELS).
 
     They have normal factors along the components `ways`, and independent normal values in each harmonic.
@@ -120,7 +120,7 @@ def drawn(ways: ComplexArray, rest: FloatArray, rng: np.random.Generator, n: int
     return along + rest * (z(n, *rest.shape) + 1j * z(n, *rest.shape)) / np.sqrt(2)
 
 
-def write(tables: dict[tuple[str, str], Strides]) -> None:
+def write_measured(tables: dict[tuple[str, str], Strides]) -> None:
     """Write the measured tables, by place and context, to `MEASURED`.
 
     Half precision exceeds the accuracy of the measurements.

@@ -11,11 +11,11 @@ import numpy as np
 
 from pdr_filter.filter.chain.handler import states_of
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, stepless_var_m2
-from pdr_filter.filter.pedestrian.alignment import EYE, Place
-from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate, present_position, track_place, within_reach
+from pdr_filter.filter.pedestrian.alignment import EYE, Pose
+from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate, reckoned_position, track_pose, within_reach
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.stream_merging import SENSORS
-from pdr_filter.tracking.filtering import State, place_on_plan
+from pdr_filter.tracking.filtering import State, estimate_on_plan
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import CARRYING_MODES, FixResult, FloatArray, OnPlan, Step, as_plain, read_only
 from pdr_filter.values.uncertainty import floor_prob, worst_std_m
@@ -167,7 +167,7 @@ class Present(NamedTuple):
     ----------
     time_s : float
         Time of the newest sample on the clock of the track, s.
-    place : Place
+    pose : Place
         Position and walking direction.
     steps : tuple of ProvisionalStep
         Candidate steps included in the position.
@@ -180,7 +180,7 @@ class Present(NamedTuple):
     """
 
     time_s: float
-    place: Place
+    pose: Pose
     steps: tuple[ProvisionalStep, ...]
     extrapolated_m: float
     speed_mps: float
@@ -188,7 +188,7 @@ class Present(NamedTuple):
     reach_m: float
 
 
-def present_place(config: Config, state: State) -> Present:
+def present_pose(config: Config, state: State) -> Present:
     """Return the position at the time of the newest sample, in the frame of the filter's states.
 
     The position follows from three parts. The first is the last accepted step. The second is the candidate steps: steps
@@ -203,21 +203,21 @@ def present_place(config: Config, state: State) -> Present:
     which the accelerometer is silent or stuck counts as such motion.
     """
     last, steps = _with_candidates(config, state)
-    place = _place_after(state, last, bool(steps))
+    pose = _pose_after(state, last, bool(steps))
     reach_m = state.pedestrian.reach_m if last is None or not steps else last.reach_m
     speed_mps, speed_std_mps, extrapolated_m, silent_s = 0.0, math.nan, 0.0, _silent_s(config, state)
     if last is not None and not state.finished and not silent_s and _is_walking(config, state, last, bool(steps)):
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
         extrapolated_m = speed_mps * max(_newest_accelerometer_s(state) - last.step.time_s, 0.0)
-        place = _extrapolated(place, extrapolated_m, _turned_since(state, last))
+        pose = _extrapolated(pose, extrapolated_m, _turned_since(state, last))
         reach_m += extrapolated_m
     else:
         var_m2 = config.model.noise.gap_var_m2(_stepless_s(config, state, last) + silent_s)
         # the tracker already has the part of this motion that is certain to have no step
         var_m2 = max(float(var_m2 - stepless_var_m2(state.pedestrian.steps.stepless_s)), 0.0)
-        place = replace(place, cov_m2=place.cov_m2 + var_m2 * EYE)
+        pose = replace(pose, cov_m2=pose.cov_m2 + var_m2 * EYE)
         reach_m += math.sqrt(var_m2)
-    return Present(_newest_s(state), place, steps, extrapolated_m, speed_mps, speed_std_mps, reach_m)
+    return Present(_newest_s(state), pose, steps, extrapolated_m, speed_mps, speed_std_mps, reach_m)
 
 
 def _with_candidates(config: Config, state: State) -> tuple[StepUpdate | None, tuple[ProvisionalStep, ...]]:
@@ -234,7 +234,7 @@ def _with_candidates(config: Config, state: State) -> tuple[StepUpdate | None, t
     return last, tuple(steps)
 
 
-def _place_after(state: State, last: StepUpdate | None, is_candidate: bool) -> Place:
+def _pose_after(state: State, last: StepUpdate | None, is_candidate: bool) -> Pose:
     """Return the position after the last step, with the present walking direction.
 
     It is the present estimate of the tracker, unless the step is a candidate or provisional.
@@ -244,11 +244,11 @@ def _place_after(state: State, last: StepUpdate | None, is_candidate: bool) -> P
         mean, _ = pedestrian.estimates.combined
         stated_rad = 0.0 if last is None else last.step.reference_heading_rad - last.step.device_heading_rad
         heading_rad = state.sensing.attitude.device_heading_rad + stated_rad + float(mean[HEADING_OFFSET])
-        return replace(track_place(pedestrian), heading_rad=heading_rad)
-    place = last.of_start or Place(
+        return replace(track_pose(pedestrian), heading_rad=heading_rad)
+    pose = last.of_start or Pose(
         last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.steps.n_final
     )
-    return replace(place, heading_rad=place.heading_rad + _turned_since(state, last))
+    return replace(pose, heading_rad=pose.heading_rad + _turned_since(state, last))
 
 
 def _turned_since(state: State, last: StepUpdate) -> float:
@@ -259,7 +259,7 @@ def _turned_since(state: State, last: StepUpdate) -> float:
 def now(config: Config, state: State) -> Now:
     """Return the estimate at the time of the newest sample, in the frame of the fixes or of the floor plan."""
     sensing, pedestrian = state.sensing, state.pedestrian
-    present = _in_output_frame(config, state, present_place(config, state))
+    present = _in_output_frame(config, state, present_pose(config, state))
     _, cov = pedestrian.estimates.combined
     window, report, height = state.last.window, sensing.conditioner.report, state.height.known
     contexts = config.model.contexts
@@ -271,11 +271,11 @@ def now(config: Config, state: State) -> Now:
         latency_s=present.time_s - sensing.processed_s if math.isfinite(sensing.processed_s) else math.nan,
         n_steps=pedestrian.steps.n_final,
         distance_m=pedestrian.estimates.distance_m,
-        position_m=read_only(present.place.position_m),
-        position_cov_m2=read_only(present.place.cov_m2),
+        position_m=read_only(present.pose.position_m),
+        position_cov_m2=read_only(present.pose.cov_m2),
         is_provisional=bool(present.steps) or present.extrapolated_m > 0,
         provisional_steps=present.steps,
-        walking_heading_rad=present.place.heading_rad,
+        walking_heading_rad=present.pose.heading_rad,
         walking_heading_std_rad=math.sqrt(heading_var_rad2),
         walking_speed_mps=present.speed_mps,
         walking_speed_std_mps=present.speed_std_mps,
@@ -297,41 +297,41 @@ def _in_output_frame(config: Config, state: State, present: Present) -> Present:
     """Return a position of the tracker in the frame of the fixes, or of the floor plan if there are particles."""
     pedestrian = state.pedestrian
     frame = pedestrian.frame
-    particles = place_on_plan(config, state, present_position(pedestrian))
+    particles = estimate_on_plan(config, state, reckoned_position(pedestrian))
 
-    def in_world(place: Place) -> Place:
-        place = place if frame.is_joined else frame.world(place)
-        return replace(place, cov_m2=within_reach(place.cov_m2, frame, present.reach_m))
+    def in_world(pose: Pose) -> Pose:
+        pose = pose if frame.is_joined else frame.world(pose)
+        return replace(pose, cov_m2=within_reach(pose.cov_m2, frame, present.reach_m))
 
-    def converted(place: Place) -> Place:
+    def converted(pose: Pose) -> Pose:
         if particles is None:
-            return in_world(place)
+            return in_world(pose)
         mean, _ = pedestrian.estimates.combined
         heading_rad = state.particles.heading_rad + float(mean[HEADING_OFFSET])
-        return _on_plan(in_world(place), in_world(replace(track_place(pedestrian), heading_rad=heading_rad)), particles)
+        return _on_plan(in_world(pose), in_world(replace(track_pose(pedestrian), heading_rad=heading_rad)), particles)
 
-    places = (Place(step.position_m, np.zeros((2, 2)), 0.0, pedestrian.steps.n_final) for step in present.steps)
+    poses = (Pose(step.position_m, np.zeros((2, 2)), 0.0, pedestrian.steps.n_final) for step in present.steps)
     steps = (
-        replace(step, position_m=converted(place).position_m) for step, place in zip(present.steps, places, strict=True)
+        replace(step, position_m=converted(pose).position_m) for step, pose in zip(present.steps, poses, strict=True)
     )
-    return present._replace(place=converted(present.place), steps=tuple(steps))
+    return present._replace(pose=converted(present.pose), steps=tuple(steps))
 
 
-def _extrapolated(place: Place, extrapolated_m: float, turned_rad: float) -> Place:
+def _extrapolated(pose: Pose, extrapolated_m: float, turned_rad: float) -> Pose:
     """Return a position extrapolated by a distance, while the phone rotated by an angle to its present heading.
 
     The direction is rotated back by half of the angle, and the covariance grows with the distance.
     """
-    heading_rad = place.heading_rad - 0.5 * turned_rad
+    heading_rad = pose.heading_rad - 0.5 * turned_rad
     along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
     across = np.array([along[1], -along[0]])
     share = _ALONG_SHARE**2 * np.outer(along, along) + _ACROSS_SHARE**2 * np.outer(across, across)
     return replace(
-        place, position_m=place.position_m + extrapolated_m * along, cov_m2=place.cov_m2 + extrapolated_m**2 * share
+        pose, position_m=pose.position_m + extrapolated_m * along, cov_m2=pose.cov_m2 + extrapolated_m**2 * share
     )
 
 
-def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
+def _on_plan(pose: Pose, base: Pose, on_plan: OnPlan) -> Pose:
     """Return a position of the tracker in the frame of the particles.
 
     `base` is the position of the tracker at its last step, and `on_plan` the position of the particles there. The
@@ -341,13 +341,13 @@ def _on_plan(place: Place, base: Place, on_plan: OnPlan) -> Place:
     turn_rad = on_plan.walking_heading_rad - base.heading_rad
     c, s = math.cos(turn_rad), math.sin(turn_rad)
     rotation = np.array([[c, s], [-s, c]])
-    value, vector = np.linalg.eigh(place.cov_m2 - base.cov_m2)
+    value, vector = np.linalg.eigh(pose.cov_m2 - base.cov_m2)
     grown = vector @ np.diag(np.maximum(value, 0.0)) @ vector.T
     return replace(
-        place,
-        position_m=on_plan.position_m + rotation @ (place.position_m - base.position_m),
+        pose,
+        position_m=on_plan.position_m + rotation @ (pose.position_m - base.position_m),
         cov_m2=on_plan.position_cov_m2 + rotation @ grown @ rotation.T,
-        heading_rad=place.heading_rad + turn_rad,
+        heading_rad=pose.heading_rad + turn_rad,
     )
 
 

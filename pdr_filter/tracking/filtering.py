@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.chain.handler import End, FixUse, HandlerState, NewestStep, Places, StepsEnd, Window, part_of
+from pdr_filter.filter.chain.handler import End, FixUse, HandlerState, Locations, NewestStep, StepsEnd, Window, part_of
 from pdr_filter.filter.chain.handler import Event as ChainEvent
 from pdr_filter.filter.chain.two_hypotheses import Hypotheses
 from pdr_filter.filter.chain.with_height import HeightTrack, window_log_evidence
 from pdr_filter.filter.chain.with_plan import PlanTrack
-from pdr_filter.filter.fixes.gnss import LocationState, good_places, position_fixes
+from pdr_filter.filter.fixes.gnss import LocationState, good_locations, position_fixes
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height.height_filter import HeightState
 from pdr_filter.filter.pedestrian import pedestrian_state as pedestrian
@@ -151,7 +151,7 @@ class State:
     last : LastResults
         Last results.
     finished : bool
-        True after `finish`.
+        True after `finish_filter`.
     """
 
     sensing: SensingState
@@ -200,7 +200,7 @@ class Output:
             getattr(self, name).extend(getattr(later, name))
 
 
-def init(config: Config) -> State:
+def init_filter(config: Config) -> State:
     """Return the state of a filter before its first sample.
 
     With a floor plan, the storey is the storey of the start on the plan, and the plan gives the origin of the
@@ -216,11 +216,11 @@ def init(config: Config) -> State:
     )
 
 
-def update(config: Config, state: State, block: ImuBlock, provisional: bool = False) -> tuple[State, Output]:
+def update_filter(config: Config, state: State, block: ImuBlock, provisional: bool = False) -> tuple[State, Output]:
     """Return the new state and the output after a block of samples of any length.
 
     With `provisional`, the output has a provisional update of each step that is not final when it is detected. The
-    result depends on samples and fixes only, and not on the division into blocks. ValueError after `finish`.
+    result depends on samples and fixes only, and not on the division into blocks. ValueError after `finish_filter`.
     """
     if state.finished:
         raise ValueError("the filter is finished: start a new one for further samples")
@@ -241,7 +241,7 @@ def update_streams(
     """Return the new state and the output after samples of single sensors.
 
     `samples` has times (N,) and values (N, d) for each sensor. They wait for the samples of the other sensors.
-    `provisional` is an argument of `update`. ValueError after `finish`.
+    `provisional` is an argument of `update_filter`. ValueError after `finish_filter`.
     """
     if state.finished:
         raise ValueError("the filter is finished: start a new one for further samples")
@@ -252,7 +252,7 @@ def update_streams(
 def _with_merged(config: Config, state: State, merged: Merged, provisional: bool = False) -> tuple[State, Output]:
     if len(merged.pressure_time_s):
         state = add_pressure(config, state, merged.pressure_time_s, merged.pressure_hpa)
-    return update(config, state, merged.block, provisional) if len(merged.block.time_s) else (state, Output())
+    return update_filter(config, state, merged.block, provisional) if len(merged.block.time_s) else (state, Output())
 
 
 # Number of samples that pass the stages at once: some minutes, which bounds memory. Results do not depend on it.
@@ -307,7 +307,7 @@ def add_location(
 
 # Age up to which locations are kept for terrain detection: steps and pressures become known some seconds late, and the
 # height filter compares them with locations some seconds earlier.
-_PLACES_S = 20.0
+_LOCATIONS_S = 20.0
 
 
 def add_terrain_locations(
@@ -320,10 +320,10 @@ def add_terrain_locations(
     accuracy_m: FloatArray,
 ) -> State:
     """Return the state with locations (N,), on the track clock, that only distinguish hills from storeys."""
-    last = part_of(state.chain, HeightTrack).places[-1:].tolist()
-    new = good_places(origin, time_s, latitude_deg, longitude_deg, accuracy_m, *map(tuple, last))
+    last = part_of(state.chain, HeightTrack).locations[-1:].tolist()
+    new = good_locations(origin, time_s, latitude_deg, longitude_deg, accuracy_m, *map(tuple, last))
     now_s = state.sensing.processed_s
-    chain, _ = config.chain.on(state.chain, Places(new, now_s - _PLACES_S), now_s)
+    chain, _ = config.chain.on(state.chain, Locations(new, now_s - _LOCATIONS_S), now_s)
     return replace_unchecked(state, chain=chain)
 
 
@@ -358,17 +358,17 @@ def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArr
 
     With a floor plan they are the estimate of the particle filter, once it has started.
     """
-    position_m, cov_m2 = pedestrian.present_position(state.pedestrian)
+    position_m, cov_m2 = pedestrian.reckoned_position(state.pedestrian)
     reckoned = position_m, part_of(state.chain, Hypotheses).with_spread(position_m, cov_m2)
-    place = place_on_plan(config, state, reckoned)
-    return reckoned if place is None else (place.position_m, place.position_cov_m2)
+    estimate = estimate_on_plan(config, state, reckoned)
+    return reckoned if estimate is None else (estimate.position_m, estimate.position_cov_m2)
 
 
-def place_on_plan(config: Config, state: State, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
+def estimate_on_plan(config: Config, state: State, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
     """Return the estimate on the floor plan, or None without one, for a position (2,) and covariance (2, 2)."""
     if config.on_plan is None:
         return None
-    return config.on_plan.place(state.particles, reckoned)
+    return config.on_plan.estimate(state.particles, reckoned)
 
 
 def person_of(config: Config, state: State) -> Person | None:
@@ -397,7 +397,7 @@ def climb_at(climbs: Sequence[Climb], time_s: float) -> Climb | None:
     return climbs[i - 1]
 
 
-def finish(config: Config, state: State) -> tuple[State, Output]:
+def finish_filter(config: Config, state: State) -> tuple[State, Output]:
     """Return the new state and the output at the end of the samples.
 
     Candidate steps are decided, provisional steps become final, and fixes received before the end of the samples are

@@ -9,9 +9,9 @@ import numpy as np
 from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.values.georeference import Georeference
 from pdr_filter.values.quaternions import rotation_matrix
 from pdr_filter.values.recording import Recording, Samples
-from pdr_filter.values.track_placement import TrackPlacement
 from pdr_filter.values.track_rows import TrackRows
 
 # Standard deviation of magnetic north against true north at an unknown place. The root mean square of the declination
@@ -20,18 +20,18 @@ _UNKNOWN_DECLINATION_STD_RAD = 0.2
 _YEAR_S = 365.2425 * 86400.0
 
 
-def with_north(config: Config, recording: Recording, placement: TrackPlacement, with_location: bool) -> Config:
+def with_north(config: Config, recording: Recording, georeference: Georeference, with_location: bool) -> Config:
     """Return the configuration with a source of north, or unchanged if none is wanted.
 
-    `placement.north` selects the source. If it is None, the magnetometer is the source if locations are used as fixes
-    (`with_location`, and `placement.gnss` is not "align"), if the recipe learns walking directions, and if the
+    `georeference.north` selects the source. If it is None, the magnetometer is the source if locations are used as
+    fixes (`with_location`, and `georeference.gnss` is not "align"), if the recipe learns walking directions, and if the
     recording has a gyroscope and a magnetometer. Otherwise there is no source. The declination is 0 for "true-heading".
     For other sources it is computed for the given place, or else for the first usable location. Without any place the
-    declination of a selected source is uncertain, and with `placement.north` None the configuration is unchanged.
+    declination of a selected source is uncertain, and with `georeference.north` None the configuration is unchanged.
     """
-    north, where = placement.north, placement.place
+    north, where = georeference.north, georeference.given_origin
     has_sensors = {"gyroscope", "magnetometer"} <= recording.streams.keys()
-    by_itself = with_location and placement.gnss != "align" and has_sensors and config.learns_directions
+    by_itself = with_location and georeference.gnss != "align" and has_sensors and config.learns_directions
     if north == "off" or (north is None and not by_itself):
         return config
     if north == "true-heading":
@@ -101,4 +101,4 @@ def live_config(first: Recording, config: Config) -> Config:
     """
     if first.location is None:
         return config
-    return with_north(config.in_world_frame(), first, TrackPlacement(), with_location=True)
+    return with_north(config.in_world_frame(), first, Georeference(), with_location=True)

@@ -27,7 +27,7 @@ from pdr_filter.values import (
     FloatArray,
     PositionFix,
     Samples,
-    interpolated,
+    interpolated_rows,
     read_only,
 )
 from pdr_filter.values.recording import Recording
@@ -72,7 +72,7 @@ class DeadReckoning:
 
     def at(self, time_s: float) -> tuple[FloatArray, float]:
         """Return the position (2,) in m and `walked_var_m2`, interpolated at a time."""
-        place = interpolated(time_s, self.time_s, np.column_stack([self.position_m, self.walked_var_m2]))
+        place = interpolated_rows(time_s, self.time_s, np.column_stack([self.position_m, self.walked_var_m2]))
         return read_only(place[:2]), float(place[2])
 
     def own_var_m2(self, agreeing: Sequence[PairedPoint]) -> FloatArray:
@@ -144,14 +144,14 @@ def align_dead_reckoning(
     return AlignedTrack(locations, fixes, repeated, pairs, frame)
 
 
-def aligned(
+def aligned_outputs(
     recording: Recording, results: Iterable[tuple[State, Output]], contexts: ContextSet
 ) -> Iterator[tuple[State, Output]]:
     """Yield the last state and the whole output of dead reckoning, aligned to the locations of the recording.
 
     `results` are from `whole_recording.outputs` in an unknown frame. The yielded state contains the alignment, from
-    which `whole_recording.collected` computes the track in the frame of the locations. The output contains a result for
-    each fix that was compared. Nothing is yielded for a recording without locations.
+    which `whole_recording.track_of_outputs` computes the track in the frame of the locations. The output contains a
+    result for each fix that was compared. Nothing is yielded for a recording without locations.
     """
     last: State | None = None
     whole, var_m2 = Output(), list[float]()

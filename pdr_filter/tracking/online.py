@@ -25,14 +25,14 @@ from pdr_filter.tracking.filtering import (
     add_fixes,
     add_location,
     add_pressure,
-    finish,
-    init,
+    estimate_on_plan,
+    finish_filter,
+    init_filter,
     outcome_now,
     person_of,
-    place_on_plan,
     present_position,
     timing_error,
-    update,
+    update_filter,
     update_streams,
 )
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
@@ -53,10 +53,10 @@ from pdr_filter.values import (
 )
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.fixes import OWN_FIXES
+from pdr_filter.values.georeference import Georeference
 from pdr_filter.values.limits import MIN_SAMPLES
 from pdr_filter.values.plausibility import unit_of_rate, wrong_rate, wrong_time
 from pdr_filter.values.recording import Subject
-from pdr_filter.values.track_placement import TrackPlacement
 
 
 class OnlineFilter:
@@ -128,9 +128,9 @@ class OnlineFilter:
                 "recipe that makes the config, such as recipes.default(Subject(height_m=...))"
             )
         check_config(config)
-        config = config.placed(TrackPlacement(plan=plan, start=start))
+        config = config.with_georeference(Georeference(plan=plan, start=start))
         self.config = config if weighting is None else config.with_weighting(weighting)
-        self.state = init(self.config)
+        self.state = init_filter(self.config)
 
     def push(
         self,
@@ -172,7 +172,7 @@ class OnlineFilter:
             )
         block = imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)
         _check_times(block.time_s, np.empty(0), self.state)
-        return self._commit(*update(self.config, self.state, block, provisional=True))
+        return self._commit(*update_filter(self.config, self.state, block, provisional=True))
 
     def push_accelerometer(self, time_s: ArrayLike, specific_force_mps2: ArrayLike) -> list[StepUpdate]:
         """Process accelerometer samples and return the steps that they complete.
@@ -429,7 +429,7 @@ class OnlineFilter:
         list of StepUpdate
             Steps that became known, in order of time.
         """
-        self.state, output = finish(self.config, self.state)
+        self.state, output = finish_filter(self.config, self.state)
         return output.updates
 
     def add_fix(self, fix: Fix) -> FixResult:
@@ -510,7 +510,7 @@ class OnlineFilter:
         """Position estimate of the particle filter on the floor plan, or None without a plan or before its start."""
         if self.config.on_plan is None:
             return None
-        return place_on_plan(self.config, self.state, pedestrian.present_position(self.state.pedestrian))
+        return estimate_on_plan(self.config, self.state, pedestrian.reckoned_position(self.state.pedestrian))
 
     @property
     def height_m(self) -> float:
@@ -587,7 +587,7 @@ class OnlineFilter:
         except TypeError:  # classes of other packages in the configuration or in the state of a part
             pass
         try:
-            first = init(self.config)
+            first = init_filter(self.config)
             blob = serialise.to_bytes({"config": None, "state": state}, first)
             serialise.from_bytes(blob, first)
         except (TypeError, ValueError) as error:  # found when it is saved, not when it is loaded
@@ -619,7 +619,7 @@ class OnlineFilter:
         ValueError
             If the bytes are damaged, come from another version, contain no filter, or do not fit `config`.
         """
-        content = serialise.from_bytes(blob, None if config is None else init(config))
+        content = serialise.from_bytes(blob, None if config is None else init_filter(config))
         whole = isinstance(content, dict) and {"config", "state"} <= content.keys()
         known = whole and isinstance(content["config"], Config | None)
         if not (known and isinstance(content["state"], State)):

@@ -152,7 +152,7 @@ def is_undecided(track: TrackRows) -> BoolArray:
     return track.effective_modes > _DOUBTFUL_MODES
 
 
-def is_without_direction(track: TrackRows) -> BoolArray:
+def rows_without_direction(track: TrackRows) -> BoolArray:
     """True for steps (K,) whose strides disagree on the walking direction, after the phone was moved."""
     since_s = np.asarray(track.steps.carried_since_s)
     first_s = min(since_s[np.isfinite(since_s)], default=np.inf)
@@ -216,7 +216,7 @@ def _doubts_about_steps(track: TrackRows) -> list[str]:
     return [
         *_undecided_modes(track),
         *_with_times(long_stretches(track.time_s, in_standing), criteria.IN_STANDING),
-        *_with_times(long_stretches(track.time_s, is_without_direction(track)), criteria.NO_DIRECTION),
+        *_with_times(long_stretches(track.time_s, rows_without_direction(track)), criteria.NO_DIRECTION),
         *_with_times(long_stretches(track.time_s, on_the_spot), criteria.QUICK_AND_SOFT),
         *_with_times(long_stretches(track.time_s, turns_at_the_ear(track)), _AT_THE_EAR),
         *_with_times(long_stretches(track.time_s, without_rate), _WITHOUT_ANGULAR_RATE),

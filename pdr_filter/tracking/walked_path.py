@@ -10,10 +10,10 @@ import numpy as np
 from pdr_filter.filter.chain.handler import part_of
 from pdr_filter.filter.chain.with_path import PathState
 from pdr_filter.filter.imm.motion_model import MotionNoise, bounded_position_cov, reach_m
-from pdr_filter.filter.pedestrian.past_path import turned
-from pdr_filter.filter.pedestrian.pedestrian_state import PAUSE_S, track_place, within_reach
+from pdr_filter.filter.pedestrian.past_path import aligned_positions
+from pdr_filter.filter.pedestrian.pedestrian_state import PAUSE_S, track_pose, within_reach
 from pdr_filter.recipes.config import Config
-from pdr_filter.tracking.extrapolation import present_place
+from pdr_filter.tracking.extrapolation import present_pose
 from pdr_filter.tracking.filtering import State
 from pdr_filter.values import FloatArray, read_only
 from pdr_filter.values.uncertainty import worst_std_m
@@ -80,32 +80,32 @@ def walked_path(config: Config, state: State) -> WalkedPath:
         )
     pedestrian = state.pedestrian
     estimates = pedestrian.estimates
-    P, present_m = estimates.combined[1], track_place(pedestrian).position_m
+    P, present_m = estimates.combined[1], track_pose(pedestrian).position_m
     path = part_of(state.chain, PathState).path
-    time_s, place_m, cov_m2 = path.places(P, estimates.consider_cov_m2, present_m)
-    n_steps, present = len(time_s), present_place(config, state)
+    time_s, position_m, cov_m2 = path.positions(P, estimates.consider_cov_m2, present_m)
+    n_steps, present = len(time_s), present_pose(config, state)
     ahead = [(step.time_s, step.position_m) for step in present.steps]
     last_s = ahead[-1][0] if ahead else float(time_s[-1]) if len(time_s) else -np.inf
     if present.time_s > last_s:
-        ahead.append((present.time_s, present.place.position_m))
-    (ee, en), (_, nn) = present.place.cov_m2
+        ahead.append((present.time_s, present.pose.position_m))
+    (ee, en), (_, nn) = present.pose.cov_m2
     time_s = np.append(time_s, [t for t, _ in ahead])
-    place_m = np.concatenate([place_m, np.array([m for _, m in ahead]).reshape(-1, 2).T], axis=1)
+    position_m = np.concatenate([position_m, np.array([m for _, m in ahead]).reshape(-1, 2).T], axis=1)
     cov_m2 = np.concatenate([cov_m2, np.tile([[ee], [en], [nn]], len(ahead))], axis=1)
     turn = pedestrian.frame.present_alignment
     if turn is not None:
         first = int(np.searchsorted(time_s, path.since_s, side="right"))
-        place_m[:, first:], cov_m2[:, first:] = turned(turn, place_m[:, first:], cov_m2[:, first:])
+        position_m[:, first:], cov_m2[:, first:] = aligned_positions(turn, position_m[:, first:], cov_m2[:, first:])
     cov_m2 = cov_m2[[0, 1, 1, 2]].T.reshape(-1, 2, 2)
     start_std_m = np.inf if pedestrian.frame.is_known else math.sqrt(pedestrian.unstepped_var_m2)
     known, new = slice(len(time_s) - len(ahead)), slice(len(time_s) - len(ahead), None)
     cov_m2[new] = within_reach(cov_m2[new], pedestrian.frame, present.reach_m)  # as in `OnlineFilter.now`
-    cov_m2[known] = _bounded(cov_m2[known], time_s[known], place_m[:, known], config.model.noise, start_std_m)
-    return WalkedPath(read_only(time_s), read_only(place_m.T), read_only(cov_m2), n_steps)
+    cov_m2[known] = _bounded(cov_m2[known], time_s[known], position_m[:, known], config.model.noise, start_std_m)
+    return WalkedPath(read_only(time_s), read_only(position_m.T), read_only(cov_m2), n_steps)
 
 
 def _bounded(
-    cov_m2: FloatArray, time_s: FloatArray, place_m: FloatArray, noise: MotionNoise, start_std_m: float
+    cov_m2: FloatArray, time_s: FloatArray, position_m: FloatArray, noise: MotionNoise, start_std_m: float
 ) -> FloatArray:
     """Return covariances (K, 2, 2) whose standard deviations change by at most the way between the positions (2, K).
 
@@ -114,6 +114,6 @@ def _bounded(
     """
     lasted_s = np.diff(time_s, prepend=time_s[:1])
     gap_m = np.sqrt(noise.gap_var_m2(np.where(lasted_s > PAUSE_S, lasted_s, 0.0)))
-    moved_m = np.hypot(*np.diff(place_m, axis=1, prepend=np.zeros((2, 1))))
+    moved_m = np.hypot(*np.diff(position_m, axis=1, prepend=np.zeros((2, 1))))
     way_m = np.append(0.0, np.cumsum(np.maximum(moved_m, gap_m)))
     return bounded_position_cov(cov_m2, reach_m(way_m, np.append(start_std_m, worst_std_m(cov_m2)))[1:])

@@ -67,7 +67,7 @@ from pdr_filter.values.fixes import (
     check_fix,
     has_frame,
     has_position,
-    measured,
+    measurement_of,
     range_log_densities,
     range_residuals,
     received_s,
@@ -76,7 +76,7 @@ from pdr_filter.values.fixes import (
 )
 from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
-from pdr_filter.values.interpolation import interpolated, interpolated_near
+from pdr_filter.values.interpolation import interpolated_near, interpolated_rows
 from pdr_filter.values.json_values import as_plain
 from pdr_filter.values.mixtures import softmax
 from pdr_filter.values.notes import Note, NoteSubject
@@ -174,12 +174,12 @@ __all__ = [
     "heading_from_yaw",
     "how_many",
     "how_often",
-    "interpolated",
     "interpolated_near",
+    "interpolated_rows",
     "known_context",
     "loudness",
     "make_read_only",
-    "measured",
+    "measurement_of",
     "median",
     "range_log_densities",
     "range_residuals",

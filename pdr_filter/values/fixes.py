@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pdr_filter.values.arrays import FloatArray, read_only
 from pdr_filter.values.checks import check_array, check_number
 from pdr_filter.values.json_values import as_plain
-from pdr_filter.values.origin import Origin, check_place
+from pdr_filter.values.origin import Origin, check_coordinates
 from pdr_filter.values.uncertainty import RADIUS_68
 
 # Minimum time between two fixes in the correlation of their errors. Fixes closer than this are simultaneous.
@@ -141,7 +141,7 @@ class PositionFix:
         ValueError
             If the coordinates are invalid, or not exactly one of `std_m` and `accuracy_m` is given.
         """
-        check_place("a fix", latitude_deg, longitude_deg)
+        check_coordinates("a fix", latitude_deg, longitude_deg)
         if (std_m is None) == (accuracy_m is None):
             raise ValueError(
                 "give either std_m (standard deviation along each axis) or accuracy_m (radius of 68 %), got "
@@ -692,7 +692,9 @@ def _check_measurement(fix: object) -> None:
     _check_times(float(fix.time_s), None if fix.received_time_s is None else float(fix.received_time_s))
 
 
-def measured(fix: Measurement, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def measurement_of(
+    fix: Measurement, position_m: FloatArray, heading_rad: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residual (k,), Jacobian (k, 3) and covariance (k, k) of a measurement.
 
     The columns of the Jacobian are the derivatives of the returned residual with respect to east, north and walking
@@ -746,11 +748,11 @@ def stated_fixes(fix: Measurement) -> tuple[HeadingFix | PositionFix, ...]:
     if isinstance(fix, RangeFix):
         return ()
     try:
-        residual, jacobian, cov = measured(fix, np.zeros(2), 0.0)
+        residual, jacobian, cov = measurement_of(fix, np.zeros(2), 0.0)
         weighted = jacobian.T @ np.linalg.inv(cov)
         x_cov = np.linalg.pinv(weighted @ jacobian, hermitian=True)
         x = -x_cov @ weighted @ residual
-        residual_there, jacobian_there, cov_there = measured(fix, x[:2], float(x[2]))
+        residual_there, jacobian_there, cov_there = measurement_of(fix, x[:2], float(x[2]))
     except ValueError:  # such as a bearing at the position of its anchor
         return ()
     is_linear = np.allclose(jacobian, jacobian_there) and np.allclose(cov, cov_there)

@@ -7,7 +7,7 @@ import numpy as np
 from pdr_filter.values.arrays import FloatArray
 
 
-def interpolated(at_s: FloatArray | float, time_s: FloatArray, values: FloatArray) -> FloatArray:
+def interpolated_rows(at_s: FloatArray | float, time_s: FloatArray, values: FloatArray) -> FloatArray:
     """Return values (..., d) at times (...), interpolated linearly between rows (N, d) at times (N,) in any order.
 
     Before the first row and after the last row the value is constant.
@@ -25,7 +25,7 @@ def interpolated_near(at_s: FloatArray, time_s: FloatArray, values: FloatArray, 
     """
     if len(time_s) == 0 or len(at_s) == 0:
         return np.full((len(at_s), values.shape[1]), np.nan)
-    result = interpolated(at_s, time_s, values)
+    result = interpolated_rows(at_s, time_s, values)
     time_s = np.sort(time_s)
     right = np.clip(np.searchsorted(time_s, at_s), 0, len(time_s) - 1)
     left = np.maximum(right - 1, 0)

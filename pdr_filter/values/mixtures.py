@@ -62,7 +62,7 @@ def posterior_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatA
     return np.where(is_finite, softmax(np.where(is_finite, log_posterior, 0.0)), prior_prob)
 
 
-def reweighted(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
+def reweighted_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
     """Return the probabilities proportional to p_k exp(e_k), shape (..., K), of K hypotheses.
 
     p_k is the probability of hypothesis k before, and e_k its finite log evidence of a few nats, or of any size if all

@@ -22,7 +22,7 @@ DECLINATION_STD_RAD = math.radians(1.0)
 _FIRST_YEAR, _LAST_YEAR = 2010.0, 2029.99
 
 
-def check_place(what: str, latitude_deg: float, longitude_deg: float) -> None:
+def check_coordinates(what: str, latitude_deg: float, longitude_deg: float) -> None:
     """Raise ValueError unless latitude and longitude are valid. `what` is the name of the argument in the message."""
     if not (are_numbers(latitude_deg, longitude_deg) and -90 <= latitude_deg <= 90 and -180 <= longitude_deg <= 180):
         raise ValueError(
@@ -77,7 +77,7 @@ class Origin:
     height_std_m: float | None = None
 
     def __post_init__(self) -> None:
-        check_place("origin", self.latitude_deg, self.longitude_deg)
+        check_coordinates("origin", self.latitude_deg, self.longitude_deg)
         for name in ("height_m", "turn_rad", "turn_std_rad", "position_std_m", "height_std_m"):
             if getattr(self, name) is not None:
                 kind = "0 or more" if "_std_" in name else "finite"

@@ -30,7 +30,7 @@ from pdr_filter.offline.calibration.assembly import scale_std_of
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate_segments
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, estimate_jointly
-from pdr_filter.offline.calibration.model_forms import estimate_sums, forms_of, hierarchy_of, start_of
+from pdr_filter.offline.calibration.model_forms import estimate_sums, forms_of, hierarchy_of, prior_means
 from pdr_filter.offline.calibration.model_forms import lengths as lengths_of_people
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, weak_prior
 from pdr_filter.offline.calibration.segments import (
@@ -262,7 +262,7 @@ def left_out(tables: Tables, arguments: argparse.Namespace) -> None:
         for k in np.unique(walk % 10):
             test = np.flatnonzero(walk % 10 == k)
             found = calibrate_segments([segments[i] for i in np.flatnonzero(walk % 10 != k)], priors)
-            own = integrate([segments[i] for i in test], found.models, start_of(priors))
+            own = integrate([segments[i] for i in test], found.models, prior_means(priors))
             after_m[test] = lengths_of_people(own, theta_of(found, own.subjects))
             before_m[test] = lengths_of_people(own, np.tile(start, (len(own.subjects), 1)))
         true_m = np.bincount(walk, [s.distance_m for s in segments])
@@ -307,7 +307,7 @@ def smoothed(tables: Tables, arguments: argparse.Namespace) -> None:
                     of_people = dict(zip(calibrated.subject_ids, calibrated.people, strict=True))
                     population = calibrated.theta
                 for i in np.flatnonzero(group == held_out).tolist():
-                    sums = integrate(own[i], models, start_of(priors))
+                    sums = integrate(own[i], models, prior_means(priors))
                     theta = start if what == "none" else of_people.get(own[i][0].subject, population)
                     error.setdefault(what, []).append(100 * (lengths(sums, theta).sum() / sums.distance_m.sum() - 1))
         # errors in the order of the groups

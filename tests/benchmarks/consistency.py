@@ -33,7 +33,7 @@ from pdr_filter import evaluate
 from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.chain.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
-from pdr_filter.filter.pedestrian.pedestrian_state import present_position
+from pdr_filter.filter.pedestrian.pedestrian_state import reckoned_position
 from pdr_filter.filter.step_length.models import length_and_jacobian
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step, WindowContext
 from tests.benchmarks.common import Tables, recordings, run
@@ -211,7 +211,7 @@ def filtered_errors(
             x, P = known.estimates.combined
             error = walk.state[k] - x
             seen = P.copy()
-            seen[:2, :2] = present_position(known)[1]
+            seen[:2, :2] = reckoned_position(known)[1]
             found.append(
                 (normalised(error[:2], seen[:2, :2]), normalised(error[:2], P[:2, :2]), normalised(error, seen))
             )
@@ -219,7 +219,7 @@ def filtered_errors(
             of_s = step.time_s - late_s
             truth_m = np.array([np.interp(of_s, times, walk.state[:, i]) for i in (0, 1)])
             fix = PositionFix(of_s, truth_m + fix_std_m * rng.normal(size=2), fix_std_m**2 * np.eye(2), step.time_s)
-            position_m, cov_m2 = present_position(known)
+            position_m, cov_m2 = reckoned_position(known)
             if late_s == 0:
                 nis.append(normalised(fix.position_m - position_m, cov_m2 + fix.cov_m2))
             state, outcome, _ = tracker.on_fix(state, fix)

@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from models.training.context_training import PLANS, ContextPlan, labelled_windows, walking_scores
 from models.training.data_sets import SCORED_DATASET, recordings_of
 from pdr_filter.classifiers.context_model import ContextModel, load_model
-from pdr_filter.classifiers.probability_calibration import reliability
+from pdr_filter.classifiers.probability_calibration import reliability_diagram
 from pdr_filter.offline.training.cross_validation import (
     Fits,
     LabelledWindows,
@@ -31,7 +31,7 @@ from pdr_filter.offline.training.cross_validation import (
     cross_calibrated,
     fit_groups,
     in_window_order,
-    predicted,
+    most_probable_labels,
     predictions,
     silent,
 )
@@ -72,7 +72,7 @@ def draw(probs: dict[str, tuple[FloatArray, BoolArray]], path: Path) -> None:
     figure = Figure(figsize=(3.2 * len(probs), 4.2), layout="constrained")
     top, bottom = figure.subplots(2, len(probs), sharex=True, sharey="row", height_ratios=(3, 1))
     for i, (name, (prob, correct)) in enumerate(probs.items()):
-        diagram = reliability(prob, correct)
+        diagram = reliability_diagram(prob, correct)
         top[i].plot([0.2, 1], [0.2, 1], color="0.7", linewidth=1)
         top[i].plot(diagram.confidence, diagram.accuracy, "o-", color="#0072b2", markersize=4)
         top[i].set_title(f"{name}\nECE {diagram.expected_calibration_error:.3f}", fontsize=10)
@@ -93,7 +93,7 @@ def held_out_people(plan: ContextPlan, windows: LabelledWindows, fits: Fits) -> 
     own = windows.part(left.rows)
     prob = cross_calibrated(left.prob, own.context, own.person, fits.model)
     scored = own.dataset == SCORED_DATASET
-    return prob[scored], (predicted(prob, CONTEXTS) == own.context)[scored]
+    return prob[scored], (most_probable_labels(prob, CONTEXTS) == own.context)[scored]
 
 
 def contexts(tables: Tables, arguments: argparse.Namespace) -> None:

@@ -222,7 +222,7 @@ def marked(track: pdr.Track) -> BoolArray:
         (windows.time_s, is_handled(windows.irregular_prob, windows.standing_prob)),
         (windows.time_s, is_unfamiliar(windows.unknown_share)),
         (track.time_s, report.is_undecided(track)),
-        (track.time_s, report.is_without_direction(track)),
+        (track.time_s, report.rows_without_direction(track)),
         (track.time_s, is_on_the_spot(track.is_quick_and_soft, track.direction_trust)),
         (track.time_s, report.turns_at_the_ear(track)),
     )

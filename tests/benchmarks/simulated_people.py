@@ -78,7 +78,7 @@ def simulated_windows(place: str, n_people: int) -> LabelledWindows:
         features, context, carried = (np.array(column) for column in zip(*found, strict=True))
         known = np.ones(len(features), dtype=bool)
         parts.append(LabelledWindows.of_one(features, context, carried, f"simulated/{number}", "simulated", "", known))
-    return replace(w := LabelledWindows.joined(parts), features=PLAN.features(w))
+    return replace(w := LabelledWindows.concatenate(parts), features=PLAN.features(w))
 
 
 def real_windows(data: Path) -> LabelledWindows:

@@ -38,7 +38,7 @@ from vqf import offlineVQF
 import pdr_filter as pdr
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.simulate.gait import CONTEXT_GAITS, walking_law
-from pdr_filter.simulate.strides import N_CHANNELS, N_HARMONICS, PEOPLE_SPREAD, ComplexArray, Strides, write
+from pdr_filter.simulate.strides import N_CHANNELS, N_HARMONICS, PEOPLE_SPREAD, ComplexArray, Strides, write_measured
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
 from tests.benchmarks.common import Tables, recordings, run
 
@@ -442,7 +442,7 @@ def strides(tables: Tables, arguments: argparse.Namespace) -> None:
         found[place, context] = table
     tables.write("measured_strides", COLUMNS, rows, ABOUT)
     if not arguments.print:
-        write(found)
+        write_measured(found)
 
 
 if __name__ == "__main__":

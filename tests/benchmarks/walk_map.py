@@ -23,16 +23,16 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.apps.walk_map.chains import Chain, chain_of
-from pdr_filter.apps.walk_map.placing import (
+from pdr_filter.apps.walk_map.walk_map import DECLINATION_STD_RAD, _mapped
+from pdr_filter.apps.walk_map.walk_poses import (
     SURE,
     UNKNOWN_NORTH,
-    PlacedGroup,
-    Pose,
+    JoinedWalks,
     ScannedWalks,
+    WalkPose,
+    clockwise_rotation,
     locate,
-    rotation_matrix,
 )
-from pdr_filter.apps.walk_map.walk_map import DECLINATION_STD_RAD, _mapped
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from tests.benchmarks.common import Tables, paths, run
@@ -122,7 +122,7 @@ def matched(walks: Sequence[Walk], found: pdr.WalkMap, known: set[str]) -> list[
 def aligned(mapped_m: np.ndarray, true_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Matrix M and shift d for which mapped @ M + d fits the true positions best, without scale."""
     a, b = (mapped_m - mapped_m.mean(axis=0)) @ [1, 1j], (true_m - true_m.mean(axis=0)) @ [1, 1j]
-    turn = rotation_matrix(-float(np.angle(np.vdot(a, b))))
+    turn = clockwise_rotation(-float(np.angle(np.vdot(a, b))))
     return turn, true_m.mean(axis=0) - mapped_m.mean(axis=0) @ turn
 
 
@@ -145,14 +145,14 @@ def row(name: str, walks: Sequence[Walk], found: pdr.WalkMap, known: set[str], s
     return [name, str(n), joined, wrong, *figures, f"{100 * np.mean(nees < 5.991):.0f} %", f"{seconds:.1f} s"]
 
 
-def true_pose(walk: Walk) -> Pose:
+def true_pose(walk: Walk) -> WalkPose:
     """Rigid pose of a walk that fits its waypoints; with fewer than two of them, its direction is the magnetic one."""
     own = walk.chain.position_m(np.array([walk.chain.step_at(t) for t in walk.points[:, 0]]))
     a, b = (own - own.mean(axis=0)) @ [1, 1j], (walk.points[:, 1:] - walk.points[:, 1:].mean(axis=0)) @ [1, 1j]
     ratio = np.vdot(a, b) / np.vdot(a, a) if np.abs(b).max() > 5.0 else np.exp(-1j * CITY.declination_rad())
     turn_rad, scale = -float(np.angle(ratio)), float(abs(ratio))
-    return Pose(
-        turn_rad, walk.points[:, 1:].mean(axis=0) - scale * own.mean(axis=0) @ rotation_matrix(turn_rad), 0, scale
+    return WalkPose(
+        turn_rad, walk.points[:, 1:].mean(axis=0) - scale * own.mean(axis=0) @ clockwise_rotation(turn_rad), 0, scale
     )
 
 
@@ -161,7 +161,7 @@ def among_true(walks: Sequence[Walk]) -> str:
     median error of their centres."""
     scanned = ScannedWalks.of([w.chain for w in walks])
     poses = {i: true_pose(w) for i, w in enumerate(walks)}
-    group = PlacedGroup(poses, {}, CITY.declination_rad())
+    group = JoinedWalks(poses, {}, CITY.declination_rad())
     error_m: list[float] = []
     for i in poses:
         found = locate(scanned, group, i)
@@ -222,7 +222,7 @@ def with_true_direction(walk: Walk) -> Walk:
     """The walk and the direction of its magnetometer, rotated to the true direction."""
     turn_rad, chain = true_pose(walk).turn_rad - CITY.declination_rad(), walk.chain
     mean = np.column_stack(
-        [chain.mean[:, :2] @ rotation_matrix(turn_rad), chain.mean[:, 2] + turn_rad, chain.mean[:, 3]]
+        [chain.mean[:, :2] @ clockwise_rotation(turn_rad), chain.mean[:, 2] + turn_rad, chain.mean[:, 3]]
     )
     problem, observed = chain.problem, chain.problem.states
     start_mean = problem.start_mean + turn_rad * (np.arange(len(problem.start_mean)) == HEADING_OFFSET)
@@ -279,7 +279,7 @@ def placed(walks: Sequence[Walk]) -> np.ndarray:
             some = {int(rng.choice(sorted(scanned.partners[i])))}
             while len(some) < size and (near := set().union(*(scanned.partners[j] for j in some)) - some - {i}):
                 some.add(int(rng.choice(sorted(near))))
-            group = PlacedGroup({j: poses[j] for j in sorted(some)}, {}, CITY.declination_rad())
+            group = JoinedWalks({j: poses[j] for j in sorted(some)}, {}, CITY.declination_rad())
             candidate = locate(scanned, group, i) if len(some) == size else None
             if candidate is not None:
                 centre_m = poses[i].of(scanned.own_m[scanned.rows(i)]).mean(axis=0)

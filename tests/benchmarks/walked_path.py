@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 import pdr_filter as pdr
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import walked_path
-from pdr_filter.tracking.whole_recording import collected, outputs, prepared_run
+from pdr_filter.tracking.whole_recording import outputs, prepared_run, track_of_outputs
 from pdr_filter.values import read_only
-from pdr_filter.values.track_placement import TrackPlacement
+from pdr_filter.values.georeference import Georeference
 from tests.benchmarks.common import Tables, median_and, paths, run
 
 FloatArray = NDArray[np.float64]
@@ -30,9 +30,9 @@ FloatArray = NDArray[np.float64]
 
 def tracks(recording: pdr.Recording, gnss: str | None) -> dict[str, Track]:
     """The online track, the same with the places of the path in its end, and the smoothed track."""
-    run = prepared_run(recording, None, (), TrackPlacement(gnss))  # pyright: ignore[reportArgumentType]
+    run = prepared_run(recording, None, (), Georeference(gnss))  # pyright: ignore[reportArgumentType]
     brought = list(outputs(run.recording, run.config, (), None, run.with_location, run.with_location))
-    online = collected(run.recording, run.config, brought)
+    online = track_of_outputs(run.recording, run.config, brought)
     path = walked_path(run.config, brought[-1][0])
     at_m = np.column_stack([np.interp(online.time_s, path.time_s, axis) for axis in path.position_m.T])
     smoothed = pdr.smooth(recording, gnss=gnss).track  # pyright: ignore[reportArgumentType]

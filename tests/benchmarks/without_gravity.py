@@ -22,7 +22,7 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.sensing.gravity import with_gravity
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated_rows
 from pdr_filter.values.quaternions import rotation_matrix
 from tests.benchmarks.common import Tables, median_and, recordings, run
 from tests.benchmarks.smoothed_places import shape_error_m
@@ -49,7 +49,7 @@ def up_of_phone(recording: pdr.Recording) -> FloatArray:
     attitude = recording.attitude
     assert attitude is not None
     up = rotation_matrix(attitude.values / np.linalg.norm(attitude.values, axis=1, keepdims=True))[:, 2]
-    up = interpolated(recording.accelerometer.time_s, attitude.time_s, up)
+    up = interpolated_rows(recording.accelerometer.time_s, attitude.time_s, up)
     return up / np.linalg.norm(up, axis=1, keepdims=True)
 
 
@@ -62,7 +62,7 @@ def shape_m(recording: pdr.Recording, track: pdr.Track) -> float:
     time_s, true_m = points.time_s, np.column_stack([points.east_m, points.north_m])
     if len(time_s) > 300:
         at_s = np.arange(time_s[0], time_s[-1])
-        time_s, true_m = at_s, interpolated(at_s, time_s, true_m)
+        time_s, true_m = at_s, interpolated_rows(at_s, time_s, true_m)
     return shape_error_m(true_m, pdr.evaluate.positions_at(track.time_s, track.position_m, time_s))
 
 

@@ -28,7 +28,7 @@ from pdr_filter.classifiers.rvm import (
     stratified_rows,
     train_multinomial,
 )
-from pdr_filter.classifiers.rvm_training import Bernoulli, train
+from pdr_filter.classifiers.rvm_training import Bernoulli, train_rvm
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*rows are candidates")
 
@@ -205,7 +205,7 @@ def test_each_class_is_trained_against_all_others() -> None:
     functions = basis_functions(X, candidates, "rbf", width)
     sigmoids = []
     for k in range(3):
-        machine = train(Bernoulli((y == k).astype(float), np.ones(150), np.zeros(150)), functions).posterior
+        machine = train_rvm(Bernoulli((y == k).astype(float), np.ones(150), np.zeros(150)), functions).posterior
         phi = basis_functions(X_test, candidates, "rbf", width)[machine.basis].T
         covariance = machine.cov_factor.T @ machine.cov_factor
         kappa = 1 / np.sqrt(1 + np.pi / 8 * np.einsum("ni,ij,nj->n", phi, covariance, phi))

@@ -24,7 +24,7 @@ from pdr_filter.classifiers.rvm_training import (
     outside_factors,
     posterior,
     spread_start,
-    train,
+    train_rvm,
 )
 from tests.oracles import rvm_reference
 
@@ -162,7 +162,7 @@ def test_regression_agrees_with_scikit_learns_ard_regression(seed: int) -> None:
         alpha_1=0, alpha_2=0, lambda_1=0, lambda_2=0, fit_intercept=False, max_iter=3000, tol=1e-9, threshold_lambda=1e9
     ).fit(functions.T, likelihood.target)
     same_noise = Gaussian(likelihood.target, float(oracle.alpha_))
-    found = train(same_noise, functions, tol=1e-8, max_passes=500).posterior
+    found = train_rvm(same_noise, functions, tol=1e-8, max_passes=500).posterior
     weights = np.zeros(12)
     weights[found.basis] = found.mean
     np.testing.assert_allclose(weights, oracle.coef_, atol=1e-3)
@@ -173,13 +173,13 @@ def test_regression_agrees_with_scikit_learns_ard_regression(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(2))
 def test_the_subset_with_the_highest_evidence_is_found(seed: int) -> None:
     likelihood, functions = regression(n_functions=8, seed=seed)
-    found = train(likelihood, functions, tol=1e-9, max_passes=300).posterior
+    found = train_rvm(likelihood, functions, tol=1e-9, max_passes=300).posterior
     best = -np.inf
     for size in range(1, 6):
         for basis in itertools.combinations(range(8), size):
             start = at(likelihood, functions, list(basis), [1.0] * size)
             only = functions[list(basis)]
-            inside = train(
+            inside = train_rvm(
                 likelihood,
                 only,
                 Posterior(np.arange(size), start.alpha, start.mean, start.cov_factor, start.logit, 0.0),
@@ -198,7 +198,7 @@ def test_fast_and_plain_training_agree() -> None:
     for seed, width_share in itertools.product(range(4), [0.5, 1.0, 2.0, 4.0]):
         likelihood, functions = moons(100, width_share, seed)
         plain = rvm_reference.train_plain(functions.T, likelihood.target, tol=1e-3)
-        fast = train(likelihood, functions, tol=1e-3, max_passes=300).posterior
+        fast = train_rvm(likelihood, functions, tol=1e-3, max_passes=300).posterior
         gaps.append(fast.log_evidence - rvm_reference.log_evidence(plain, functions.T, likelihood.target))
         probability = expit(functions[plain.basis].T @ plain.mean)
         assert np.mean(np.abs(expit(fast.logit) - probability)) < 0.05
@@ -208,7 +208,7 @@ def test_fast_and_plain_training_agree() -> None:
 
 def test_the_posterior_is_that_of_the_plain_algorithm_for_the_same_alphas() -> None:
     likelihood, functions = moons()
-    found = train(likelihood, functions).posterior
+    found = train_rvm(likelihood, functions).posterior
     design = functions[found.basis].T
     mean, factor = rvm_reference.posterior_mode(design, likelihood.target, found.alpha, np.zeros(len(found.mean)))
     np.testing.assert_allclose(found.mean, mean, rtol=1e-4, atol=1e-5)
@@ -220,7 +220,7 @@ def test_the_posterior_is_that_of_the_plain_algorithm_for_the_same_alphas() -> N
 
 def test_trained_to_the_end_no_alpha_addition_or_deletion_raises_the_evidence() -> None:
     likelihood, functions = moons()
-    found = train(likelihood, functions, tol=1e-6, max_passes=500).posterior
+    found = train_rvm(likelihood, functions, tol=1e-6, max_passes=500).posterior
     for m in range(len(found.basis)):
         for factor in (0.8, 1.25):
             alpha = found.alpha.copy()
@@ -257,7 +257,7 @@ def test_an_offset_is_a_function_of_known_weight() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_the_evidence_never_falls(seed: int, width_share: float) -> None:
     likelihood, functions = moons(120, width_share, seed)
-    trained = train(likelihood, functions, tol=1e-3)
+    trained = train_rvm(likelihood, functions, tol=1e-3)
     assert (np.diff(trained.log_evidence) > 0).all()
     assert trained.log_evidence[-1] == trained.posterior.log_evidence
     assert np.isfinite(trained.posterior.mean).all()
@@ -270,8 +270,8 @@ def test_with_wide_kernels_a_start_with_many_functions_reaches_more_evidence_tha
     y = (X[:, 0] * X[:, 1] + 0.5 * X[:, 2] > 0).astype(float)
     functions = basis_functions(X, X, "rbf", 2 * median_distance(X))
     bias_only = at(bernoulli(y), functions, [0], [1e-2])
-    many = train(bernoulli(y), functions).posterior
-    few = train(bernoulli(y), functions, bias_only).posterior
+    many = train_rvm(bernoulli(y), functions).posterior
+    few = train_rvm(bernoulli(y), functions, bias_only).posterior
     assert many.log_evidence > few.log_evidence + 20.0
 
 
@@ -290,20 +290,20 @@ def test_a_singular_gram_matrix_has_a_posterior() -> None:
     found = posterior(likelihood, doubled, np.arange(20), np.full(20, 1e-10), np.zeros(20), np.zeros(40))
     assert np.isfinite(found.mean).all()
     assert np.isfinite(found.cov_factor).all()
-    trained = train(likelihood, doubled)
+    trained = train_rvm(likelihood, doubled)
     assert len(trained.posterior.basis) <= 5
     assert np.isfinite(trained.posterior.log_evidence)
 
 
 def test_limits_are_kept_and_reported() -> None:
     likelihood, functions = moons(width_share=0.1)
-    few = train(likelihood, functions, max_basis=3)
+    few = train_rvm(likelihood, functions, max_basis=3)
     assert len(few.posterior.basis) <= 3
     assert few.out_of_basis
-    short = train(likelihood, functions, max_passes=2)
+    short = train_rvm(likelihood, functions, max_passes=2)
     assert short.n_passes == 2
     assert short.out_of_passes
-    enough = train(*moons())
+    enough = train_rvm(*moons())
     assert not enough.out_of_basis
     assert not enough.out_of_passes
 

@@ -51,12 +51,12 @@ def finished(stage: Any, state: Any) -> list[tuple[int, Any]]:
 
 @pytest.mark.parametrize("name", PARTS)
 def test_every_stage_of_a_recipe_passes_the_checks_for_stages_of_users(name: str) -> None:
-    pdr.testing.check_stage(PARTS[name])
+    pdr.testing.verify_stage(PARTS[name])
 
 
 @pytest.mark.parametrize("name", MODELS)
 def test_every_step_length_of_a_recipe_passes_the_checks_for_models_of_users(name: str) -> None:
-    pdr.testing.check_step_length(MODELS[name])
+    pdr.testing.verify_step_length(MODELS[name])
 
 
 @pytest.mark.parametrize("name", STAGES)

@@ -14,7 +14,7 @@ from helpers import resumed
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.pedestrian.alignment import Place
+from pdr_filter.filter.pedestrian.alignment import Pose
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking.extrapolation import _ACROSS_SHARE, _ALONG_SHARE, _extrapolated, _on_plan, _silent_s
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, OnPlan, PositionFix
@@ -190,7 +190,7 @@ def test_an_object_that_is_not_a_fix_is_refused_with_a_remedy() -> None:
 
 
 def test_extrapolation_during_a_turn_follows_the_chord_of_the_turn() -> None:
-    there = Place(np.zeros(2), np.zeros((2, 2)), heading_rad=np.pi / 2, n_steps=3)  # to the east now, to the north then
+    there = Pose(np.zeros(2), np.zeros((2, 2)), heading_rad=np.pi / 2, n_steps=3)  # to the east now, to the north then
     ahead = _extrapolated(there, 2.0, turned_rad=np.pi / 2)
     np.testing.assert_allclose(ahead.position_m, [2**0.5, 2**0.5])
     along, across = np.linalg.eigvalsh(ahead.cov_m2)[::-1] ** 0.5 / 2.0
@@ -199,8 +199,8 @@ def test_extrapolation_during_a_turn_follows_the_chord_of_the_turn() -> None:
 
 
 def test_the_covariance_on_a_plan_stays_valid_if_the_extrapolated_position_is_more_certain() -> None:
-    behind = Place(np.zeros(2), 4.0 * np.eye(2), heading_rad=0.0, n_steps=3)
-    ahead = Place(np.array([0.0, 1.0]), np.diag([1.0, 9.0]), heading_rad=0.0, n_steps=4)
+    behind = Pose(np.zeros(2), 4.0 * np.eye(2), heading_rad=0.0, n_steps=3)
+    ahead = Pose(np.array([0.0, 1.0]), np.diag([1.0, 9.0]), heading_rad=0.0, n_steps=4)
     there = OnPlan(np.array([5.0, 5.0]), 0.25 * np.eye(2), np.pi / 2, (), 100, 80.0)
     placed = _on_plan(ahead, behind, there)
     np.testing.assert_allclose(placed.position_m, [6.0, 5.0], atol=1e-12)  # what was north is east on the plan

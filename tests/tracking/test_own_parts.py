@@ -340,10 +340,10 @@ def test_missing_members_of_a_part_are_named() -> None:
 
 def test_the_checks_pass_for_parts_that_implement_the_protocols() -> None:
     for part in (Crossings(), DeviceHeading()):
-        pdr.testing.check_stage(part)
+        pdr.testing.verify_stage(part)
     for model in (RootOfRange(), Exponential(), FIT, bounce_fit()):
-        pdr.testing.check_step_length(model)
-    pdr.testing.check_fix(pdr.RangeFix(1.0, (3.0, 4.0, 1.0), 5.2, 0.3))
+        pdr.testing.verify_step_length(model)
+    pdr.testing.verify_fix(pdr.RangeFix(1.0, (3.0, 4.0, 1.0), 5.2, 0.3))
 
 
 class _BlockMean(Crossings):
@@ -399,7 +399,7 @@ class _Lambda(Crossings):
 )
 def test_a_stage_that_breaks_the_protocol_is_refused_with_the_reason(part: Any, message: str) -> None:
     with pytest.raises(AssertionError, match=message):
-        pdr.testing.check_stage(part)
+        pdr.testing.verify_stage(part)
 
 
 class _WrongSlope(Exponential):
@@ -426,7 +426,7 @@ class _OneTheta(Exponential):
 )
 def test_a_step_length_that_breaks_the_protocol_is_refused_with_the_reason(model: Any, message: str) -> None:
     with pytest.raises(AssertionError, match=message):
-        pdr.testing.check_step_length(model)
+        pdr.testing.verify_step_length(model)
 
 
 def test_waiting_measurements_of_user_classes_are_not_saved_and_cause_a_warning(recording: pdr.Recording) -> None:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.pedestrian.alignment import Alignment, Place
+from pdr_filter.filter.pedestrian.alignment import Alignment, Pose
 from pdr_filter.filter.pedestrian.frame import UNKNOWN_FRAME
 from pdr_filter.filter.pedestrian.frame_rotation import Compass, PairedPoint, align, rotation_density
 from pdr_filter.sensing.conditioning import merge_streams
@@ -73,7 +73,7 @@ def nees(walk: Recording, track: pdr.Track) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("year", "place", "declination_deg"),
+    ("year", "pose", "declination_deg"),
     [
         # the test values that are published with the models of 2025 and 2020
         (2025.0, (80.0, 0.0), 1.28),
@@ -85,9 +85,9 @@ def nees(walk: Recording, track: pdr.Track) -> np.ndarray:
     ],
 )
 def test_the_declination_is_that_of_the_world_magnetic_model(
-    year: float, place: tuple[float, float], declination_deg: float
+    year: float, pose: tuple[float, float], declination_deg: float
 ) -> None:
-    assert math.degrees(Origin(*place).declination_rad(year)) == pytest.approx(declination_deg, abs=0.005)
+    assert math.degrees(Origin(*pose).declination_rad(year)) == pytest.approx(declination_deg, abs=0.005)
 
 
 def test_years_outside_of_the_models_use_the_nearest_model_year() -> None:
@@ -135,9 +135,9 @@ def test_the_density_of_the_rotation_is_the_product_of_fixes_and_compass() -> No
 def test_a_heading_fix_overrides_a_compass() -> None:
     frame = UNKNOWN_FRAME.with_compass(Compass(1.0, 0.04))
     assert frame.name == "north"
-    place = frame.world(Place(np.array([0.0, 10.0]), np.zeros((2, 2)), 0.3, 4))
-    np.testing.assert_allclose(place.position_m, [10 * math.sin(1.0), 10 * math.cos(1.0)])
-    np.testing.assert_allclose(np.linalg.eigvalsh(place.cov_m2), [0.0, 0.04 * 100.0], atol=1e-9)
+    pose = frame.world(Pose(np.array([0.0, 10.0]), np.zeros((2, 2)), 0.3, 4))
+    np.testing.assert_allclose(pose.position_m, [10 * math.sin(1.0), 10 * math.cos(1.0)])
+    np.testing.assert_allclose(np.linalg.eigvalsh(pose.cov_m2), [0.0, 0.04 * 100.0], atol=1e-9)
     known = frame.with_north(Alignment(0.2, 0.01, np.zeros(2), np.zeros(2), 0.0, 3))
     assert known.compass is None
     assert known.with_compass(Compass(1.0, 0.04)).compass is None
@@ -211,7 +211,7 @@ def test_the_declination_is_that_of_the_date_of_the_recording(walk: Recording) -
 def test_an_unknown_place_makes_the_declination_an_uncertainty(walk: Recording) -> None:
     nowhere, here = pdr.track(walk, north="magnetic"), pdr.track(located(walk), north="magnetic")
     var = nowhere.steps.north_std_rad[20] ** 2 - here.steps.north_std_rad[20] ** 2
-    # at a known place, the strength of the field excludes iron, which narrows north further
+    # at a known pose, the strength of the field excludes iron, which narrows north further
     assert var > 0.2**2 - math.radians(1.0) ** 2
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pdr_filter.values.interpolation import interpolated, interpolated_near
+from pdr_filter.values.interpolation import interpolated_near, interpolated_rows
 
 TIME_S = np.array([2.0, 0.0, 1.0, 5.0])
 VALUES = np.array([[20.0, 2.0], [0.0, 0.0], [10.0, 1.0], [50.0, 5.0]])
@@ -13,8 +13,8 @@ VALUES = np.array([[20.0, 2.0], [0.0, 0.0], [10.0, 1.0], [50.0, 5.0]])
 
 def test_values_are_linear_between_rows_in_any_order_and_constant_outside() -> None:
     expected = [[0.0, 0.0], [5.0, 0.5], [30.0, 3.0], [50.0, 5.0]]
-    np.testing.assert_allclose(interpolated(np.array([-1.0, 0.5, 3.0, 9.0]), TIME_S, VALUES), expected)
-    np.testing.assert_allclose(interpolated(0.5, TIME_S, VALUES), [5.0, 0.5])
+    np.testing.assert_allclose(interpolated_rows(np.array([-1.0, 0.5, 3.0, 9.0]), TIME_S, VALUES), expected)
+    np.testing.assert_allclose(interpolated_rows(0.5, TIME_S, VALUES), [5.0, 0.5])
 
 
 @pytest.mark.parametrize(("far_s", "near_s"), [(-0.31, -0.29), (2.31, 2.29), (4.69, 4.71), (5.31, 5.29)])

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import logsumexp
 
-from pdr_filter.values.mixtures import combine, log_sum, possible_outlier, posterior_prob, reweighted, softmax
+from pdr_filter.values.mixtures import combine, log_sum, possible_outlier, posterior_prob, reweighted_prob, softmax
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -27,7 +27,7 @@ def test_softmax_and_log_sum_do_not_overflow_and_agree_with_scipy(offset: float)
 def test_finite_evidence_gives_the_same_probabilities_with_and_without_logarithms(seed: int) -> None:
     rng = np.random.default_rng(seed)
     prob, evidence = rng.dirichlet(np.ones(6), 3), 5 * rng.normal(size=(3, 6))
-    np.testing.assert_allclose(reweighted(prob, evidence), posterior_prob(prob, evidence), atol=1e-13)
+    np.testing.assert_allclose(reweighted_prob(prob, evidence), posterior_prob(prob, evidence), atol=1e-13)
 
 
 def test_a_possible_outlier_gives_the_moments_of_the_mixture_of_both_cases() -> None:

@@ -143,7 +143,7 @@ def calibrate(
     every = {pair: None for form in forms_of(priors, model, prior_std).values() for pair in models_in(form)}
     sums = tuple(every) if all(is_linear(m) for _, m in every) else None
     reduce = partial(
-        reduced,
+        read_segments,
         models=sums,
         subject=subject,
         each_a_person=each_a_person,
@@ -179,7 +179,7 @@ def models_in(priors: Mapping[str, StepLengthPrior]) -> list[tuple[str, StepLeng
     return [(context, prior.model) for context, prior in priors.items()]
 
 
-def reduced(
+def read_segments(
     path: str,
     models: tuple[tuple[str, StepLengthModel], ...] | None,
     subject: str | None = None,

@@ -173,7 +173,7 @@ def read_table(path: str | Path) -> list[Row]:
 
 
 @contextmanager
-def opened(
+def open_table(
     table: Path, retry_failed: bool, contexts: Sequence[str] = CONTEXTS
 ) -> Generator[tuple[list[Row], Callable[[Row], None]]]:
     """Open and lock a table. Yield its rows, and a function that appends a row.
@@ -356,7 +356,7 @@ def tables(out: str | Path) -> tuple[Path, Path | None]:
     return out.with_suffix(".csv"), out
 
 
-def write_parquet(rows: Sequence[Row], path: Path, contexts: Sequence[str]) -> None:
+def write_rows_parquet(rows: Sequence[Row], path: Path, contexts: Sequence[str]) -> None:
     """Write all rows to a Parquet file atomically."""
     of_rows = [{**asdict(row), **{f"{name}_s": s for name, s in row.context_s.items()}} for row in rows]
     frame: Any = pandas_for_parquet(path).DataFrame(of_rows, columns=list(columns_of(contexts)))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import cast
 
 from pdr_filter.apps.batch.progress import Clock, Progress
-from pdr_filter.apps.batch.result_table import Row, Task, failed_row, opened, row_of, tables, write_parquet
+from pdr_filter.apps.batch.result_table import Row, Task, failed_row, open_table, row_of, tables, write_rows_parquet
 from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.apps.batch.workers import each
 from pdr_filter.data.io.folders import recordings_of
@@ -21,8 +21,8 @@ from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.recipes import check_name, contexts_of, for_recording
 from pdr_filter.recipes.calibration import read_person
 from pdr_filter.tracking import whole_recording as recording_run
+from pdr_filter.values.georeference import GnssUse, check_gnss
 from pdr_filter.values.recording import check_height
-from pdr_filter.values.track_placement import GnssUse, check_gnss
 
 
 def track(
@@ -106,7 +106,7 @@ def track(
                 f"{task.path!r} has a line break in its name, which the table cannot store in one line: rename the file"
             )
     contexts = contexts_of(recipe)
-    with opened(table, retry_failed, contexts) as (known, append):
+    with open_table(table, retry_failed, contexts) as (known, append):
         rows = {row.task: row for row in known}
         clock = None if progress is None else Clock(tasks, rows, progress)
         todo = [task for task in tasks if task not in rows]
@@ -122,7 +122,7 @@ def track(
                     clock.after(row)
     result = [rows[task] for task in tasks]
     if parquet is not None:
-        write_parquet(result, parquet, contexts)
+        write_rows_parquet(result, parquet, contexts)
     return result
 
 

@@ -10,19 +10,19 @@ from typing import Annotated
 
 import typer
 
-from pdr_filter.apps.cli.calibrate import calibrate, smooth
-from pdr_filter.apps.cli.compare import compare
-from pdr_filter.apps.cli.convert import convert
-from pdr_filter.apps.cli.info import info
-from pdr_filter.apps.cli.live import live
-from pdr_filter.apps.cli.map import map_folder
+from pdr_filter.apps.cli.calibrate import calibrate_command, smooth_command
+from pdr_filter.apps.cli.compare import compare_command
+from pdr_filter.apps.cli.convert import convert_command
+from pdr_filter.apps.cli.info import info_command
+from pdr_filter.apps.cli.live import live_command
+from pdr_filter.apps.cli.map import map_command
 from pdr_filter.apps.cli.options import in_groups
-from pdr_filter.apps.cli.plan import plan
-from pdr_filter.apps.cli.radio import radio
-from pdr_filter.apps.cli.simulate import demo, simulate
-from pdr_filter.apps.cli.track import track
-from pdr_filter.apps.cli.train import train
-from pdr_filter.apps.cli.workbench import app as workbench
+from pdr_filter.apps.cli.plan import plan_command
+from pdr_filter.apps.cli.radio import radio_command
+from pdr_filter.apps.cli.simulate import demo_command, simulate_command
+from pdr_filter.apps.cli.track import track_command
+from pdr_filter.apps.cli.train import train_command
+from pdr_filter.apps.cli.workbench import workbench_command
 from pdr_filter.version import __version__
 
 app = typer.Typer(
@@ -32,9 +32,23 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (track, info, convert, plan, train, compare, calibrate, smooth, radio, simulate, demo, live, workbench):
-    app.command()(in_groups(command))
-app.command("map")(in_groups(map_folder))
+for name, command in {
+    "track": track_command,
+    "info": info_command,
+    "convert": convert_command,
+    "plan": plan_command,
+    "train": train_command,
+    "compare": compare_command,
+    "calibrate": calibrate_command,
+    "smooth": smooth_command,
+    "radio": radio_command,
+    "simulate": simulate_command,
+    "demo": demo_command,
+    "live": live_command,
+    "app": workbench_command,
+    "map": map_command,
+}.items():
+    app.command(name)(in_groups(command))
 
 
 def main() -> None:

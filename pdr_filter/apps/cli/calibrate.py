@@ -17,10 +17,10 @@ from pdr_filter.apps.cli.options import (
     FixesFile,
     Folder,
     Format,
+    GeoreferenceOptions,
     Height,
     Loop,
     PersonFile,
-    PlacementOptions,
     RadioFile,
     RangesFile,
     Scheduler,
@@ -64,7 +64,7 @@ class Estimation:
     ] = False
 
 
-def calibrate(
+def calibrate_command(
     files: Files,
     out: Annotated[Path, typer.Option(help="Output file NAME.json. NAME.npz is written next to it.")],
     how: Estimation,
@@ -121,7 +121,7 @@ def calibrate(
         if steps is not None and distance is None:
             raise ValueError(f"--steps {steps} needs the length of the walk: give --distance in m, too")
         if jobs is None and scheduler is None and resume is None:
-            paths = console.recordings_of(files)
+            paths = console.recording_paths(files)
             recordings = [pdr.read(file) for file in paths]
             if smooth:
                 marked = [read_marks(file) for file in paths]
@@ -193,9 +193,9 @@ def _fitted(rows: Table, contexts: Sequence[str]) -> Table:
     return cast("Table", rows[np.all(is_fitted, axis=0)]) if is_fitted else rows
 
 
-def smooth(
+def smooth_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
-    placement: PlacementOptions,
+    georeference: GeoreferenceOptions,
     fixes: FixesFile = None,
     fix_std_m: Annotated[
         float,
@@ -251,8 +251,10 @@ def smooth(
         recording = marked.recording(pdr.read(file, file_format))
         if height_m is not None:
             recording = recording.of_height(height_m)
-        where = {name: value for name, value in placement.arguments().items() if value is not None}
-        is_given = any((fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(placement, plan=None).given()))
+        where = {name: value for name, value in georeference.arguments().items() if value is not None}
+        is_given = any(
+            (fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(georeference, plan=None).given())
+        )
         known: dict[str, Any] = marked.arguments(recording, not is_given)
         closed = known.pop("loop_closures")
         if loop_closures is not None:
@@ -265,7 +267,7 @@ def smooth(
             position_fixes += waypoint_fixes(recording, fix_std_m)
         if radio is not None:
             mapped = pdr.RadioMap.load(radio)
-            position_fixes += [*mapped.fixes(recording), *(mapped.grids(recording) if placement.plan else [])]
+            position_fixes += [*mapped.fixes(recording), *(mapped.grids(recording) if georeference.plan else [])]
         position_fixes += ranges_of(ranges, anchors, where.get("origin"))
         options: dict[str, Any] = {**known, **where}
         if person is not None:

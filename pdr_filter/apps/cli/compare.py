@@ -20,9 +20,9 @@ from pdr_filter.apps.cli.options import (
     ClassifierName,
     Files,
     FixesFile,
+    GeoreferenceOptions,
     ModelFile,
     PersonFile,
-    PlacementOptions,
     Source,
     TransitionsFile,
     context_changes,
@@ -115,7 +115,7 @@ class Setting:
     ) -> dict[str, Track]:
         """Return the track of each weighting, or of each recipe if there are several.
 
-        `where` are the arguments of `PlacementOptions`. The recording's own locations are used only on request.
+        `where` are the arguments of `GeoreferenceOptions`. The recording's own locations are used only on request.
         """
         import pdr_filter as pdr
         from pdr_filter.data.io.fix_files import fixes_of_file
@@ -153,10 +153,10 @@ class Setting:
             return None
 
 
-def compare(
+def compare_command(
     files: Files,
     setting: Setting,
-    placement: PlacementOptions,
+    georeference: GeoreferenceOptions,
     source: Source,
     truth: Annotated[
         bool,
@@ -212,10 +212,10 @@ def compare(
         return found
 
     with console.one_line_errors():
-        files = console.recordings_of(files)
+        files = console.recording_paths(files)
         setting.check(len(files))
-        where = placement.arguments()
-    compared, failed = console.each(files, compare_one, as_json)
+        where = georeference.arguments()
+    compared, failed = console.each_file(files, compare_one, as_json)
     study = _study(compared) if truth or out is not None else None
     if study is not None and out is not None:
         with console.one_line_errors():

@@ -131,7 +131,7 @@ def progress(what: str) -> Generator[Callable[..., None]]:
         yield show
 
 
-def recordings_of(paths: Sequence[Path]) -> list[Path]:
+def recording_paths(paths: Sequence[Path]) -> list[Path]:
     """Return the paths of all recordings.
 
     A folder, or a file with several recordings, is replaced by its recordings. A path that does not exist is kept.
@@ -151,7 +151,7 @@ def recordings_of(paths: Sequence[Path]) -> list[Path]:
     return found
 
 
-def each(
+def each_file(
     files: Sequence[Path], work: Callable[[Path, Callable[[float], None]], T], as_json: bool = False
 ) -> tuple[list[T], dict[Path, str]]:
     """Apply `work` to each file and return the results, and the error message of each file that failed.

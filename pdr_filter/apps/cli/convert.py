@@ -19,7 +19,7 @@ class PlatformOption(StrEnum):
     ANDROID = "android"
 
 
-def convert(
+def convert_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder of any app.")],
     mapping: Annotated[
         Path | None, typer.Option("--map", help="TOML file with the column mapping. Default: the mapping is guessed.")

@@ -19,9 +19,9 @@ from pdr_filter.data.io.formats import read
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray
+from pdr_filter.values.georeference import GnssUse
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.sanitise import file_name
-from pdr_filter.values.track_placement import GnssUse
 
 _BAR_CELLS = 30
 
@@ -77,7 +77,7 @@ class Demo:
         for what, path, remark in (
             ("report", self.report, "open it in a browser"),
             ("picture", self.picture, ""),
-            ("map", self.geojson, _placed(result)),
+            ("map", self.geojson, _georeferenced(result)),
             ("table", self.csv, "one row per step"),
         ):
             console.print(f"  {what:<10} {escape(str(path))}{remark and f' ({remark})'}", soft_wrap=True)
@@ -120,7 +120,7 @@ def run_demo(
     return replace(done, replaced=tuple(overwritten(before)))
 
 
-def _placed(result: Track) -> str:
+def _georeferenced(result: Track) -> str:
     """Return a remark that says how the map is georeferenced."""
     if result.origin is None:
         return "shape only, because the position on Earth is unknown"

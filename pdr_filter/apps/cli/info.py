@@ -10,7 +10,7 @@ from pdr_filter.apps.cli import console
 from pdr_filter.apps.cli.options import AsJson, Files, Format
 
 
-def info(files: Files, file_format: Format = None, as_json: AsJson = False) -> None:
+def info_command(files: Files, file_format: Format = None, as_json: AsJson = False) -> None:
     """Describe recordings: sensors, sampling rates, gaps, plausibility of units, ground truth."""
     import pdr_filter as pdr
     from pdr_filter.data.io.describe import describe
@@ -22,8 +22,8 @@ def info(files: Files, file_format: Format = None, as_json: AsJson = False) -> N
         return description
 
     with console.one_line_errors():
-        files = console.recordings_of(files)
-    descriptions, failed = console.each(files, describe_one, as_json)
+        files = console.recording_paths(files)
+    descriptions, failed = console.each_file(files, describe_one, as_json)
     if not as_json:
         for description in descriptions:
             _print(description)

@@ -156,7 +156,7 @@ class Sources:
         return [*(sources.again(name, source, say) for name, source in made), *replay]
 
 
-def live(
+def live_command(
     address: Address,
     phones: Phones,
     sources: Sources,
@@ -175,7 +175,7 @@ def live(
 
             from pdr_filter.apps.live.certificate import certificate
             from pdr_filter.apps.live.hub import Live
-            from pdr_filter.apps.live.server import app
+            from pdr_filter.apps.live.server import live_application
         except ImportError as error:
             raise ValueError(
                 f'the packages of the live server are not installed ({error}): pip install "pdr_filter[live]"'
@@ -196,7 +196,7 @@ def live(
         if address.https:
             certified["ssl_certfile"] = certificate(folder / "certificate", address.name)
         config = uvicorn.Config(
-            app(shared, token, tiles),
+            live_application(shared, token, tiles),
             **certified,
             log_level="warning",
             access_log=False,
@@ -208,11 +208,11 @@ def live(
         def say(port: int) -> None:
             _print_addresses(address, port, token)
 
-        listening = opened.enter_context(bound(address.host, address.port))
+        listening = opened.enter_context(bound_socket(address.host, address.port))
         asyncio.run(_run(shared, uvicorn.Server(config), listening, partial(sources.tasks, walk), say))
 
 
-def bound(host: str, port: int) -> socket.socket:
+def bound_socket(host: str, port: int) -> socket.socket:
     """Return a bound socket. ValueError if the address is in use or not permitted."""
     made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -236,7 +236,7 @@ async def _run(
     """Start the workers, serve, and stop the workers at the end."""
     try:
         await shared.start()
-        await served(server, listening, [*tasks(shared), until_exit(server, shared.broadcast.end)], say)
+        await serve_page(server, listening, [*tasks(shared), until_exit(server, shared.broadcast.end)], say)
     finally:
         await shared.stop()
 
@@ -248,7 +248,7 @@ async def until_exit(server: Any, end: Callable[[], None]) -> None:
     end()
 
 
-async def served(
+async def serve_page(
     server: Any, listening: socket.socket, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]
 ) -> None:
     """Serve until Ctrl+C. Sources start when the server accepts connections."""

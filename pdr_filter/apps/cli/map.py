@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pdr_filter.apps.walk_map.walk_map import WalkMap
 
 
-def map_folder(
+def map_command(
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="Folder of recordings with Wi-Fi, or one recording.")
     ],

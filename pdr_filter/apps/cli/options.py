@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_type_hi
 import typer
 
 from pdr_filter.values import Plan, limits
+from pdr_filter.values.georeference import Georeference, GnssUse, NorthUse, texts
 from pdr_filter.values.recording import check_height
-from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, texts
 
 if TYPE_CHECKING:
     from pdr_filter.recipes.config import Config
@@ -103,8 +103,8 @@ Scheduler = Annotated[
 
 
 @dataclass(frozen=True, slots=True)
-class PlacementOptions:
-    """Options for place, north and floor plan of a track, which `arguments` converts to fields of `TrackPlacement`."""
+class GeoreferenceOptions:
+    """Options for position, north and floor plan of a track, which `arguments` converts to fields of `Georeference`."""
 
     gnss: Gnss = None
     north: Annotated[
@@ -127,7 +127,7 @@ class PlacementOptions:
 
         ValueError for invalid options.
         """
-        placement = TrackPlacement(
+        georeference = Georeference(
             gnss=self.gnss,
             origin=origin_deg(self.origin),
             heading_rad=_heading_rad(self.heading),
@@ -135,7 +135,7 @@ class PlacementOptions:
             plan=None if self.plan is None else _plan(self.plan),
             start=_place(self.start),
         )
-        return {field.name: getattr(placement, field.name) for field in fields(placement)}
+        return {field.name: getattr(georeference, field.name) for field in fields(georeference)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +225,7 @@ def origin_deg(text: str | None) -> tuple[float, float] | None:
 
     ValueError for another text or coordinates out of range.
     """
-    from pdr_filter.values.origin import check_place
+    from pdr_filter.values.origin import check_coordinates
 
     if text is None:
         return None
@@ -233,7 +233,7 @@ def origin_deg(text: str | None) -> tuple[float, float] | None:
         latitude_deg, longitude_deg = (float(part) for part in text.split(","))
     except ValueError:
         raise ValueError(f"--origin must be LAT,LON in degrees, such as 51.4779,-0.0015, got {text!r}") from None
-    check_place("--origin", latitude_deg, longitude_deg)
+    check_coordinates("--origin", latitude_deg, longitude_deg)
     return latitude_deg, longitude_deg
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pdr_filter.apps.maps.floor_plan import FloorPlan
 
 
-def plan(
+def plan_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Floor plan as GeoJSON, in metres or in degrees.")],
     out: Folder = None,
     as_json: AsJson = False,

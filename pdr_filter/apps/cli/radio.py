@@ -12,7 +12,7 @@ from pdr_filter.apps.cli.console import escape
 from pdr_filter.apps.cli.options import Files, Format
 
 
-def radio(
+def radio_command(
     files: Files,
     out: Annotated[Path, typer.Option(help="Output file NAME.json. NAME.npz is written next to it.")],
     file_format: Format = None,

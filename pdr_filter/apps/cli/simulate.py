@@ -28,7 +28,7 @@ class CarryingMode(StrEnum):
     CALLING = "calling"
 
 
-def simulate(
+def simulate_command(
     out: Annotated[Path, typer.Option(help="Output: a zip file, or a folder if the name has no suffix.")],
     seed: Annotated[int, typer.Option(min=0, help="Random seed. The same seed gives the same walk.")] = 0,
     carrying_mode: Annotated[
@@ -52,7 +52,7 @@ def simulate(
     console.say_replaced(before)
 
 
-def demo(
+def demo_command(
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Recording. Default: a simulated walk.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the files. Default: a new temporary folder.")] = None,
     gnss: Gnss = None,
@@ -69,12 +69,12 @@ def demo(
         return run_demo(one, folder, progress, gnss, written, online, loop)
 
     with console.one_line_errors():
-        files = [] if file is None else console.recordings_of([file])
+        files = [] if file is None else console.recording_paths([file])
         if file is None:
             with console.progress("tracking") as show:
                 demos, failed = [run(None, show)], dict[Path, str]()
         else:
-            demos, failed = console.each(files, run)
+            demos, failed = console.each_file(files, run)
     printed_notes = set[str]()
     for done in demos:
         done.print(Console(highlight=False), printed_notes)

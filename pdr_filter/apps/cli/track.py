@@ -17,11 +17,11 @@ from pdr_filter.apps.cli.options import (
     ClassifierName,
     Files,
     Folder,
+    GeoreferenceOptions,
     Loop,
     ModelFile,
     Online,
     PersonFile,
-    PlacementOptions,
     RadioFile,
     RangesFile,
     Scheduler,
@@ -181,10 +181,10 @@ class WorkerOptions:
         return self.jobs is not None or self.scheduler is not None
 
 
-def track(
+def track_command(
     files: Files,
     method: Method,
-    placement: PlacementOptions,
+    georeference: GeoreferenceOptions,
     source: Source,
     output: OutputOptions,
     workers: WorkerOptions,
@@ -210,15 +210,15 @@ def track(
 
     with console.one_line_errors():
         if workers.make_one_table():
-            _check_one_table(method, placement, output, as_json)
-            _track_many(files, method, placement, source, output.table, workers)
+            _check_one_table(method, georeference, output, as_json)
+            _track_many(files, method, georeference, source, output.table, workers)
             return
-        given, files = files, console.recordings_of(files)
+        given, files = files, console.recording_paths(files)
         if output.out is not None and files != given:
             output = replace(output, report=True)
         output.check()
         changes = method.changes()
-        where = placement.arguments()
+        where = georeference.arguments()
         radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
         ranges = ranges_of(method.ranges, method.anchors, where.get("origin"))
         if ranges and len(files) > 1:
@@ -236,7 +236,9 @@ def track(
             config = config.in_world_frame()
         device = method.device if method.device is not None and method.device.exists() else None
         person = read_person(method.person) if method.person is not None and method.person.exists() else None
-        heard = [] if radio is None else [*radio.fixes(recording), *(radio.grids(recording) if placement.plan else [])]
+        heard = (
+            [] if radio is None else [*radio.fixes(recording), *(radio.grids(recording) if georeference.plan else [])]
+        )
         tracks = console.estimates(
             recording,
             method.online,
@@ -262,7 +264,7 @@ def track(
             console.print_json(result.summary())
         return result
 
-    tracks, failed = console.each(files, track_one, as_json)
+    tracks, failed = console.each_file(files, track_one, as_json)
     console.say_replaced(replaced)
     if tracks and method.person is not None and not method.person.exists():
         console.stderr().print(
@@ -280,14 +282,14 @@ def track(
     console.exit_if_failed(failed, len(files))
 
 
-def _check_one_table(method: Method, placement: PlacementOptions, output: OutputOptions, as_json: bool) -> None:
+def _check_one_table(method: Method, georeference: GeoreferenceOptions, output: OutputOptions, as_json: bool) -> None:
     """Raise ValueError for options of a single recording if many recordings are written to one table."""
     single_options = {
         "--classifier": method.classifier,
         "--model": method.model,
         "--transitions": method.transitions,
         "--device": method.device,
-        **replace(placement, gnss=None).given(),
+        **replace(georeference, gnss=None).given(),
         "--radio": method.radio,
         "--ranges": method.ranges,
         "--loop": method.loop,
@@ -305,7 +307,7 @@ def _check_one_table(method: Method, placement: PlacementOptions, output: Output
 def _track_many(
     files: Sequence[Path],
     method: Method,
-    placement: PlacementOptions,
+    georeference: GeoreferenceOptions,
     source: Source,
     table: Path,
     workers: WorkerOptions,
@@ -330,7 +332,7 @@ def _track_many(
                 file_format=source.file_format,
                 height_m=source.height_m,
                 calibration=method.person,
-                gnss=placement.gnss,
+                gnss=georeference.gnss,
             )
         except RuntimeError as error:  # the cluster does not respond
             raise ValueError(console.message(error)) from error

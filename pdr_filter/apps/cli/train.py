@@ -40,7 +40,7 @@ class Fitting:
     name: Annotated[str, typer.Option(help="Name of the model and its files. Default: contexts or carrying.")] = ""
 
 
-def train(
+def train_command(
     out: Annotated[Path, typer.Option(help="Folder for NAME.npz and NAME.json, or transitions.json.")],
     how: Fitting,
     folder: Annotated[Path | None, typer.Argument(help="Folder of labelled recordings.")] = None,
@@ -76,7 +76,7 @@ def _fit(folder: Path, out: Path, how: Fitting) -> None:
     import pdr_filter as pdr
 
     with console.one_line_errors(), console.progress("fitting") as show:
-        paths = console.recordings_of([folder])
+        paths = console.recording_paths([folder])
         recordings = [pdr.read(path) for path in paths]
         people = [
             str(recording.subject.id) if recording.subject.id else _person_of(path, folder)
@@ -111,7 +111,7 @@ def _estimate_transitions(sequences: Path, out: Path) -> None:
     from pdr_filter.offline.training import transition_training as training
 
     with console.one_line_errors(), console.progress("training") as show:
-        changing = training.changing_recordings(console.recordings_of([sequences]), read)
+        changing = training.changing_recordings(console.recording_paths([sequences]), read)
         card = training.train_evidence(
             changing, read, out, training.shipped_model_without, lambda what, fraction: show(fraction, what)
         )

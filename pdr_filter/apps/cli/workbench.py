@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pdr_filter.apps.cli import console
-from pdr_filter.apps.cli.live import Address, bound, served, until_exit
+from pdr_filter.apps.cli.live import Address, bound_socket, serve_page, until_exit
 
 if TYPE_CHECKING:
     import socket
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pdr_filter.apps.workbench.hub import Workbench
 
 
-def app(
+def workbench_command(
     address: Address,
     folder: Annotated[
         Path, typer.Argument(metavar="FOLDER", help="Folder of walks. It is created if it does not exist.")
@@ -47,8 +47,8 @@ def app(
             from pdr_filter.apps.live.hub import Live
             from pdr_filter.apps.live.settings import Settings
             from pdr_filter.apps.workbench.hub import Workbench
-            from pdr_filter.apps.workbench.server import app as application
             from pdr_filter.apps.workbench.server import read_texts
+            from pdr_filter.apps.workbench.server import workbench_application as application
             from pdr_filter.apps.workbench.walks import HIDDEN, PHONES
         except ImportError as error:
             raise ValueError(f'app needs more packages ({error}): pip install "pdr_filter[app]"') from None
@@ -65,7 +65,7 @@ def app(
         certified: dict[str, Any] = {}
         if address.https:
             certified["ssl_certfile"] = certificate(folder / PHONES / "certificate", address.name)
-        listening = opened.enter_context(bound(address.host, address.port))
+        listening = opened.enter_context(bound_socket(address.host, address.port))
         root, query = address.address(listening.getsockname()[1]), f"?token={token}" if token else ""
         phone = f"{root}/live/{'phone' if address.https else 'data'}{query}" if is_open else ""
         made = application(workbench, live, token, tiles, f"{root}/{query}", phone, known)
@@ -93,7 +93,7 @@ async def _run(
     try:
         for each in shared:
             await each.start()
-        await served(server, listening, [until_exit(server, each.broadcast.end) for each in shared], say)
+        await serve_page(server, listening, [until_exit(server, each.broadcast.end) for each in shared], say)
     finally:
         for each in shared:
             await each.stop()

@@ -115,7 +115,9 @@ def take(
     return _released(state, waiting)
 
 
-def finish(state: Assembly, held: Sequence[Message], platform: str) -> tuple[Assembly, list[Message], list[Streams]]:
+def finish_assembly(
+    state: Assembly, held: Sequence[Message], platform: str
+) -> tuple[Assembly, list[Message], list[Streams]]:
     """Return state, waiting messages and ready samples after the last message of a session.
 
     The kind of the acceleration is decided from fewer than two seconds of samples, too. Without motion samples, the

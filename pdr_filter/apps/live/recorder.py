@@ -47,12 +47,12 @@ class Recorder:
 
         Sessions with the same configuration share one file of it.
         """
-        replaced(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
+        replace_file(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
         shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
         if not shared.exists():
             shared.parent.mkdir(exist_ok=True)
-            replaced(shared, config)
-        replaced(self.folder / CONFIG, shared.name.encode())
+            replace_file(shared, config)
+        replace_file(self.folder / CONFIG, shared.name.encode())
 
     @property
     def is_described(self) -> bool:
@@ -94,7 +94,7 @@ class Recorder:
                 self._sizes[name] = file.tell()
         self._waiting = {}
 
-    def saved(self, state: object, held: Iterable[Message]) -> None:
+    def save(self, state: object, held: Iterable[Message]) -> None:
         """Save a state from which `load` continues. A new journal begins with the messages that still wait."""
         self.flush()
         old = _journal(self._n_saved)
@@ -105,7 +105,7 @@ class Recorder:
         (self.folder / new).write_bytes(lines.encode())
         sizes = {name: size for name, size in self._sizes.items() if name != old}
         content = {"state": state, "sizes": sizes, "n_saved": self._n_saved}
-        replaced(self.folder / STATE, serialise.to_bytes(content))
+        replace_file(self.folder / STATE, serialise.to_bytes(content))
         (self.folder / old).unlink(missing_ok=True)
         self._sizes = {**sizes, new: len(lines)}
 
@@ -151,7 +151,7 @@ class Recorder:
                     file.truncate(size)
 
 
-def exported(folder: Path) -> dict[str, Path]:
+def exported_files(folder: Path) -> dict[str, Path]:
     """Return the files of a recording for users, by name.
 
     They are metadata, samples, steps, fixes, ranges and the device, or the messages of a session that was not tracked.
@@ -182,7 +182,7 @@ def _entry(line: str) -> tuple[str, str, str, bytes]:
     return names["device"], names["session"], names["platform"], line[end + 1 :].encode()
 
 
-def replaced(path: Path, content: bytes) -> None:
+def replace_file(path: Path, content: bytes) -> None:
     """Replace a file atomically: even if the process ends suddenly, the file is the old or the new one."""
     unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")  # two workers may write one configuration
     unfinished.write_bytes(content)

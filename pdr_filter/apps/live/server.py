@@ -25,7 +25,7 @@ from pdr_filter.apps.live.certificate import NAMES
 from pdr_filter.apps.live.geojson import geojson
 from pdr_filter.apps.live.hub import Live
 from pdr_filter.apps.live.parts import Answer
-from pdr_filter.apps.live.recorder import exported
+from pdr_filter.apps.live.recorder import exported_files
 
 PAGE = Path(__file__).parent / "page"
 # uPlot and the map, which reports hold, too.
@@ -152,7 +152,7 @@ class Site:
                 await socket.send_text(text or "{}")
 
 
-def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
+def live_application(live: Live, token: str = "", tiles: str = "") -> Starlette:
     """Application of a running server. Without a token it answers requests from this computer only."""
     made = Starlette(routes=Site(live, tiles).routes())
     made.add_middleware(AccessMiddleware, token=token)
@@ -258,6 +258,6 @@ def _zipped(folder: Path) -> bytes:
     """Return a zip file with the files of a recording that are on the disk."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", compression=zipfile.ZIP_DEFLATED) as archive:
-        for name, path in exported(folder).items():
+        for name, path in exported_files(folder).items():
             archive.write(path, name)
     return content.getvalue()

@@ -21,7 +21,7 @@ from pdr_filter.apps.live.assembly import Assembly, LateError, SessionError
 from pdr_filter.apps.live.messages import FORCE, Message, parse
 from pdr_filter.apps.live.recorder import DEVICE, Recorder
 from pdr_filter.apps.live.settings import Event, FixError, Settings
-from pdr_filter.filter.pedestrian.alignment import Place
+from pdr_filter.filter.pedestrian.alignment import Pose
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.device import Device
@@ -30,7 +30,7 @@ from pdr_filter.tracking.filtering import frame_name
 from pdr_filter.tracking.georeferencing import live_config
 from pdr_filter.tracking.online import OnlineFilter
 from pdr_filter.tracking.warnings import device_notes
-from pdr_filter.values import FixResult, PositionFix, RangeFix, Samples, interpolated, limits
+from pdr_filter.values import FixResult, PositionFix, RangeFix, Samples, interpolated_rows, limits
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.sanitise import file_name
@@ -104,7 +104,7 @@ class DeviceSession:
         self._told: Event = {}  # by the last `session` event
         self.path: list[list[float]] = []
         # For each row of `path`: the place in the frame of the start, if the row still turns until north is settled.
-        self._starts: list[Place | None] = []
+        self._starts: list[Pose | None] = []
         self._drawn: list[list[float]] = []  # time, east and north of the path that pages draw
         self._unsaved_at = math.inf  # monotonic time of the first change that is not saved
         self._history: deque[Event] = deque(maxlen=_HISTORY)  # of `now` events, for the charts
@@ -190,7 +190,7 @@ class DeviceSession:
     def finish(self) -> list[Event]:
         """Filter the last steps, when no further message can arrive, and return the events. The session then ends."""
         try:
-            self.assembly, self.held, ready = assembly.finish(self.assembly, self.held, self.settings.platform)
+            self.assembly, self.held, ready = assembly.finish_assembly(self.assembly, self.held, self.settings.platform)
             self._record(ready)
         except ValueError as error:
             return self._refuse(error)
@@ -280,12 +280,12 @@ class DeviceSession:
                 east_m, north_m = float(content["east_m"]), float(content["north_m"])
             if not _FIX_STD_RANGE_M[0] <= std_m <= _FIX_STD_RANGE_M[1]:
                 raise FixError(f"std_m must be {_FIX_STD_RANGE_M[0]} to {_FIX_STD_RANGE_M[1]} m, got {std_m}")
-            place_m = np.array([east_m, north_m])
+            position_m = np.array([east_m, north_m])
             range_m = content.get("range_m")
             fix = (
-                PositionFix(time_s, place_m, std_m**2 * np.eye(2))
+                PositionFix(time_s, position_m, std_m**2 * np.eye(2))
                 if range_m is None
-                else RangeFix(time_s, place_m, float(range_m), std_m)
+                else RangeFix(time_s, position_m, float(range_m), std_m)
             )
             result = online.add_fix(fix)
         except KeyError as error:
@@ -411,7 +411,7 @@ class DeviceSession:
         if not len(rows) or not self._drawn:
             return []
         drawn = np.array(self._drawn)
-        off_m = interpolated(drawn[:, 0], rows[:, 0], rows[:, 1:]) - drawn[:, 1:]
+        off_m = interpolated_rows(drawn[:, 0], rows[:, 0], rows[:, 1:]) - drawn[:, 1:]
         if np.hypot(*off_m.T).max() <= _CORRECTED_M:
             return []
         self._drawn = rows.tolist()
@@ -455,7 +455,7 @@ class DeviceSession:
         if self.online is None or self.refused:
             self.recorder.flush()
         else:
-            self.recorder.saved({"assembly": self.assembly, "state": self.online.state}, self.held)
+            self.recorder.save({"assembly": self.assembly, "state": self.online.state}, self.held)
         self._unsaved_at = math.inf
         return events
 
@@ -474,7 +474,7 @@ class DeviceSession:
             for step in self.recorder.steps()[-_MAX_PATH:]:
                 self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
                 start = step["of_start"]
-                self._starts.append(None if start is None else _place(start))
+                self._starts.append(None if start is None else _pose(start))
         for number, (_, _, platform, body) in enumerate(entries, start=1):
             for message in parse(body, device, session, platform):
                 with suppress(FixError, LateError):
@@ -531,10 +531,10 @@ def _set_back_words(set_back: tuple[float, float]) -> str:
     return f"the clock of the phone was set back by {size_s:.1f} s at {at_s:.1f} s: times go on from there"
 
 
-def _place(content: Mapping[str, Any]) -> Place:
+def _pose(content: Mapping[str, Any]) -> Pose:
     """Return the place from its JSON form that `StepUpdate.to_dict` writes."""
     position_m, cov_m2 = np.array(content["position_m"]), np.array(content["cov_m2"])
-    return Place(position_m, cov_m2, content["heading_rad"], content["n_steps"])
+    return Pose(position_m, cov_m2, content["heading_rad"], content["n_steps"])
 
 
 def _row(time_s: float, position_m: Any, cov_m2: Any) -> list[float]:

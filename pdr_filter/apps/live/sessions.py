@@ -13,9 +13,9 @@ from pathlib import Path
 
 from pdr_filter.apps.live.assembly import SessionError
 from pdr_filter.apps.live.messages import Message, MessageError, parse
-from pdr_filter.apps.live.recorder import replaced
+from pdr_filter.apps.live.recorder import replace_file
 from pdr_filter.apps.live.session import DeviceSession, session_id
-from pdr_filter.apps.live.settings import BusyError, Event, Settings, part_of
+from pdr_filter.apps.live.settings import BusyError, Event, Settings, worker_of
 from pdr_filter.values.sanitise import printable
 
 # A state costs 15 ms and is saved so often. A server that starts again filters the journal of this time.
@@ -45,7 +45,7 @@ class Sessions:
                 device, session, begun_unix_s = json.loads(path.read_text())
                 files = list((folder / path.stem).iterdir())
                 is_recent = time.time() - max(file.stat().st_mtime for file in files) < _IDLE_S
-                if is_recent and part_of(device, n_parts) == part:
+                if is_recent and worker_of(device, n_parts) == part:
                     self.sessions[path.stem] = self._loaded(device, session)
                     self.sessions[path.stem].begun_unix_s = begun_unix_s
             except (OSError, ValueError) as error:  # one folder must not stop the others
@@ -120,7 +120,7 @@ class Sessions:
             session = DeviceSession(message.device, message.session, self.settings, self.folder)
             begun_unix_s = received_s
             names.parent.mkdir(exist_ok=True)
-            replaced(names, json.dumps([message.device, message.session, begun_unix_s]).encode())
+            replace_file(names, json.dumps([message.device, message.session, begun_unix_s]).encode())
         session.begun_unix_s = begun_unix_s
         self.sessions[key] = session
         return session

@@ -28,6 +28,6 @@ class Settings:
     max_devices: int = 64
 
 
-def part_of(device: str, n_parts: int) -> int:
+def worker_of(device: str, n_parts: int) -> int:
     """Number of the worker that serves a device, 0 to `n_parts` - 1, from a checksum of the device name."""
     return int.from_bytes(hashlib.sha256(device.encode()).digest()[:4]) % n_parts

@@ -21,7 +21,7 @@ from typing import Protocol
 
 from pdr_filter.apps.batch.worker_process import LostError, WorkerProcess
 from pdr_filter.apps.live.parts import Answer, Command, MessageBatch, Request, Response, answers_of_part
-from pdr_filter.apps.live.settings import Event, Settings, part_of
+from pdr_filter.apps.live.settings import Event, Settings, worker_of
 
 # Requests that wait for one worker at most: a second of 200 phones that send five times a second.
 _MAX_WAITING = 1000
@@ -214,7 +214,7 @@ class Workers:
 
     async def take(self, request: MessageBatch) -> Answer:
         """Return the answer of the worker of a device to its message."""
-        return await self._workers[part_of(request.device, len(self._workers))].ask(request)
+        return await self._workers[worker_of(request.device, len(self._workers))].ask(request)
 
     async def snapshots(self) -> list[Event]:
         """Return the events with the path and the present estimate of each session."""

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.apps.maps.particle_clusters import moments
+from pdr_filter.apps.maps.particle_clusters import weighted_moments
 from pdr_filter.apps.maps.storey import CELL_M, LIFT, OUTSIDE, ROOM, STAIRS, WALL, Storey
 from pdr_filter.values import BoolArray, FloatArray, check_numbers
 
@@ -142,7 +142,7 @@ class Ground:
     def walkable_moments(self) -> tuple[FloatArray, FloatArray]:
         """Mean (2,) in m and covariance (2, 2) in m^2 of a position that is uniform over the walkable cells."""
         position_m = self.storey.middles_m[self.storey.cells <= LIFT]
-        return moments(position_m, np.full(len(position_m), 1.0 / len(position_m)))
+        return weighted_moments(position_m, np.full(len(position_m), 1.0 / len(position_m)))
 
     @cached_property
     def mean_cost_per_m(self) -> float:

@@ -9,7 +9,7 @@ from typing import Any
 from pdr_filter.apps.maps.geojson import read_plan
 from pdr_filter.apps.maps.particle_filter import ParticleFilter
 from pdr_filter.apps.maps.plan_smoothing import smooth_on_plan
-from pdr_filter.apps.maps.start_area import start_of
+from pdr_filter.apps.maps.start_area import start_distribution
 from pdr_filter.apps.maps.storey import Storey
 from pdr_filter.values import Origin, PositionFix, TrackRows
 
@@ -119,7 +119,7 @@ class FloorPlan:
         ValueError
             If the plan does not have the start.
         """
-        return ParticleFilter(self, None if start is None else start_of(self, start), seed=seed)
+        return ParticleFilter(self, None if start is None else start_distribution(self, start), seed=seed)
 
     smoothed = staticmethod(smooth_on_plan)
 

@@ -37,7 +37,7 @@ def on_plan(
     mean square of both alternatives about that mean. Clusters are particles in touching cells, in descending order of
     their weight. Clusters with less than a hundredth of the weight are left out.
     """
-    mean, cov = moments(position_m, weight)
+    mean, cov = weighted_moments(position_m, weight)
     cov = inflated_cov(mean, cov, alternative)
     heading = np.arctan2(weight @ np.sin(heading_rad), weight @ np.cos(heading_rad))
     group = cluster_numbers(position_m)
@@ -47,7 +47,7 @@ def on_plan(
     for g in order:
         inside = group == g
         known = float(share[g] * (1.0 - elsewhere))
-        clusters.append(Cluster(known, *moments(position_m[inside], weight[inside] / share[g])))
+        clusters.append(Cluster(known, *weighted_moments(position_m[inside], weight[inside] / share[g])))
     ess = 1.0 / float((weight**2).sum())
     return OnPlan(mean, cov, float(heading), tuple(clusters), len(weight), ess)
 
@@ -64,7 +64,7 @@ def inflated_cov(mean_m: FloatArray, cov_m2: FloatArray, alternative: Alternativ
     return read_only((1.0 - prob) * cov_m2 + prob * (alternative.cov_m2 + away[:, None] * away))
 
 
-def moments(position_m: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+def weighted_moments(position_m: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean (2,) and covariance (2, 2) of positions (N, 2) with weights (N,) that sum to one."""
     mean = weight @ position_m
     away = position_m - mean

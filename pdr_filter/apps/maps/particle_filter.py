@@ -61,7 +61,7 @@ from pdr_filter.apps.maps.particle_motion import (
     advance_offsets,
     earlier_positions,
     extended_path,
-    rotated,
+    rotated_vectors,
 )
 from pdr_filter.apps.maps.start_area import Start, anywhere_on
 from pdr_filter.apps.maps.storey import Storeys
@@ -86,8 +86,8 @@ from pdr_filter.values import (
     Standstill,
     check_numbers,
     how_many,
-    interpolated,
-    measured,
+    interpolated_rows,
+    measurement_of,
     range_log_densities,
     range_residuals,
     repetition,
@@ -490,7 +490,7 @@ class ParticleFilter:
             return self._from_tracker(state, pedestrian, ground, rng, 0.0)
         if len(state.weight) == 0:
             return state
-        x, at_fix = state.particles, interpolated(fix.time_s, state.reckoned[:, 0], state.reckoned[:, 1:4])
+        x, at_fix = state.particles, interpolated_rows(fix.time_s, state.reckoned[:, 0], state.reckoned[:, 1:4])
         if isinstance(fix, HeadingFix):
             error = wrap_angle(fix.walking_heading_rad - at_fix[2] - x[:, OFFSET])
             state, _ = _reweighted(state, -0.5 * (error / fix.std_rad) ** 2)
@@ -526,7 +526,7 @@ class ParticleFilter:
         if passage.how != "lift" or ground is None or len(state.weight) == 0 or len(state.reckoned) == 0:
             return state
         rng, state = self._random(state)
-        then_m = interpolated(passage.end_s, state.reckoned[:, 0], state.reckoned[:, 1:3])
+        then_m = interpolated_rows(passage.end_s, state.reckoned[:, 0], state.reckoned[:, 1:3])
         out_m = earlier_positions(state.particles, state.reckoned[-1, 1:3] - then_m)
         state, _ = _reweighted(state, -ground.lift_costs(out_m))
         state = replace(state, parent=np.arange(len(state.weight)))
@@ -537,7 +537,7 @@ class ParticleFilter:
     # --- estimates
     # -----------------------------------------------------------------------------------------------------
 
-    def place(self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
+    def estimate(self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
         """Return the position estimate of the particles.
 
         The covariance includes the position of `alternative`, with the probability that no particle is at the true
@@ -673,7 +673,7 @@ class ParticleFilter:
             rotation = rotation.with_compass(pedestrian.frame.compass)
             angle_rad = rotation.samples(rng, n)
             from_centre_m = particles[:, :2] - rotation.track_centre_m
-            particles[:, :2] = rotated(from_centre_m, angle_rad) + rotation.world_centre_m
+            particles[:, :2] = rotated_vectors(from_centre_m, angle_rad) + rotation.world_centre_m
             particles[:, :2] += math.sqrt(rotation.centre_var_m2) * rng.standard_normal((n, 2))
             particles[:, OFFSET] += angle_rad
             particles[:, TURN] = angle_rad
@@ -853,7 +853,9 @@ def _log_density(fix: Measurement, position_m: FloatArray, heading_rad: FloatArr
         residual, _ = range_residuals(position_m, fix.anchor_m[:2], fix.up_m, fix.range_m)
         density = np.logaddexp(*range_log_densities(residual, np.array(fix.std_m**2), np.array(fix.std_m)))
     else:
-        each = [measured(fix, place, heading) for place, heading in zip(position_m, heading_rad.tolist(), strict=True)]
+        each = [
+            measurement_of(fix, place, heading) for place, heading in zip(position_m, heading_rad.tolist(), strict=True)
+        ]
         nis = np.array([float(r @ np.linalg.solve(cov, r)) for r, _, cov in each])
         density = -0.5 * (nis + np.array([np.linalg.slogdet(cov)[1] for _, _, cov in each]))
     return np.maximum(density, density.max() - _OUTLIER_LOG_ODDS)

@@ -35,10 +35,10 @@ def earlier_positions(particles: FloatArray, since_m: FloatArray) -> FloatArray:
 
     The displacement is rotated and scaled by the heading offset and the scale of each particle.
     """
-    return particles[:, :2] - np.exp(particles[:, [SCALE]]) * rotated(since_m[None], particles[:, OFFSET])
+    return particles[:, :2] - np.exp(particles[:, [SCALE]]) * rotated_vectors(since_m[None], particles[:, OFFSET])
 
 
-def rotated(vector_m: FloatArray, angle_rad: FloatArray) -> FloatArray:
+def rotated_vectors(vector_m: FloatArray, angle_rad: FloatArray) -> FloatArray:
     """Return vectors (N, 2), east and north, rotated clockwise by angles (N,)."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     east, north = vector_m.T

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pdr_filter.apps.maps.crossing_costs import Ground
-from pdr_filter.apps.maps.particle_clusters import Alternative, inflated_cov, moments
+from pdr_filter.apps.maps.particle_clusters import Alternative, inflated_cov, weighted_moments
 from pdr_filter.apps.maps.particle_filter import ParticleFilter, ParticleState, off_plan_notes
 from pdr_filter.apps.maps.particle_motion import EAST, NORTH, OFFSET, SCALE, earlier_positions
 from pdr_filter.filter.chain.handler import FixUse
@@ -36,7 +36,7 @@ from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.step_statistics import UNKNOWN_HEADING_RAD
 from pdr_filter.tracking.track import Track
-from pdr_filter.tracking.whole_recording import collected, outputs, position_before
+from pdr_filter.tracking.whole_recording import outputs, position_before, track_of_outputs
 from pdr_filter.values import (
     Cluster,
     Fix,
@@ -89,7 +89,7 @@ class _Recorder:
     def __init__(self, particle_filter: ParticleFilter) -> None:
         self.events: list[_Event] = []
         self.plan, self.start = particle_filter.plan, particle_filter.start
-        self.init, self.place = particle_filter.init, particle_filter.place
+        self.init, self.estimate = particle_filter.init, particle_filter.estimate
         self._filter = particle_filter
 
     def notes(self, state: ParticleState) -> list[Note]:
@@ -165,7 +165,7 @@ def smooth_on_plan(
     n_least = _PARTICLE_FACTOR * online.n_least
     recorder = _Recorder(replace(online, n_least=n_least, n_most=max(n_least, online.n_most)))
     config = replace(config.in_hindsight(), on_plan=recorder)
-    track = collected(recording, config, outputs(recording, config, fixes, progress, with_location))
+    track = track_of_outputs(recording, config, outputs(recording, config, fixes, progress, with_location))
     if not track.n_steps:
         raise ValueError("the recording has no steps, which place a walk on the plan: smooth it without plan")
     if not any(track.clusters):
@@ -256,7 +256,7 @@ def _row(ancestors: _Ancestors, alternative: Alternative | None, ground: Ground 
     """
     event, particles, weight, elsewhere = ancestors
     offset_rad, log_scales = particles[:, OFFSET], particles[:, SCALE]
-    position_m, cov_m2 = moments(particles[:, [EAST, NORTH]], weight)
+    position_m, cov_m2 = weighted_moments(particles[:, [EAST, NORTH]], weight)
     cov_m2 = inflated_cov(position_m, cov_m2, alternative)
     offset = float(np.arctan2(weight @ np.sin(offset_rad), weight @ np.cos(offset_rad)))
     offset_std = float(np.sqrt(weight @ wrap_angle(offset_rad - offset) ** 2))

@@ -45,7 +45,7 @@ class Start:
         return self.position_m + CELL_M * (of + rng.random((n, 2)))
 
 
-def start_of(plan: Storeys, start: PositionFix | str) -> Start:
+def start_distribution(plan: Storeys, start: PositionFix | str) -> Start:
     """Return the start distribution for a position fix, "anywhere", or the name of an area.
 
     "anywhere" is uniform over the walkable cells of storey 0, or of the only storey. An area is all polygons of this

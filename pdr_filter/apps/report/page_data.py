@@ -16,7 +16,7 @@ from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.report import palette
 from pdr_filter.apps.report.geometry import ellipse_axes, ellipse_rows, places_at, storeys_of, window_starts
 from pdr_filter.tracking.trust_report import FARTHEST_M
-from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, interpolated, rigid_fit
+from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, interpolated_rows, rigid_fit
 from pdr_filter.values.recording import Recording
 
 # Maximum number of rows of all tracks on a page. At 120 bytes per step and 25 per window or point they need < 1.3 MB.
@@ -215,7 +215,7 @@ def _truth(track: TrackRows, recording: Recording, shown: IntArray) -> dict[str,
     rows = _subsample(len(time_s), _MAX_POINTS)
     found: dict[str, Any] = {"truth": _points(way_m[rows]) | {"points": position is None}}
     if position is not None:
-        true_m = interpolated(track.time_s[shown], time_s, way_m)
+        true_m = interpolated_rows(track.time_s[shown], time_s, way_m)
         found["from_truth"] = _column(np.linalg.norm(track.position_m[shown] - true_m, axis=1), 2)
     return found
 
@@ -224,7 +224,7 @@ def _positions_at(track: TrackRows, shown: IntArray, at_s: FloatArray) -> FloatA
     """Return the track positions (T, 2) at given times, interpolated between the steps that the page draws."""
     time_s = np.append(track.start_time_s, track.time_s[shown])
     way_m = np.vstack([track.start_position_m, track.position_m[shown]])
-    return interpolated(at_s, time_s, way_m)
+    return interpolated_rows(at_s, time_s, way_m)
 
 
 def _locations(track: TrackRows, recording: Recording) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def plan_text(walks: Sequence[MappedWalk]) -> str:
     return json.dumps({"type": "FeatureCollection", "name": "walked area", "features": features}) + "\n"
 
 
-def report_text(
+def map_report(
     walks: Sequence[MappedWalk], apart: Sequence[tuple[str, str]], moved: Sequence[int], notes: Sequence[str]
 ) -> str:
     """Return the HTML page with the paths of each group and storey, and lists of walks and moved access points.

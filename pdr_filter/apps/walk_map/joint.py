@@ -14,12 +14,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_filter.apps.walk_map.chains import Chain
-from pdr_filter.apps.walk_map.placing import PlacedGroup, Pose, ScannedWalks, joint_poses, of_storeys, scans_around
+from pdr_filter.apps.walk_map.walk_poses import (
+    JoinedWalks,
+    ScannedWalks,
+    WalkPose,
+    joint_poses,
+    of_storeys,
+    scans_around,
+)
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
 from pdr_filter.offline.smoothing.linear_graph import Rows
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, step_states
 from pdr_filter.offline.smoothing.problem import ObservedPositions, ObservedStates
-from pdr_filter.offline.smoothing.solve import linearised, solve
+from pdr_filter.offline.smoothing.solve import linear_equations, solve
 from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, wrap_angle
 
 Known = PositionFix | HeadingFix
@@ -44,7 +51,7 @@ class States:
 
 def solve_group(
     walks: ScannedWalks,
-    group: PlacedGroup,
+    group: JoinedWalks,
     known: Mapping[int, Sequence[Known]],
     fixed: Mapping[int, States] | None = None,
 ) -> dict[int, States]:
@@ -113,7 +120,7 @@ def solve_group(
 
 def _of_walk(
     walks: ScannedWalks,
-    group: PlacedGroup,
+    group: JoinedWalks,
     walk: int,
     state: tuple[FloatArray, float],
     known: Sequence[Known],
@@ -129,7 +136,7 @@ def _of_walk(
     observed = problem.states
     north_rad = np.where(observed.state == HEADING_OFFSET, group.north_rad, 0.0)
     problem = replace(problem, states=replace(observed, value=observed.value + north_rad))
-    rows = linearised(problem, mean, frame_rad, np.ones(len(observed)))
+    rows = linear_equations(problem, mean, frame_rad, np.ones(len(observed)))
     if is_origin and walk == next(iter(group.seeds)):
         known = [*known, *_origin(walks.chains[walk], group.seeds[walk], known)]
     rows += _known_rows(walks.chains[walk], mean, known)
@@ -231,7 +238,7 @@ def _known_rows(chain: Chain, state: FloatArray, known: Sequence[Known]) -> list
     return rows
 
 
-def _origin(chain: Chain, seed: Pose, known: Sequence[Known]) -> list[Known]:
+def _origin(chain: Chain, seed: WalkPose, known: Sequence[Known]) -> list[Known]:
     """Return the fixes by which a walk defines the frame of its group: its start and its direction, at its `seed`.
 
     The start is left out if there is a known position. The direction is left out if there are two fixes, or if the

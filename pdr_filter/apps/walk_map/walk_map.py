@@ -14,22 +14,22 @@ from pdr_filter.apps.batch.workers import Failure, each
 from pdr_filter.apps.maps.marks import read_marks
 from pdr_filter.apps.maps.radio.radio_map import RadioMap
 from pdr_filter.apps.walk_map.chains import Chain, cached_chain, without_times
-from pdr_filter.apps.walk_map.drawing import density, plan_text, report_text
+from pdr_filter.apps.walk_map.drawing import density, map_report, plan_text
 from pdr_filter.apps.walk_map.joint import Known, States, contradicting, solve_group, step_positions
 from pdr_filter.apps.walk_map.mapped_walk import MappedWalk
-from pdr_filter.apps.walk_map.placing import (
+from pdr_filter.apps.walk_map.walk_poses import (
     MOST_TOGETHER,
     PACES,
     UNKNOWN_NORTH,
-    PlacedGroup,
-    Pose,
+    JoinedWalks,
     ScannedWalks,
+    WalkPose,
     adjust,
+    clockwise_rotation,
     doubtful_seeds,
     drop_doubtful_storeys,
     grow,
     log_evidence,
-    rotation_matrix,
     settle,
 )
 from pdr_filter.offline.smoothing.observations import OUTSIDE_S
@@ -62,7 +62,7 @@ class _JoinedGroup:
     """
 
     number: tuple[int, ...]
-    pose: tuple[Pose, ...]
+    pose: tuple[WalkPose, ...]
     state: tuple[States, ...]
     seeds: tuple[int, ...]
     north_rad: float
@@ -74,7 +74,7 @@ class _JoinedGroup:
         return dict(zip(self.number, self.state, strict=True))
 
     @property
-    def poses(self) -> dict[int, Pose]:
+    def poses(self) -> dict[int, WalkPose]:
         """Rigid poses by the number of the walk."""
         return dict(zip(self.number, self.pose, strict=True))
 
@@ -233,7 +233,7 @@ class WalkMap:
         Path
             The written file.
         """
-        write_files({Path(path): report_text(self.walks, self.apart, self.moved_access_points, self.notes).encode()})
+        write_files({Path(path): map_report(self.walks, self.apart, self.moved_access_points, self.notes).encode()})
         return Path(path)
 
     def add(
@@ -570,13 +570,13 @@ def _mapped(
     reasons = {i: "no Wi-Fi scans: record Wi-Fi with the walk" for i, c in enumerate(chains) if not len(c.scans)}
     fixes, notes = _consistent_fixes(chains, known, north)
     free = {i for i in range(len(chains)) if i not in reasons}
-    groups = [PlacedGroup(g.poses, {i: g.poses[i] for i in g.seeds}, g.north_rad, north) for g in before]
+    groups = [JoinedWalks(g.poses, {i: g.poses[i] for i in g.seeds}, g.north_rad, north) for g in before]
     fixed = [g.states for g in before]
     is_known = [g.is_known for g in before]
     free -= {i for g in groups for i in g.poses}
     seeds = {i: pose for i in fixes if i in free and (pose := _known_pose(chains[i], fixes[i])) is not None}
     home = next((k for k, flag in enumerate(is_known) if flag), None)
-    of_known = PlacedGroup({}, {}, north[0], north) if home is None else groups[home]
+    of_known = JoinedWalks({}, {}, north[0], north) if home is None else groups[home]
     for i in sorted(doubtful_seeds(walks, of_known, seeds, free - seeds.keys())):
         del seeds[i], fixes[i]
         notes.append(
@@ -595,8 +595,8 @@ def _mapped(
     for i in todo:
         if i not in free or not walks.partners[i] & free:
             continue
-        pose = Pose(north[0] if chains[i].knows_north else 0.0, np.zeros(2))
-        group = PlacedGroup({i: pose}, {i: pose}, north[0], north)
+        pose = WalkPose(north[0] if chains[i].knows_north else 0.0, np.zeros(2))
+        group = JoinedWalks({i: pose}, {i: pose}, north[0], north)
         free.discard(i)
         _extend(walks, group, free, reasons)
         if len(group.poses) > 1:
@@ -673,7 +673,7 @@ def _storeys_without_map(groups: Sequence[_JoinedGroup], heard: set[int]) -> lis
     ]
 
 
-def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: dict[int, str]) -> None:
+def _extend(walks: ScannedWalks, group: JoinedWalks, free: set[int], reasons: dict[int, str]) -> None:
     """Join walks of `free` to a group, and remove joined walks whose places the other walks do not confirm.
 
     The group is changed, but its present walks stay. Joined walks leave `free`. `reasons` gets the reason of each
@@ -681,7 +681,7 @@ def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: di
     well, and the more probable result counts.
     """
     kept = frozenset(group.poses)
-    tries: list[tuple[PlacedGroup, set[int], dict[int, str]]] = []
+    tries: list[tuple[JoinedWalks, set[int], dict[int, str]]] = []
     for pace in PACES:
         grown, left = replace(group, poses=dict(group.poses)), set(free)
         if len(grown.poses) > 1:
@@ -702,7 +702,7 @@ def _extend(walks: ScannedWalks, group: PlacedGroup, free: set[int], reasons: di
     reasons.update(removed)
 
 
-def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
+def _known_pose(chain: Chain, fixes: Sequence[Known]) -> WalkPose | None:
     """Return the rigid pose (rotation, shift, storey) of a walk that its fixes define, or None without a position.
 
     The rotation comes from the first heading fix, or else from the shape of several positions. For a single position
@@ -723,7 +723,9 @@ def _known_pose(chain: Chain, fixes: Sequence[Known]) -> Pose | None:
         a, b = (own - own.mean(axis=0)) @ [1, 1j], (at - at.mean(axis=0)) @ [1, 1j]
         turn_rad = -float(np.angle(np.vdot(a, b)))
     floors = [f.floor - int(chain.floor[chain.step_at(f.time_s)]) for f in places if f.floor is not None]
-    return Pose(turn_rad, at.mean(axis=0) - own.mean(axis=0) @ rotation_matrix(turn_rad), floors[0] if floors else 0)
+    return WalkPose(
+        turn_rad, at.mean(axis=0) - own.mean(axis=0) @ clockwise_rotation(turn_rad), floors[0] if floors else 0
+    )
 
 
 def _result(

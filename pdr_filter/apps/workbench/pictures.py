@@ -19,7 +19,7 @@ _MAX_SIDE = 4000
 _SIGNATURES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"%PDF": "PDF"}
 
 
-def convert(source: Path, page: int, target: Path) -> dict[str, Any]:
+def convert_picture(source: Path, page: int, target: Path) -> dict[str, Any]:
     """Convert a PNG, JPEG or PDF file to a PNG file, and return its `width` and `height` in pixels.
 
     `page` of a PDF file counts from 1. A picture with a side over 4000 pixels is reduced. ValueError if the picture

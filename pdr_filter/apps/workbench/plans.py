@@ -74,7 +74,7 @@ class Plans:
         reference = properties.get("georeference")
         storeys = properties.get("storeys") or {}
         if reference:
-            features = _moved(features, Georeference.of(reference).to_metres, _DIGITS_M)
+            features = _moved(features, PictureGeoreference.of(reference).to_metres, _DIGITS_M)
         elif features and _is_in_degrees(features):  # drawn elsewhere
             reference, to_metres = _elsewhere(features)
             features = _moved(features, to_metres, _DIGITS_M)
@@ -102,7 +102,7 @@ class Plans:
         reference = content.get("georeference")
         properties = {"storeys": dict(content["storeys"]), "georeference": reference}
         if reference:
-            features = _moved(features, Georeference.of(reference).to_degrees, _DIGITS_DEG)
+            features = _moved(features, PictureGeoreference.of(reference).to_degrees, _DIGITS_DEG)
         plan = {"type": "FeatureCollection", "name": name, "properties": properties, "features": features}
         with self._saving:
             if _version(path) != version:
@@ -137,7 +137,7 @@ def problems_or_none(features: list[dict[str, Any]]) -> list[dict[str, Any]]:
         return []
 
 
-class Georeference:
+class PictureGeoreference:
     """Rotation and shift from the frame of a picture to east and north of an origin."""
 
     def __init__(self, origin: Origin, turn_rad: float, zero_m: FloatArray) -> None:
@@ -146,7 +146,7 @@ class Georeference:
         self.rotation = np.array([[cosine, -sine], [sine, cosine]])
 
     @classmethod
-    def of(cls, reference: Mapping[str, Any]) -> Georeference:
+    def of(cls, reference: Mapping[str, Any]) -> PictureGeoreference:
         """The georeference of two `points`, each east and north (m), latitude and longitude (degrees).
 
         ValueError if the distances of the two differ by more than 5 %, or are at most 1 m.
@@ -191,7 +191,7 @@ def _elsewhere(features: list[dict[str, Any]]) -> tuple[dict[str, Any], Any]:
     origin = Origin(float(low[1]), float(low[0]))
     east_m, north_m = origin.east_north_m(float(high[1]), float(high[0])).tolist()
     corners = [[0.0, 0.0, origin.latitude_deg, origin.longitude_deg], [east_m, north_m, float(high[1]), float(high[0])]]
-    return {"points": corners}, Georeference.of({"points": corners}).to_metres
+    return {"points": corners}, PictureGeoreference.of({"points": corners}).to_metres
 
 
 def _is_in_degrees(features: list[dict[str, Any]]) -> bool:

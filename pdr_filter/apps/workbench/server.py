@@ -354,7 +354,7 @@ class WorkbenchSite:
         return name
 
 
-def app(
+def workbench_application(
     workbench: Workbench,
     live: Live | None,
     token: str = "",

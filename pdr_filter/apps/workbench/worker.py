@@ -24,7 +24,7 @@ from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.maps.marks import NAMES, checksum_of, mark_files, marks_folder, marks_in, version_of
 from pdr_filter.apps.report.html import html_report
-from pdr_filter.apps.workbench.pictures import convert, rectify
+from pdr_filter.apps.workbench.pictures import convert_picture, rectify
 from pdr_filter.data.io.files.archive import outside
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
@@ -191,7 +191,7 @@ class Worker:
 
     def picture(self, source: str, page: int, target: str) -> dict[str, Any]:
         """Convert a PNG, JPEG or a page of a PDF file to PNG and return its size."""
-        return convert(Path(source), page, Path(target))
+        return convert_picture(Path(source), page, Path(target))
 
     def rectify(self, path: str, corners: Sequence[Sequence[float]]) -> dict[str, Any]:
         """Turn the quadrilateral of four corners in a picture into a whole picture and return its size."""

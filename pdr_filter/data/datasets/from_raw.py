@@ -18,7 +18,7 @@ from pdr_filter.data.io.apps.indoor_location import read_indoor_location
 from pdr_filter.data.io.files.archive import json_object
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
-from pdr_filter.data.io.tables.any_table import read_table
+from pdr_filter.data.io.tables.any_table import read_any_table
 from pdr_filter.values import FloatArray, Table, limits, table
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording, Truth
@@ -103,7 +103,7 @@ def motionsense(raw: Path) -> Iterator[Recording]:
         person, activity = people.get(code), trial.partition("_")[0]
         if person is None or int(code) > 12 or activity not in _ACTIVITIES:
             continue
-        recording = read_table(path)
+        recording = read_any_table(path)
         end_s = float(recording.accelerometer.time_s[-1])
         meta = {
             "subject": {

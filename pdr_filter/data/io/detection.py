@@ -109,18 +109,18 @@ def detect_file(members: Members, name: str) -> str:
         return "ronin"
     if is_matlab(head) or is_spreadsheet(members, name):
         return "table"
-    if ros_bag.looks_like(head):
+    if ros_bag.is_ros_bag(head):
         return "ros_bag"
     if sensor_logger.looks_like_export(head):
         return "sensor_logger"
-    if json_tables.looks_like(head):
+    if json_tables.is_json(head):
         return "table" if sensors_of(members, name) else ""
-    if indoor_location.looks_like(head):
+    if indoor_location.is_indoor_location(head):
         return "indoor_location"
-    if get_sensor_data.looks_like(head):
+    if get_sensor_data.is_get_sensor_data(head):
         return "get_sensor_data"
     line = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].decode("latin-1").rstrip("\r")
-    if sensor_logger.looks_like(line):
+    if sensor_logger.is_sensor_logger(line):
         return "sensor_logger"
     is_own = line.startswith("time_s,")
     return "table" if not is_own and name.lower().endswith(TEXTS) and sensors_of(members, name) else ""

@@ -13,26 +13,26 @@ from pdr_filter.data.io.apps.sensor_logger import read_sensor_logger
 from pdr_filter.data.io.detection import detect
 from pdr_filter.data.io.files.own_format import read_recording
 from pdr_filter.data.io.folders import only_recording_in
-from pdr_filter.data.io.tables.any_table import read_generic_csv, read_table
+from pdr_filter.data.io.tables.any_table import read_any_table, read_generic_csv
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
     "own": read_recording,
     "sensor_logger": read_sensor_logger,
-    "phyphox": read_table,
+    "phyphox": read_any_table,
     "get_sensor_data": read_get_sensor_data,
     "indoor_location": read_indoor_location,
-    "core_motion": read_table,
+    "core_motion": read_any_table,
     "ronin": read_ronin,
     "ros_bag": read_ros_bag,
-    "table": read_table,
+    "table": read_any_table,
     "generic_csv": read_generic_csv,
 }
 # Formats of apps whose acceleration signs differ between iOS and Android.
 OF_TWO_PLATFORMS: dict[str, Callable[[Path, str | None], Recording]] = {
     "sensor_logger": read_sensor_logger,
-    "table": read_table,
+    "table": read_any_table,
 }
 PLATFORMS = ("ios", "android")
 

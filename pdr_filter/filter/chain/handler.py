@@ -21,7 +21,7 @@ class Window(NamedTuple):
     height_log_evidence: FloatArray | None
 
 
-class Places(NamedTuple):
+class Locations(NamedTuple):
     """Accurate locations (P, 3) as time, east and north, which tell hills from storeys. Older ones end at `since_s`."""
 
     rows: FloatArray
@@ -63,7 +63,7 @@ class Fork(NamedTuple):
     changes: tuple[Callable[[PastPath], PastPath], ...]
 
 
-Event = Window | Step | Stepless | Gap | Climb | Fix | Places | NewestStep | StepsEnd | End
+Event = Window | Step | Stepless | Gap | Climb | Fix | Locations | NewestStep | StepsEnd | End
 Output = StepUpdate | FixUse | FloorPassage | PathChanges | Fork
 
 
@@ -139,7 +139,7 @@ class TrackerHandler:
         elif isinstance(event, NewestStep):
             newest = self.tracker.provisional(state)
             return state, () if newest is None else (newest,)
-        elif not isinstance(event, Climb | Places | End):
+        elif not isinstance(event, Climb | Locations | End):
             state, outcome, nis = self.tracker.on_fix(state, event)
             outputs = (FixUse(event, outcome, nis),)
         pedestrian = state.pedestrian

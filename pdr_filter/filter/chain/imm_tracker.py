@@ -16,11 +16,11 @@ from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     StepEstimate,
     StepUpdate,
-    after_step,
     before_step,
     initial_state,
     over_gap,
     since_last_step,
+    state_after_step,
     with_reach_after_fix,
     with_withheld_length,
     without_changes,
@@ -151,7 +151,7 @@ class ImmTracker:
             withheld_m = float((free_prob - prob) @ cycle.motion.length_m)
             previous, walked = with_withheld_length(model, previous, step, walked, free_prob, withheld_m)
         estimate = StepEstimate(replace_unchecked(cycle.ahead, prob=prob), combined, prob, context_prob)
-        pedestrian, update = after_step(model, previous, step, cycle, walked, estimate)
+        pedestrian, update = state_after_step(model, previous, step, cycle, walked, estimate)
         return replace_unchecked(state, pedestrian=pedestrian), (update,)
 
     def provisional(self, state: ImmState) -> StepUpdate | None:

@@ -10,8 +10,8 @@ import numpy as np
 
 from pdr_filter.filter.chain.handler import Around, Event, FixUse, Fork, Handler, Output
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
-from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate, past_position, present_position
-from pdr_filter.filter.pedestrian.range_placement import MIN_LOG_ODDS
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate, past_position, reckoned_position
+from pdr_filter.filter.pedestrian.range_solutions import MIN_LOG_ODDS
 from pdr_filter.values import FloatArray, PositionFix, read_only, replace_unchecked
 
 
@@ -44,7 +44,7 @@ class Hypotheses(Around):
             cov_m2 = read_only(cov_m2 + self.conflict.cov_m2)
         if self.rival is None:
             return cov_m2
-        away_m = present_position(self.rival.pedestrian)[0] - position_m
+        away_m = reckoned_position(self.rival.pedestrian)[0] - position_m
         rival_prob = 1.0 / (1.0 + math.exp(-self.rival_log_odds))
         return read_only(cov_m2 + rival_prob * np.outer(away_m, away_m))
 

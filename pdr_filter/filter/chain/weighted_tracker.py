@@ -29,11 +29,11 @@ from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     StepEstimate,
     StepUpdate,
-    after_step,
     before_step,
     initial_state,
     over_gap,
     since_last_step,
+    state_after_step,
     with_reach_after_fix,
     with_withheld_length,
     without_changes,
@@ -282,7 +282,7 @@ class WeightedTracker:
         previous, lengths = before_step(state.pedestrian, step), model.lengths(step)
         is_standing = previous.fixes.is_standing(step.time_s)
         weights = 1.0 - model.moves if is_standing else free_weights
-        directions, mean_lengths = model.directions.weighted(weights), lengths.weighted(weights)
+        directions, mean_lengths = model.directions.of_one_filter(weights), lengths.of_one_filter(weights)
         own, since = (mean_lengths.length_m, mean_lengths.residual_var_m2), since_last_step(previous, step)
         cycle = step_cycle(previous.estimates, previous.heading_zero, step, since, own, directions, model.noise)
         motion, (x,), (P,) = cycle.motion, cycle.ahead.mean, cycle.ahead.cov
@@ -297,7 +297,7 @@ class WeightedTracker:
             withheld_m = float(free_weights @ lengths.length_m) * float(motion.scale[0]) - walked.length_m
             previous, walked = with_withheld_length(model, previous, step, walked, free_weights, withheld_m)
         estimate = StepEstimate(cycle.ahead, (x, P), weights, context_prob)
-        pedestrian, update = after_step(model, previous, step, cycle, walked, estimate, is_final)
+        pedestrian, update = state_after_step(model, previous, step, cycle, walked, estimate, is_final)
         mode_prob = weights if is_final else state.mode_prob
         return replace_unchecked(state, pedestrian=pedestrian, pending=state.pending[1:], mode_prob=mode_prob), update
 

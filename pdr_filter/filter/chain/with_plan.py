@@ -50,7 +50,7 @@ class PlanStage(Protocol):
         """
         ...
 
-    def place(self, state: Any, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
+    def estimate(self, state: Any, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
         """Return the estimate of the position on the plan, or None before the first one.
 
         `reckoned` is the position (2,) of the tracker in m and its covariance (2, 2).
@@ -89,7 +89,7 @@ class WithPlan:
             if isinstance(output, StepUpdate) and output.is_final:
                 particles = self.stage.on(particles, output, pedestrian, self.model)
                 reckoned = output.position_m, output.position_cov_m2
-                output = _on_plan(output, self.stage.place(particles, reckoned))
+                output = _on_plan(output, self.stage.estimate(particles, reckoned))
             elif isinstance(output, FloorPassage):
                 particles = self.stage.on(particles, output, pedestrian, self.model)
             elif isinstance(output, FixUse):
@@ -101,15 +101,15 @@ class WithPlan:
         return replace_unchecked(state, inner=inner, particles=particles), tuple(all_outputs)
 
 
-def _on_plan(row: StepUpdate, place: OnPlan | None) -> StepUpdate:
+def _on_plan(row: StepUpdate, estimate: OnPlan | None) -> StepUpdate:
     """Return a row with position, covariance and heading on the plan, or unchanged before the first estimate."""
-    if place is None:
+    if estimate is None:
         return row
     return replace_unchecked(
         row,
-        on_plan=place,
-        position_m=place.position_m,
-        position_cov_m2=place.position_cov_m2,
-        walking_heading_rad=place.walking_heading_rad,
+        on_plan=estimate,
+        position_m=estimate.position_m,
+        position_cov_m2=estimate.position_cov_m2,
+        walking_heading_rad=estimate.walking_heading_rad,
         of_start=None,
     )

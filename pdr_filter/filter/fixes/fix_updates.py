@@ -23,7 +23,7 @@ from pdr_filter.filter.fixes.gating import (
     KalmanUpdate,
     Result,
     gap_displacement_var_m2,
-    gated,
+    gated_update,
     joined_updates,
     with_consider_path,
 )
@@ -44,8 +44,8 @@ from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     in_other_frame,
-    present_position,
-    track_place,
+    reckoned_position,
+    track_pose,
     with_change,
     with_detached_path,
     with_joined_frame,
@@ -78,13 +78,13 @@ def use_fix(
 ) -> Result:
     """Return the state after a fix, the outcome of the fix, and its normalised innovation squared (NIS).
 
-    The NIS is that of the mixture of all filters (`gating.gated`), or NaN if no filter was compared with the fix. A fix
-    is rejected if its NIS exceeds the gate. A fix older than the stored steps is rejected with infinite NIS, except
-    speed fixes, grid fixes and standstills. A fix that repeats an earlier one is not used: it is "repeated", or
-    "frozen" if it is a position and steps continue. If the frame of the fixes is unknown, the first position fix places
-    the track in it, and later ones rotate it. A standstill is stored and changes no estimate. `offset_rad`
-    (F,) is the walking heading of each filter minus the heading that the body faces. In an unknown frame, a
-    measurement of position and heading is used as two fixes (`stated_fixes`), with the outcome of the position.
+    The NIS is that of the mixture of all filters (`gating.gated_update`), or NaN if no filter was compared with the
+    fix. A fix is rejected if its NIS exceeds the gate. A fix older than the stored steps is rejected with infinite NIS,
+    except speed fixes, grid fixes and standstills. A fix that repeats an earlier one is not used: it is "repeated", or
+    "frozen" if it is a position and steps continue. If the frame of the fixes is unknown, the first position fix poses
+    the track in it, and later ones rotate it. A standstill is stored and changes no estimate. `offset_rad` (F,) is the
+    walking heading of each filter minus the heading that the body faces. In an unknown frame, a measurement of position
+    and heading is used as two fixes (`stated_fixes`), with the outcome of the position.
     """
     if isinstance(fix, Standstill):
         return replace(state, fixes=state.fixes.with_standstill(fix)), "used", np.nan
@@ -102,19 +102,19 @@ def use_fix(
         for each in stated[:-1]:
             state, *_ = use_fix(model, arithmetic, state, offset_rad, each)
         return use_fix(model, arithmetic, state, offset_rad, stated[-1])
-    place = _place_at(state, fix.time_s)
-    if place is None:
+    pose = _pose_at(state, fix.time_s)
+    if pose is None:
         return state, "rejected", np.inf
-    state, repetition = _with_memory(state, fix, place)
+    state, repetition = _with_memory(state, fix, pose)
     if repetition:
         return state, repetition, np.nan
-    track_m, device_heading_rad = place[:2], float(place[2])
+    track_m, device_heading_rad = pose[:2], float(pose[2])
     if isinstance(fix, HeadingFix):
         return _on_heading(model, arithmetic, state, offset_rad, fix, device_heading_rad)
     if isinstance(fix, RangeFix):
-        return on_range(model, arithmetic, state, offset_rad, fix, place)
+        return on_range(model, arithmetic, state, offset_rad, fix, pose)
     if not isinstance(fix, PositionFix):
-        return on_measurement(model, arithmetic, state, offset_rad, fix, place)
+        return on_measurement(model, arithmetic, state, offset_rad, fix, pose)
     if gap_var_m2 := gap_displacement_var_m2(model, state, fix.time_s):
         fix = replace(fix, cov_m2=read_only(fix.cov_m2 + gap_var_m2 * np.eye(2)))
     if not state.frame.is_joined:
@@ -122,13 +122,13 @@ def use_fix(
     return _on_known_frame(model, arithmetic, state, fix, track_m)
 
 
-def _with_memory(state: PedestrianState, fix: Fix, place: FloatArray) -> tuple[PedestrianState, Repetition]:
+def _with_memory(state: PedestrianState, fix: Fix, pose: FloatArray) -> tuple[PedestrianState, Repetition]:
     """Return the state that remembers a fix, and whether the fix is a repetition.
 
-    `place` (3,) is east, north and device heading of the track at the time of the fix.
+    `pose` (3,) is east, north and device heading of the track at the time of the fix.
     """
     fixes = state.fixes
-    memory, repetition = fixes.memory.plus(fix, place, state.estimates.distance_m)
+    memory, repetition = fixes.memory.plus(fix, pose, state.estimates.distance_m)
     n_frozen = fixes.n_frozen + (repetition == "frozen")
     n_repeated = fixes.n_repeated + (repetition == "repeated")
     return replace(state, fixes=replace(fixes, memory=memory, n_frozen=n_frozen, n_repeated=n_repeated)), repetition
@@ -149,7 +149,7 @@ def _on_position(
     cov = estimates.cov.copy()
     cov[:, :2, :2] += estimates.consider_cov_m2
     update = KalmanUpdate(*arithmetic.update(estimates.mean, cov, z, H, R))
-    updated, outcome, nis = gated(arithmetic, with_consider_path(state, cov), update, model.fix_gate_nis)
+    updated, outcome, nis = gated_update(arithmetic, with_consider_path(state, cov), update, model.fix_gate_nis)
     if outcome == "used":
         n_errors, squares = fixes.n_errors + 2, fixes.squares + nis
         # factor for all innovations so far; the covariance already contains the factor for the earlier ones
@@ -160,7 +160,7 @@ def _on_position(
         fixes = replace(fixes, relocation=fixes.relocation.with_used(), n_errors=n_errors, squares=squares)
         frame = updated.frame.with_position(fix.position_m, fix.var_m2)
         updated = replace(updated, estimates=estimates, fixes=fixes, frame=frame)
-        updated = with_change(updated, lambda path: path.corrected(np.zeros(N_STATES), larger))
+        updated = with_change(updated, lambda path: path.after_correction(np.zeros(N_STATES), larger))
     return updated if outcome == "used" else state, outcome, nis
 
 
@@ -178,7 +178,7 @@ def _without_shared_error(
     to z. Its variance, which is due to heading and step lengths, is added to R.
     """
     x, P = state.estimates.combined
-    since_m = track_place(state).position_m - track_m
+    since_m = track_pose(state).position_m - track_m
     used = state.fixes.used if fix.correlation_s > 0 else ()
     ways_m = [track_m - u.track_m for u in used if u.track_m is not None]
     z, H = fix.position_m, np.eye(2, N_STATES)
@@ -220,7 +220,7 @@ def _on_known_frame(
     state = in_other_frame(replace(state, estimates=replace(state.estimates, cov=cov), fixes=fixes), alignment)
     moved = replace(alignment, since=alignment.n_steps)
     state = replace(state, frame=replace(state.frame, later=(*state.frame.later, moved)))
-    pairs = [pair.moved(alignment.positions) for pair in relocation.pairs]
+    pairs = [pair.with_moved_track(alignment.positions) for pair in relocation.pairs]
     state, nis = _with_second_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
     return state, "moved", nis
 
@@ -293,7 +293,7 @@ def _on_state(
     z = prior.mean[:, index] + innovation
     H, R = np.eye(N_STATES)[[index]], np.array([[variance]])
     each = [KalmanUpdate(*arithmetic.update(prior.mean[[k]], prior.cov[[k]], z[[k]], H, R)) for k in range(len(z))]
-    return gated(arithmetic, state, joined_updates(each), model.scalar_gate_nis)
+    return gated_update(arithmetic, state, joined_updates(each), model.scalar_gate_nis)
 
 
 def _on_first_positions(
@@ -325,8 +325,8 @@ def _on_first_positions(
     squares = least_squares_error(agreeing, frame.rotation_prior_var_rad2)
     state = in_other_frame(state, alignment)
     fixes = replace(state.fixes, n_errors=degrees_of_freedom(agreeing), squares=squares)
-    state = replace(state, frame=frame.joined(alignment), fixes=fixes)
-    pairs = [pair.moved(alignment.positions) for pair in agreeing]
+    state = replace(state, frame=frame.with_alignment(alignment), fixes=fixes)
+    pairs = [pair.with_moved_track(alignment.positions) for pair in agreeing]
     state, nis = _with_second_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
     return state, "turned", nis
 
@@ -342,12 +342,12 @@ def _on_contradicting_fix(state: PedestrianState, pair: PairedPoint) -> Result:
     state = replace(state, fixes=replace(state.fixes, relocation=relocation))
     if not relocation.contradicts(pair):
         return state, "rejected", np.inf
-    turn, (from_m, _) = state.frame.most_probable(n_steps), present_position(state)
-    joined = state.frame.joined(turn)
+    turn, (from_m, _) = state.frame.most_probable(n_steps), reckoned_position(state)
+    joined = state.frame.with_alignment(turn)
     state = with_detached_path(in_other_frame(state, turn))
-    opened = joined.reopened(state.fixes.relocation.pairs, np.inf, n_steps)
+    opened = joined.with_lost_heading(state.fixes.relocation.pairs, np.inf, n_steps)
     state = replace(state, frame=opened, fixes=replace(state.fixes, relocation=RelocationEvidence()))
-    moved = Alignment(0.0, 0.0, from_m, present_position(state)[0], 0.0, n_steps, since=n_steps)
+    moved = Alignment(0.0, 0.0, from_m, reckoned_position(state)[0], 0.0, n_steps, since=n_steps)
     return replace(state, frame=replace(state.frame, later=(*joined.later, moved))), "moved", np.inf
 
 
@@ -394,18 +394,18 @@ def _paired(state: PedestrianState, fix: PositionFix, track_m: FloatArray) -> tu
     return pair, float(P[HEADING_OFFSET, HEADING_OFFSET])
 
 
-def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:
+def _pose_at(state: PedestrianState, time_s: float) -> FloatArray | None:
     """Return east, north and device heading (3,) of the track at a time.
 
     The result is None if the steps of that time are no longer stored. A track without steps has its present position
     and heading 0.
     """
     if len(state.steps.trail) == 0:
-        return np.append(track_place(state).position_m, 0.0)
+        return np.append(track_pose(state).position_m, 0.0)
     return state.steps.at(time_s)
 
 
 def _track_m(state: PedestrianState, time_s: float) -> FloatArray | None:
     """Return the track position (2,) at a time, or None if it is before the stored steps."""
-    place = _place_at(state, time_s)
-    return None if place is None else place[:2]
+    pose = _pose_at(state, time_s)
+    return None if pose is None else pose[:2]

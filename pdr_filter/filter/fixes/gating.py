@@ -33,7 +33,7 @@ def joined_updates(updates: Sequence[KalmanUpdate]) -> KalmanUpdate:
     return KalmanUpdate(*(np.concatenate(arrays) for arrays in zip(*updates, strict=True)))
 
 
-def gated(arithmetic: ImmArithmetic, state: PedestrianState, update: KalmanUpdate, gate_nis: float) -> Result:
+def gated_update(arithmetic: ImmArithmetic, state: PedestrianState, update: KalmanUpdate, gate_nis: float) -> Result:
     """Return the state after an update, the outcome "used" or "rejected", and the NIS of the mixture of all filters.
 
     With the probability p_f and the NIS q_f of filter f, the NIS of the mixture is -2 log sum_f p_f exp(-q_f / 2). A
@@ -51,7 +51,7 @@ def gated(arithmetic: ImmArithmetic, state: PedestrianState, update: KalmanUpdat
     prob = arithmetic.update_mode_prob(mode_prob, update.log_likelihood)
     state = replace(state, estimates=replace(state.estimates, mean=update.mean, cov=update.cov, prob=prob))
     moved = state.estimates.combined[0] - prior_x
-    state, shift_m = with_change(state, lambda path: path.corrected(moved, 1.0)), moved[[EAST, NORTH]]
+    state, shift_m = with_change(state, lambda path: path.after_correction(moved, 1.0)), moved[[EAST, NORTH]]
     return with_moved_past(state, lambda position_m: position_m + shift_m), "used", nis
 
 

@@ -45,7 +45,7 @@ class LocationState:
         Time of the last fix, or minus infinity.
     n : int
         Number of locations.
-    n_without_place : int
+    n_not_on_earth : int
         Number of locations whose coordinates are not a place on Earth.
     n_without_accuracy : int
         Number of locations without an accuracy.
@@ -64,7 +64,7 @@ class LocationState:
     origin: Origin | None = None
     last_s: float = -math.inf
     n: int = 0
-    n_without_place: int = 0
+    n_not_on_earth: int = 0
     n_without_accuracy: int = 0
     n_backward: int = 0
 
@@ -74,7 +74,7 @@ class LocationState:
 
         Usable locations that are skipped because they follow the last fix too closely do not count.
         """
-        return self.n_without_place + self.n_without_accuracy + self.n_backward
+        return self.n_not_on_earth + self.n_without_accuracy + self.n_backward
 
     def reasons(self) -> str:
         """Return the reasons why locations are not used.
@@ -85,7 +85,7 @@ class LocationState:
             Number of locations for each reason, with its remedy. Empty if all locations are usable.
         """
         causes = {
-            "coordinates that are not a place on Earth (give latitude and longitude in degrees)": self.n_without_place,
+            "coordinates that are not a place on Earth (give latitude and longitude in degrees)": self.n_not_on_earth,
             "no horizontal accuracy above 0 (export the accuracy, or pass the positions as fixes)": (
                 self.n_without_accuracy
             ),
@@ -160,13 +160,13 @@ def position_fixes(
     """
     fixes: list[PositionFix] = []
     origin, last_s = state.origin, state.last_s
-    n_without_place, n_without_accuracy, n_backward = state.n_without_place, state.n_without_accuracy, state.n_backward
+    n_not_on_earth, n_without_accuracy, n_backward = state.n_not_on_earth, state.n_without_accuracy, state.n_backward
     # one location at a time: the bits of a vectorised sine depend on the length of the array
     altitude_m = np.full(len(time_s), np.nan) if altitude_m is None else altitude_m
     rows = np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m]).tolist()
     for t, latitude, longitude, accuracy, altitude in rows:
-        if not _is_place(latitude, longitude):
-            n_without_place += 1
+        if not _is_on_earth(latitude, longitude):
+            n_not_on_earth += 1
         elif not _is_accuracy(accuracy):
             n_without_accuracy += 1
         elif not last_s < t < math.inf:
@@ -174,13 +174,13 @@ def position_fixes(
         elif t >= last_s + interval_s:
             origin, last_s = origin or Origin(latitude, longitude), t
             std_m = max(accuracy, MIN_ACCURACY_M) / RADIUS_68
-            place_m, cov_m2 = origin.east_north_m(latitude, longitude), std_m**2 * np.eye(2)
-            fix = PositionFix(t, place_m, cov_m2, correlation_s=CORRELATION_S)
+            position_m, cov_m2 = origin.east_north_m(latitude, longitude), std_m**2 * np.eye(2)
+            fix = PositionFix(t, position_m, cov_m2, correlation_s=CORRELATION_S)
             if math.isfinite(altitude) and altitude != 0.0:
                 fix = replace(fix, altitude_m=altitude, altitude_std_m=_VERTICAL_RATIO * std_m)
             fixes.append(fix)
     n = state.n + len(rows)
-    return LocationState(origin, last_s, n, n_without_place, n_without_accuracy, n_backward), tuple(fixes)
+    return LocationState(origin, last_s, n, n_not_on_earth, n_without_accuracy, n_backward), tuple(fixes)
 
 
 # Largest accuracy radius at which displacements of some metres are visible.
@@ -188,10 +188,10 @@ _GOOD_M = 10.0
 # Age up to which a location counts as the present position.
 _PRESENT_S = 2.0
 _MAX_SPEED_MPS = 2.0  # fast walking
-_NO_PLACE = [math.nan, math.nan]
+_NO_POSITION = [math.nan, math.nan]
 
 
-def good_places(
+def good_locations(
     origin: Origin,
     time_s: FloatArray,
     latitude_deg: FloatArray,
@@ -210,25 +210,28 @@ def good_places(
     # one location at a time: the bits of a vectorised sine depend on the length of the array
     for t, *place, accuracy in np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m]).tolist():
         if last_s < t < math.inf:
-            is_good = _is_place(*place) and 0 < accuracy <= _GOOD_M
-            place_m = origin.east_north_m(*place).tolist() if is_good else _NO_PLACE
-            if math.dist(place_m, last_m) > accuracy + _MAX_SPEED_MPS * (t - last_s):  # False if one is unknown
-                place_m = _NO_PLACE
-            last_s, last_m = t, place_m
-            found.append((t, place_m[0], place_m[1]))
+            is_good = _is_on_earth(*place) and 0 < accuracy <= _GOOD_M
+            position_m = origin.east_north_m(*place).tolist() if is_good else _NO_POSITION
+            if math.dist(position_m, last_m) > accuracy + _MAX_SPEED_MPS * (t - last_s):  # False if one is unknown
+                position_m = _NO_POSITION
+            last_s, last_m = t, position_m
+            found.append((t, position_m[0], position_m[1]))
     return np.array(found).reshape(-1, 3)
 
 
-def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
+def location_at(locations: FloatArray, time_s: float) -> tuple[float, float] | None:
     """Return east and north in m of the last location at or before a time.
 
-    `places` (P, 3) are the result of `good_places`. The result is None if there is no location in the last 2 s, or if
-    one of them is not accurate.
+    `locations` (P, 3) are the result of `good_locations`. The result is None if there is no location in the last 2 s,
+    or if one of them is not accurate.
     """
-    first, end = np.searchsorted(places[:, 0], time_s - _PRESENT_S), np.searchsorted(places[:, 0], time_s, side="right")
-    if first == end or np.isnan(places[first:end, 1]).any():
+    first, end = (
+        np.searchsorted(locations[:, 0], time_s - _PRESENT_S),
+        np.searchsorted(locations[:, 0], time_s, side="right"),
+    )
+    if first == end or np.isnan(locations[first:end, 1]).any():
         return None
-    east_m, north_m = places[end - 1, 1:].tolist()
+    east_m, north_m = locations[end - 1, 1:].tolist()
     return east_m, north_m
 
 
@@ -279,7 +282,7 @@ def origin_of(location: Samples) -> Origin | None:
         location.time_s.tolist(), latitude_deg.tolist(), longitude_deg.tolist(), accuracy_m.tolist(), strict=True
     )
     for t, latitude, longitude, accuracy in rows:
-        if math.isfinite(t) and _is_place(latitude, longitude) and _is_accuracy(accuracy):
+        if math.isfinite(t) and _is_on_earth(latitude, longitude) and _is_accuracy(accuracy):
             return Origin(latitude, longitude)
     return None
 
@@ -306,7 +309,7 @@ def locations_of(location: Samples, origin: Origin | None = None) -> tuple[Locat
     )
 
 
-def _is_place(latitude_deg: float, longitude_deg: float) -> bool:
+def _is_on_earth(latitude_deg: float, longitude_deg: float) -> bool:
     """Return True for a place on Earth other than (0, 0), which apps write for a missing location."""
     return abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and (latitude_deg, longitude_deg) != (0.0, 0.0)
 

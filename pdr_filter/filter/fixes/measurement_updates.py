@@ -13,18 +13,18 @@ from pdr_filter.filter.fixes.gating import (
     KalmanUpdate,
     Result,
     gap_displacement_var_m2,
-    gated,
+    gated_update,
     joined_updates,
     with_consider_path,
 )
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
-from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, track_place
-from pdr_filter.values import FloatArray, Measurement, measured
+from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, track_pose
+from pdr_filter.values import FloatArray, Measurement, measurement_of
 
 # Largest number of linearisations of one update, and the move at which they have converged. After the first few the
-# estimate moves by some millimetres, unless it is less certain than the distance to an anchor (`range_placement`).
+# estimate moves by some millimetres, unless it is less certain than the distance to an anchor (`range_solutions`).
 _MAX_ITERATIONS, _CONVERGED_M = 8, 5e-3
 # Upper 0.1 % quantile of the normal distribution.
 _NORMAL_QUANTILE = 3.09
@@ -75,7 +75,7 @@ def on_measurement(
     cov[:, :2, :2] += estimates.consider_cov_m2
     # The position at the time of the measurement as a function of the present state: errors of heading and scale have
     # changed the displacement since then.
-    east_m, north_m = (track_place(state).position_m - earlier[:2]).tolist()
+    east_m, north_m = (track_pose(state).position_m - earlier[:2]).tolist()
     by_state = np.array([[1.0, 0.0, -north_m, -east_m], [0.0, 1.0, east_m, -north_m]])
     shift_m = earlier[:2] - by_state @ estimates.combined[0]
     gap_var_m2 = gap_displacement_var_m2(model, state, fix.time_s)
@@ -92,7 +92,7 @@ def on_measurement(
     if max(result.regular_prob for result in each) < _MIN_REGULAR_PROB:
         return state, "rejected", float(update.nis.min())
     gate_nis = gate_of(model, each[0].n_dimensions)
-    after, outcome, best_nis = gated(arithmetic, with_consider_path(state, cov), update, gate_nis)
+    after, outcome, best_nis = gated_update(arithmetic, with_consider_path(state, cov), update, gate_nis)
     if outcome != "used":
         return state, outcome, best_nis
     no_error_m = np.zeros_like(estimates.consider_error_m)
@@ -103,7 +103,7 @@ def on_measurement(
 
 def _needs_heading(fix: Measurement, earlier: FloatArray) -> bool:
     """Return True if the measurement depends on the heading."""
-    return bool(np.any(measured(fix, earlier[:2], float(earlier[2]))[1][:, 2]))
+    return bool(np.any(measurement_of(fix, earlier[:2], float(earlier[2]))[1][:, 2]))
 
 
 class _LinearMeasurement(NamedTuple):
@@ -131,7 +131,7 @@ class _Observation:
     def linearised(self, x: FloatArray) -> _LinearMeasurement:
         """Return the measurement linearised at a state x (4,)."""
         heading_rad = self.heading_rad + float(x[HEADING_OFFSET])
-        residual, by_pose, cov = measured(self.fix, self.by_state @ x + self.shift_m, heading_rad)
+        residual, by_pose, cov = measurement_of(self.fix, self.by_state @ x + self.shift_m, heading_rad)
         by_place = by_pose[:, :2]
         H = by_place @ self.by_state
         H[:, HEADING_OFFSET] += by_pose[:, 2]

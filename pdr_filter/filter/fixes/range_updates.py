@@ -15,19 +15,19 @@ from pdr_filter.filter.fixes.gating import Result, gap_displacement_var_m2
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
-from pdr_filter.filter.pedestrian.alignment import moved
+from pdr_filter.filter.pedestrian.alignment import transformed_estimates
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     Rival,
     in_other_frame,
-    track_place,
+    track_pose,
     with_detached_path,
 )
-from pdr_filter.filter.pedestrian.range_placement import (
+from pdr_filter.filter.pedestrian.range_solutions import (
     PairedRange,
-    PlacedTrack,
     PriorPose,
+    RangeSolution,
     log_density_unmoved,
     recent,
     solutions,
@@ -81,7 +81,7 @@ def on_range(
         better = found[0].log_density - log_density_unmoved(updated.fixes.ranges) if found else 0.0
         if better < 2.0 * PRIOR_LOG_ODDS or len(found) != 1 or not found[0].is_settled:
             return updated, outcome, nis
-        return _placed(updated, found[0]), "moved", nis
+        return _with_solution(updated, found[0]), "moved", nis
     if gap_displacement_var_m2(model, state, fix.time_s):
         # no steps connect a range within a gap with later ranges
         return state, "nothing to compare", np.nan
@@ -100,7 +100,7 @@ def on_range(
     is_clear = 0 < len(found) <= 2 and all(s.is_settled and sum(s.fits) >= n_least for s in found)
     if not is_clear:
         return state, "waiting", np.nan
-    first, *others = (_placed(state, solution) for solution in found)
+    first, *others = (_with_solution(state, solution) for solution in found)
     if others:
         first = replace(first, rival=Rival(others[0], found[1].log_odds))
     return first, "placed", np.nan
@@ -150,7 +150,7 @@ def _is_wide(state: PedestrianState, fix: RangeFix, earlier: FloatArray) -> bool
     of the range.
     """
     away_m = earlier[:2] - fix.anchor_m[:2]
-    level_m, cov_m2 = math.hypot(*away_m), track_place(state).cov_m2
+    level_m, cov_m2 = math.hypot(*away_m), track_pose(state).cov_m2
     if level_m < fix.std_m:  # near the anchor its direction is unknown
         var_m2 = float(np.linalg.eigvalsh(cov_m2)[-1])
     else:
@@ -170,7 +170,7 @@ def _prior(state: PedestrianState) -> PriorPose | None:
         cov = P[: HEADING_OFFSET + 1, : HEADING_OFFSET + 1] + _MIN_VAR * np.eye(3)
         cov[:2, :2] += state.estimates.consider_cov_m2
         return PriorPose(x[:2], x[:2], np.asarray(np.linalg.inv(cov), dtype=float))
-    information, angle_rad, place_m = np.zeros((3, 3)), 0.0, x[:2]
+    information, angle_rad, position_m = np.zeros((3, 3)), 0.0, x[:2]
     if math.isfinite(frame.north_var_rad2):
         information[2, 2] = 1.0 / max(frame.north_var_rad2, _MIN_VAR)
     if frame.compass is not None:
@@ -178,12 +178,12 @@ def _prior(state: PedestrianState) -> PriorPose | None:
     track_m = x[:2]
     if frame.pairs:  # position fixes, or the position at a lost heading
         pair = frame.pairs[-1]
-        track_m, place_m = pair.track_m, pair.world_m
+        track_m, position_m = pair.track_m, pair.world_m
         information[:2, :2] = np.eye(2) / max(pair.var_m2, _MIN_VAR)
-    return PriorPose(track_m, place_m, information, angle_rad) if information.any() else None
+    return PriorPose(track_m, position_m, information, angle_rad) if information.any() else None
 
 
-def _placed(state: PedestrianState, solution: PlacedTrack) -> PedestrianState:
+def _with_solution(state: PedestrianState, solution: RangeSolution) -> PedestrianState:
     """Return the state at the pose of a solution, which is a position and rotation that fit the last ranges.
 
     The solution replaces the estimates of position and heading, because it contains all information about them. In a
@@ -195,14 +195,14 @@ def _placed(state: PedestrianState, solution: PlacedTrack) -> PedestrianState:
         frame = replace(state.frame, later=(*state.frame.later, alignment), north_var_rad2=0.0)
         state = in_other_frame(with_detached_path(state), alignment)
     else:
-        frame = state.frame.joined(alignment)
+        frame = state.frame.with_alignment(alignment)
         state = with_detached_path(in_other_frame(state, alignment))
     estimates = state.estimates
     mean, cov = estimates.mean.copy(), estimates.cov.copy()
     mean[:, :LOG_SCALE] = estimates.combined[0][:LOG_SCALE]
     cov[:, :LOG_SCALE] = cov[:, :, :LOG_SCALE] = 0.0
     about = replace(alignment, angle_rad=0.0, track_centre_m=alignment.world_centre_m)
-    _, cov = moved(mean, cov, about)
+    _, cov = transformed_estimates(mean, cov, about)
     no_error_m = np.zeros_like(estimates.consider_error_m)
-    placed = replace(estimates, mean=mean, cov=cov, consider_error_m=no_error_m)
-    return replace(state, estimates=placed, frame=frame, fixes=replace(state.fixes, ranges=(), used=()))
+    located = replace(estimates, mean=mean, cov=cov, consider_error_m=no_error_m)
+    return replace(state, estimates=located, frame=frame, fixes=replace(state.fixes, ranges=(), used=()))

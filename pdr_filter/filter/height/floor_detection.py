@@ -48,7 +48,7 @@ _MIN_HILL_RATIO = 4.5
 
 
 # East and north in metres of an accurate location.
-Place = tuple[float, float]
+Position = tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Climbing:
         Steps while climbing.
     stairs_s, ride_s : float
         Time on stairs, and time in lifts or on escalators.
-    place : tuple of float or None
+    position : tuple of float or None
         Position at which the storey was left, if accurate locations are available since then.
     """
 
@@ -96,16 +96,16 @@ class Climbing:
     n_steps: int = 0
     stairs_s: float = 0.0
     ride_s: float = 0.0
-    place: Place | None = None
+    position: Position | None = None
 
-    def is_hill(self, place: Place | None, climbed_m: float) -> bool:
+    def is_hill(self, position: Position | None, climbed_m: float) -> bool:
         """Return True if the horizontal displacement is too large for stairs, so that a slope was walked.
 
-        `place` is the present position. The result is False in a lift, or if one of the two positions is unknown.
+        `position` is the present position. The result is False in a lift, or if one of the two positions is unknown.
         """
-        if place is None or self.place is None or self.how(climbed_m) == "lift":
+        if position is None or self.position is None or self.how(climbed_m) == "lift":
             return False
-        return math.dist(place, self.place) > _MIN_HILL_RATIO * max(abs(climbed_m - self.from_m), 1.0)
+        return math.dist(position, self.position) > _MIN_HILL_RATIO * max(abs(climbed_m - self.from_m), 1.0)
 
     def how(self, climbed_m: float) -> HowClimbed:
         """Return the kind of climb: "stairs", "escalator", "lift" or "unknown".
@@ -205,20 +205,20 @@ def after_motion(
     p_stairs: float,
     p_ride: float,
     n_steps: int,
-    place: Place | None,
+    position: Position | None,
 ) -> tuple[FloorState, float]:
     """Return the state of the storeys after an interval, and the part of the climbed height that was a slope, m.
 
     The person has made `n_steps` steps and reached `climbed_m` at `now_s`, after `elapsed_s`. `p_stairs` and `p_ride`
-    are the probabilities of stairs and of a lift or escalator. `place` is an accurate location, or None. Only accurate
-    locations can identify a slope. The state holds the passage that the interval completes.
+    are the probabilities of stairs and of a lift or escalator. `position` is an accurate location, or None. Only
+    accurate locations can identify a slope. The state holds the passage that the interval completes.
     """
     at, climbs = storey_number(state.levels, climbed_m), p_stairs + p_ride > 0.5
     floor = round(at) if climbs or abs(at - state.floor) > 0.5 + _HYSTERESIS else state.floor
     floor_since_s = state.floor_since_s if floor == state.floor else now_s
-    climbing = state.climbing if place is not None else replace_unchecked(state.climbing, place=None)
-    if floor != climbing.from_floor and climbing.is_hill(place, climbed_m):
-        back = _new_climbing(now_s, climbing.from_floor, climbing.from_m, place)
+    climbing = state.climbing if position is not None else replace_unchecked(state.climbing, position=None)
+    if floor != climbing.from_floor and climbing.is_hill(position, climbed_m):
+        back = _new_climbing(now_s, climbing.from_floor, climbing.from_m, position)
         since_s = state.floor_since_s if state.floor == back.from_floor else now_s
         state = replace_unchecked(state, floor=back.from_floor, floor_since_s=since_s, climbing=back, passages=())
         return state, climbed_m - climbing.from_m
@@ -238,7 +238,7 @@ def after_motion(
         state,
         floor=floor,
         floor_since_s=floor_since_s,
-        climbing=_new_climbing(now_s, floor, climbed_m, place)
+        climbing=_new_climbing(now_s, floor, climbed_m, position)
         if is_back and abs(at - floor) < _SAME_STOREY
         else climbing,
         level_since_s=since_s,
@@ -246,10 +246,10 @@ def after_motion(
         passages=(),
     )
     has_arrived = not is_back and now_s - since_s >= ARRIVED_S and state.n_level_steps > 0
-    return _arrived(state, now_s, climbed_m, place) if has_arrived else state, 0.0
+    return _arrived(state, now_s, climbed_m, position) if has_arrived else state, 0.0
 
 
-def finished(state: FloorState, now_s: float, climbed_m: float) -> FloorState:
+def floors_at_end(state: FloorState, now_s: float, climbed_m: float) -> FloorState:
     """Return the state of the storeys at the end of a walk.
 
     A person on another storey than at the last stay has arrived there. The state then holds the passage to this storey,
@@ -259,17 +259,19 @@ def finished(state: FloorState, now_s: float, climbed_m: float) -> FloorState:
     return replace_unchecked(state, passages=()) if is_same else _arrived(state, now_s, climbed_m, None)
 
 
-def _new_climbing(now_s: float, floor: int, climbed_m: float, place: Place | None) -> Climbing:
+def _new_climbing(now_s: float, floor: int, climbed_m: float, position: Position | None) -> Climbing:
     """Return a motion that starts at a time on a storey with the climbed height `climbed_m`."""
-    return Climbing(now_s, floor, climbed_m, place=place)
+    return Climbing(now_s, floor, climbed_m, position=position)
 
 
-def _arrived(state: FloorState, now_s: float, climbed_m: float, place: Place | None) -> FloorState:
+def _arrived(state: FloorState, now_s: float, climbed_m: float, position: Position | None) -> FloorState:
     """Return the state of the storeys after the arrival on another one, with the passage that led there."""
     climbing, level_s = state.climbing, now_s if np.isnan(state.level_since_s) else state.level_since_s
     end_s = max(level_s, state.floor_since_s)
     passage = FloorPassage(climbing.start_s, end_s, climbing.from_floor, state.floor, climbing.how(climbed_m))
-    return replace_unchecked(state, climbing=_new_climbing(now_s, state.floor, climbed_m, place), passages=(passage,))
+    return replace_unchecked(
+        state, climbing=_new_climbing(now_s, state.floor, climbed_m, position), passages=(passage,)
+    )
 
 
 def known_level(state: FloorState, now_s: float) -> Level | None:
@@ -310,7 +312,7 @@ def on_storey(state: FloorState, level: Level) -> FloorState:
     return replace_unchecked(with_level(state, level), floor=level.floor, climbing=climbing)
 
 
-def renumbered(state: FloorState, up: int) -> FloorState:
+def floors_numbered_from(state: FloorState, up: int) -> FloorState:
     """Return the state with the numbers of all storeys increased by `up`."""
     levels = tuple(replace_unchecked(level, floor=level.floor + up) for level in state.levels)
     climbing = replace_unchecked(state.climbing, from_floor=state.climbing.from_floor + up)

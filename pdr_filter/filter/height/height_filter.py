@@ -25,13 +25,13 @@ from pdr_filter.filter.height.floor_detection import (
     Climbing,
     FloorState,
     Level,
-    Place,
+    Position,
     after_motion,
-    finished,
+    floors_at_end,
+    floors_numbered_from,
     known_level,
     level_of,
     on_storey,
-    renumbered,
     with_level,
     with_new_level,
 )
@@ -192,7 +192,7 @@ class PressureSecond:
         Log evidence of the context windows that ended in this second.
     n_steps : int
         Number of steps in this second.
-    place : tuple of float or None
+    position : tuple of float or None
         Position of an accurate location in this second.
     """
 
@@ -200,7 +200,7 @@ class PressureSecond:
     climb: Climb
     log_evidence: FloatArray
     n_steps: int
-    place: Place | None = None
+    position: Position | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,13 +283,13 @@ def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArra
 
 
 def on_pressure(
-    state: HeightState, climb: Climb, step_log_odds: float, place: Place | None = None
+    state: HeightState, climb: Climb, step_log_odds: float, position: Position | None = None
 ) -> tuple[HeightState, tuple[FloorPassage, ...]]:
     """Return the state of the height filter after a second of the barometer, and the now certain floor passages.
 
-    A passage is certain when no late step can change it. `place` is an accurate location in that second, or None.
+    A passage is certain when no late step can change it. `position` is an accurate location in that second, or None.
     """
-    second = PressureSecond(state.known, climb, state.log_evidence, state.n_steps, place)
+    second = PressureSecond(state.known, climb, state.log_evidence, state.n_steps, position)
     height = _after_pressure(second, step_log_odds)
     recent = (*state.recent, second)
     n_final = sum(s.climb.time_s < climb.time_s - LATE_S for s in state.recent)
@@ -305,13 +305,13 @@ def on_step(
     up_prob: float,
     down_prob: float,
     step_log_odds: float,
-    place: Place | None = None,
+    position: Position | None = None,
 ) -> tuple[HeightState, HeightEstimate, tuple[FloorPassage, ...]]:
     """Return the state of the height filter after a step, the estimate at the step, and completed floor passages.
 
     The step was made at `step_s` and detected at `now_s`. With a barometer it counts in the second in which it was
-    made, and `on_pressure` returns the passages. Without one it climbs a riser with the probability of stairs. `place`
-    is an accurate location at the step, or None.
+    made, and `on_pressure` returns the passages. Without one it climbs a riser with the probability of stairs.
+    `position` is an accurate location at the step, or None.
     """
     since_s = max(step_s - state.step_s, 0.0) if math.isfinite(state.step_s) else 0.5
     elapsed_s = min(since_s, 2.0)
@@ -332,7 +332,7 @@ def on_step(
     unseen_var = unseen_var_m2(n_unseen) - unseen_var_m2(state.n_unseen) + _UNSEEN_LIFT_M2 * (since_s - elapsed_s)
     slope_var = (_UNMEASURED_SLOPE_M**2 + state.stairs_unknown_share * _UNMEASURED_STAIRS_M**2) * elapsed_s
     height = _after_unmeasured_step(
-        state.known, step_s, elapsed_s, (up_prob, down_prob), (unseen_var, slope_var), place
+        state.known, step_s, elapsed_s, (up_prob, down_prob), (unseen_var, slope_var), position
     )
     state = replace_unchecked(state, n_unseen=n_unseen)
     state = replace_unchecked(state, step_s=step_s, known=height, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
@@ -362,14 +362,16 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
     before, known = state.known.floors, state.known
     level = level_of(before.levels, floor, _STOREY_STD_M)
     error_var = level.std_m**2 + LEVEL_STD_M**2
-    misfit = (level.climbed_m - known.climbed_m) ** 2 / (vertical.combined(known.moments).climbed_var_m2 + error_var)
+    misfit = (level.climbed_m - known.climbed_m) ** 2 / (
+        vertical.combined_height(known.moments).climbed_var_m2 + error_var
+    )
 
     def on_floor(height: HeightEstimate) -> HeightEstimate:
         """Return a height estimate with the storey renumbered, or its height measured by the storey."""
         if not before.is_numbered or misfit > _LEVEL_GATE:
-            return replace_unchecked(height, floors=renumbered(height.floors, floor - before.floor))
+            return replace_unchecked(height, floors=floors_numbered_from(height.floors, floor - before.floor))
         moments = vertical.at_level(height.moments, level.climbed_m, error_var)
-        now = vertical.combined(moments)
+        now = vertical.combined_height(moments)
         floors = replace_unchecked(height.floors, floor=floor)
         if height.floors.floor != floor:
             floors = on_storey(floors, Level(floor, now.climbed_m, _std(now.climbed_var_m2)))
@@ -386,7 +388,7 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
     return replace_unchecked(state, known=on_floor(state.known), recent=recent, n_unseen=0.0)
 
 
-def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
+def finish_height(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
     """Return the state of the height filter after the last event, and the remaining floor passages.
 
     These are the passages that were not returned before.
@@ -395,7 +397,7 @@ def finish(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, ...]]:
     if state.recent:
         passages += state.known.floors.passages
     times = [t for t in (state.step_s, state.known.pressure_s) if np.isfinite(t)]
-    last = finished(state.known.floors, max(times, default=0.0), state.known.climbed_m)
+    last = floors_at_end(state.known.floors, max(times, default=0.0), state.known.climbed_m)
     return replace_unchecked(state, known=replace_unchecked(state.known, floors=last), recent=()), (
         *passages,
         *last.passages,
@@ -444,21 +446,21 @@ def _after_pressure(second: PressureSecond, step_log_odds: float) -> HeightEstim
         elapsed_s = 1.0
     log_evidence = second.log_evidence.copy()
     log_evidence[[LIFT, DRIFT]] += n_steps * step_log_odds
-    moments = vertical.after_second(
+    moments = vertical.moments_after_second(
         previous.moments, elapsed_s, n_steps, climb.height_m, climb.height_std_m**2, log_evidence
     )
-    now, prob = vertical.combined(moments), moments[:, 0, 0].tolist()
+    now, prob = vertical.combined_height(moments), moments[:, 0, 0].tolist()
     rides = prob[LIFT]
     ride = (previous.ride or (climb.time_s, previous.climbed_m)) if rides > 0.5 else None
     if ride is not None and climb.time_s - ride[0] > LONGEST_RIDE_S:
         return _in_vehicle(previous, climb.time_s, moments, ride[1])
     on_stairs = prob[UP] + prob[DOWN]
     floors, slope_m = after_motion(
-        previous.floors, climb.time_s, elapsed_s, now.climbed_m, on_stairs, rides, n_steps, second.place
+        previous.floors, climb.time_s, elapsed_s, now.climbed_m, on_stairs, rides, n_steps, second.position
     )
     if slope_m != 0.0:
         moments = vertical.as_slope(moments, slope_m)
-        now = vertical.combined(moments)
+        now = vertical.combined_height(moments)
     level = known_level(floors, climb.time_s)
     if level is not None:
         variance = level.std_m**2 + LEVEL_STD_M**2
@@ -466,7 +468,7 @@ def _after_pressure(second: PressureSecond, step_log_odds: float) -> HeightEstim
         is_same = not is_floor_unknown(np.array(_std(now.climbed_var_m2)))
         if is_same and (level.climbed_m - now.climbed_m) ** 2 < _LEVEL_GATE * (now.climbed_var_m2 + variance):
             moments = vertical.at_level(moments, level.climbed_m, variance)
-            now = vertical.combined(moments)
+            now = vertical.combined_height(moments)
             level = Level(level.floor, now.climbed_m, _std(now.climbed_var_m2))
         floors = with_level(floors, level)
     else:
@@ -501,7 +503,7 @@ def _after_unmeasured_step(
     elapsed_s: float,
     stairs_prob: tuple[float, float],
     added_var_m2: tuple[float, float],
-    place: Place | None,
+    position: Position | None,
 ) -> HeightEstimate:
     """Return the estimate after a step without a barometer, which climbs one riser with the probability of stairs.
 
@@ -511,14 +513,14 @@ def _after_unmeasured_step(
     (up_prob, down_prob), (unseen_var, slope_var) = stairs_prob, added_var_m2
     rise_m, on_stairs = RISER_M * (up_prob - down_prob), up_prob + down_prob
     stairs_var = on_stairs * (RISER_M**2 + _RISER_STD_M**2) - rise_m**2
-    room = max(1.0 - vertical.combined(previous.moments).climbed_var_m2 / _UNSEEN_MOST_M2, 0.0)
+    room = max(1.0 - vertical.combined_height(previous.moments).climbed_var_m2 / _UNSEEN_MOST_M2, 0.0)
     climbed_var = _FLIGHT_STEPS * max(stairs_var, 0.0) + room * unseen_var
-    moments = vertical.after_step(previous.moments, rise_m, climbed_var, slope_var)
-    now = vertical.combined(moments)
-    floors, slope_m = after_motion(previous.floors, step_s, elapsed_s, now.climbed_m, on_stairs, 0.0, 1, place)
+    moments = vertical.moments_after_step(previous.moments, rise_m, climbed_var, slope_var)
+    now = vertical.combined_height(moments)
+    floors, slope_m = after_motion(previous.floors, step_s, elapsed_s, now.climbed_m, on_stairs, 0.0, 1, position)
     if slope_m != 0.0:
         moments = vertical.as_slope(moments, slope_m)
-        now = vertical.combined(moments)
+        now = vertical.combined_height(moments)
     return replace_unchecked(
         previous,
         moments=moments,
@@ -535,7 +537,7 @@ def _in_vehicle(previous: HeightEstimate, now_s: float, moments: FloatArray, bef
     Height and storey are reset to those before the ride, and the state of the air is unknown.
     """
     moments = vertical.with_air_unknown(moments, before_m)
-    estimate, floor = vertical.combined(moments), previous.floors.climbing.from_floor
+    estimate, floor = vertical.combined_height(moments), previous.floors.climbing.from_floor
     return replace_unchecked(
         previous,
         moments=moments,

@@ -145,7 +145,7 @@ def initial() -> FloatArray:
     return moments
 
 
-def combined(moments: FloatArray) -> Estimate:
+def combined_height(moments: FloatArray) -> Estimate:
     """Return the combined height estimate of all vertical modes from the moments (7, 5, 5)."""
     (_, climbed_m, _, sloped_m, air_m), climbed, _, sloped, _ = np.add.reduce(moments).tolist()
     climbed_var, sloped_var = climbed[_CLIMBED] - climbed_m**2, sloped[_SLOPED] - sloped_m**2
@@ -169,7 +169,7 @@ def with_air_unknown(moments: FloatArray, climbed_m: float) -> FloatArray:
     return level_moments
 
 
-def after_second(
+def moments_after_second(
     moments: FloatArray, elapsed_s: float, n_steps: int, height_m: float, height_var_m2: float, log_evidence: FloatArray
 ) -> FloatArray:
     """Return the moments (7, 5, 5) after a second with some steps and a pressure measurement.
@@ -192,7 +192,7 @@ def after_second(
     return updated * prob[:, None, None]
 
 
-def after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped_var_m2: float) -> FloatArray:
+def moments_after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped_var_m2: float) -> FloatArray:
     """Return the moments (7, 5, 5) after a step with an expected rise in m, without a measurement.
 
     `climbed_var_m2` and `sloped_var_m2` are the variances that the step adds to the climbed and to the sloped height.

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.filter.imm.imm import mix, predict, update
 from pdr_filter.values import FloatArray, check_transition_prob
-from pdr_filter.values.mixtures import combine, posterior_prob, reweighted
+from pdr_filter.values.mixtures import combine, posterior_prob, reweighted_prob
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +183,7 @@ class JumpMarkovModel:
         R = np.broadcast_to(self.R, (*batch, *self.R.shape))
         predicted = np.empty(shape)
         # each mode can be reached, so that the most likely one is possible: products need no logarithms
-        with_evidence = reweighted if (self.transition_prob > 0).all() else posterior_prob
+        with_evidence = reweighted_prob if (self.transition_prob > 0).all() else posterior_prob
         for k in range(len(measured)):
             x, cov, predicted[k] = mix(x, cov, prob, self.transition_prob)
             before_x, before_cov = predict(x, cov, self.F, self.Q)

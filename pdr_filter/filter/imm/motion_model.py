@@ -183,7 +183,7 @@ class Directions:
         """
         return self.heading_var_rad2 + turned_rad * turned_rad / 12.0
 
-    def weighted(self, weights: FloatArray) -> Directions:
+    def of_one_filter(self, weights: FloatArray) -> Directions:
         """Return the directions of a single filter for all modes, with mode weights (M,).
 
         The heading offset belongs to the mode with the highest weight. Variances are means weighted by mode.

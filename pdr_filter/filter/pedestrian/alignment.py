@@ -31,7 +31,7 @@ def rotated_cov(cov: FloatArray, twice: complex) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class Pose:
     """Position and walking heading in some frame.
 
     Attributes
@@ -43,7 +43,7 @@ class Place:
     heading_rad : float
         Walking heading, clockwise from the north axis of the frame.
     n_steps : int
-        Index of the step that led to the place, from 0 for the first step.
+        Index of the step that led to the pose, from 0 for the first step.
     """
 
     position_m: FloatArray
@@ -84,12 +84,12 @@ class Alignment:
     n_steps: int
     since: int = 0
 
-    def applies_to(self, place: Place) -> bool:
-        """Return True if the track frame of this alignment is the frame in which a place was estimated.
+    def applies_to(self, pose: Pose) -> bool:
+        """Return True if the track frame of this alignment is the frame in which a pose was estimated.
 
-        A place is a position with a heading. The frame is in use from step `since` until step `n_steps`.
+        A pose is a position with a heading. The frame is in use from step `since` until step `n_steps`.
         """
-        return self.since <= place.n_steps < self.n_steps
+        return self.since <= pose.n_steps < self.n_steps
 
     @property
     def rotation(self) -> FloatArray:
@@ -101,13 +101,13 @@ class Alignment:
         """Return positions (..., 2) of the track frame transformed to the world frame."""
         return (track_m - self.track_centre_m) @ self.rotation.T + self.world_centre_m
 
-    def world(self, place: Place) -> Place:
-        """Return a place of the track frame transformed to the world frame, with the uncertainty of the alignment."""
-        position_m = self.positions(place.position_m)
+    def world(self, pose: Pose) -> Pose:
+        """Return a pose of the track frame transformed to the world frame, with the uncertainty of the alignment."""
+        position_m = self.positions(pose.position_m)
         east_m, north_m = (position_m - self.world_centre_m).tolist()
         spread = self.angle_var_rad2 * np.array([[north_m**2, -north_m * east_m], [-north_m * east_m, east_m**2]])
-        cov = rotated_cov(place.cov_m2, cmath.exp(-2j * self.angle_rad)) + spread + self.centre_var_m2 * EYE
-        return Place(position_m, cov, place.heading_rad + self.angle_rad, place.n_steps)
+        cov = rotated_cov(pose.cov_m2, cmath.exp(-2j * self.angle_rad)) + spread + self.centre_var_m2 * EYE
+        return Pose(position_m, cov, pose.heading_rad + self.angle_rad, pose.n_steps)
 
 
 def walked_var_m2(cov: FloatArray) -> float:
@@ -121,7 +121,7 @@ def walked_var_m2(cov: FloatArray) -> float:
     return 0.5 * float(np.trace(cov[:2, :2]) - of_heading @ of_heading / heading_var)
 
 
-def moved(mean: FloatArray, cov: FloatArray, alignment: Alignment) -> tuple[FloatArray, FloatArray]:
+def transformed_estimates(mean: FloatArray, cov: FloatArray, alignment: Alignment) -> tuple[FloatArray, FloatArray]:
     """Return the means (M, n) and covariances (M, n, n) of M filters transformed by an alignment, with its uncertainty.
 
     For the position, P becomes T P T' + var(a) g g' + var(centre). T is the rotation of the position, a the rotation

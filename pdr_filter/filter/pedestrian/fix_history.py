@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from pdr_filter.filter.pedestrian.range_placement import PairedRange
+from pdr_filter.filter.pedestrian.range_solutions import PairedRange
 from pdr_filter.filter.pedestrian.relocation import RelocationEvidence
 from pdr_filter.filter.pedestrian.repeated_fixes import FixMemory
 from pdr_filter.values import N_BEFORE, FloatArray, PositionFix, Standstill, read_only, replace_unchecked
@@ -153,7 +153,7 @@ class FixHistory:
         """Return True if a standstill covers this time."""
         return any(begin_s <= time_s <= end_s for begin_s, end_s in self.standstills)
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> FixHistory:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> FixHistory:
         """Return the history with its track positions transformed by a function of positions (..., 2).
 
         The positions of the fixes are unchanged.
@@ -161,9 +161,12 @@ class FixHistory:
         used = (
             u if u.track_m is None else replace_unchecked(u, track_m=read_only(positions(u.track_m))) for u in self.used
         )
-        relocation, ranges = self.relocation.moved(positions), tuple(pair.moved(positions) for pair in self.ranges)
+        relocation, ranges = (
+            self.relocation.with_moved_track(positions),
+            tuple(pair.with_moved_track(positions) for pair in self.ranges),
+        )
         return replace_unchecked(
-            self, relocation=relocation, used=tuple(used), memory=self.memory.moved(positions), ranges=ranges
+            self, relocation=relocation, used=tuple(used), memory=self.memory.with_moved_track(positions), ranges=ranges
         )
 
     def after_gap(self) -> FixHistory:

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
-from pdr_filter.filter.pedestrian.alignment import Alignment, Place
+from pdr_filter.filter.pedestrian.alignment import Alignment, Pose
 from pdr_filter.filter.pedestrian.frame_rotation import (
     MAX_ANGLE_STD_RAD,
     MAX_PAIRS,
@@ -21,7 +21,7 @@ from pdr_filter.filter.pedestrian.frame_rotation import (
     consistent_pairs,
     disagreement,
     rotation_density,
-    thinned,
+    spaced_pairs,
 )
 from pdr_filter.values import MAX_NORTH_STD_RAD, FloatArray, Origin, wrap_angle
 
@@ -167,21 +167,21 @@ class Frame:
             return None
         return align(self.agreeing, 0, self.rotation_prior_var_rad2, self.compass)
 
-    def world(self, place: Place) -> Place:
-        """Convert a place (position and heading) to the frame of the fixes, with the current estimate of the rotation.
+    def world(self, pose: Pose) -> Pose:
+        """Convert a pose (position and heading) to the frame of the fixes, with the current estimate of the rotation.
 
-        The frame of the place follows from its number of steps: the frame of the start, or the frame that began where
-        the heading was lost. A place of a frame with unknown rotation is returned unchanged.
+        The frame of the pose follows from its number of steps: the frame of the start, or the frame that began where
+        the heading was lost. A pose of a frame with unknown rotation is returned unchanged.
         """
         for alignment in (self.north, self.alignment, *self.later):
-            if alignment is not None and alignment.applies_to(place):
-                place = alignment.world(place)
-        if self.is_joined or place.n_steps < self.since:
-            return place
+            if alignment is not None and alignment.applies_to(pose):
+                pose = alignment.world(pose)
+        if self.is_joined or pose.n_steps < self.since:
+            return pose
         rotation = self._provisional or self._density or self.present_alignment
-        return place if rotation is None else rotation.world(place)
+        return pose if rotation is None else rotation.world(pose)
 
-    def origin(self, place: Origin) -> Origin:
+    def origin(self, given: Origin) -> Origin:
         """Return the geographic origin of the fixes, with the estimated rotation and the errors of the start frame.
 
         `turn_rad` and `turn_std_rad` are the rotation from the start frame to the frame of the fixes and its standard
@@ -191,9 +191,9 @@ class Frame:
         before_rad = 0.0 if self.north is None else self.north.angle_rad
         rotation = self.alignment or self._provisional or self._density
         if rotation is None:
-            return place
+            return given
         return replace(
-            place,
+            given,
             turn_rad=float(wrap_angle(before_rad + rotation.angle_rad)),
             turn_std_rad=math.sqrt(rotation.angle_var_rad2),
             position_std_m=math.sqrt(rotation.centre_var_m2),
@@ -213,7 +213,7 @@ class Frame:
 
         Beyond `MAX_PAIRS` pairs, the pairs are thinned to about even intervals of time.
         """
-        return replace(self, pairs=thinned((*self.pairs, pair), MAX_PAIRS))._reestimated()
+        return replace(self, pairs=spaced_pairs((*self.pairs, pair), MAX_PAIRS))._reestimated()
 
     def _reestimated(self) -> Frame:
         """Return the frame with consistent pairs selected again, and the rotation estimated from them.
@@ -322,7 +322,7 @@ class Frame:
         information = 1.0 / self.north_var_rad2 + float(position_m @ position_m) / var_m2
         return replace(self, north_var_rad2=1.0 / information if information else math.inf)
 
-    def joined(self, alignment: Alignment) -> Frame:
+    def with_alignment(self, alignment: Alignment) -> Frame:
         """Return the frame after the filter states have been transformed by an alignment.
 
         The alignment is stored to transform the steps before it.
@@ -341,7 +341,7 @@ class Frame:
             return frame
         return replace(frame, later=(*self.later, replace(alignment, since=self.since)))
 
-    def reopened(self, pairs: tuple[PairedPoint, ...], rotation_var_rad2: float, n_steps: int) -> Frame:
+    def with_lost_heading(self, pairs: tuple[PairedPoint, ...], rotation_var_rad2: float, n_steps: int) -> Frame:
         """Return the frame with an unknown rotation from the step at which the heading was lost.
 
         `n_steps` is the number of steps before the loss. The first of the pairs is the position at the loss.
@@ -381,12 +381,14 @@ class Frame:
         angle_rad, var_rad2 = self._north.angle_rad, self._north.std_rad**2
         return Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
 
-    def moved(self, alignment: Alignment) -> Frame:
+    def with_moved_track(self, alignment: Alignment) -> Frame:
         """Return the frame with the track positions of its pairs transformed by an alignment.
 
         The rotation is estimated again.
         """
-        return replace(self, pairs=tuple(pair.moved(alignment.positions) for pair in self.pairs))._reestimated()
+        return replace(
+            self, pairs=tuple(pair.with_moved_track(alignment.positions) for pair in self.pairs)
+        )._reestimated()
 
 
 START_FRAME = Frame(is_joined=True)

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.random import Generator
 
 from pdr_filter.filter.imm.motion_model import MAX_HEADING_VARIANCE
-from pdr_filter.filter.pedestrian.alignment import Alignment, Place, rotated_cov
+from pdr_filter.filter.pedestrian.alignment import Alignment, Pose, rotated_cov
 from pdr_filter.values import ComplexArray, FloatArray, error_correlation, read_only, softmax, wrap_angle
 from pdr_filter.values.uncertainty import STUDENT_DOF, variance_factor
 
@@ -58,7 +58,7 @@ _FAILURE_PROB = 0.05
 _FAILURE_DENSITY = _FAILURE_PROB / (2.0 * math.pi)
 
 
-# e^(i angle) and its square. Their means are sufficient to transform places.
+# e^(i angle) and its square. Their means are sufficient to transform poses.
 _UNIT_VECTORS_AND_SQUARES = np.column_stack([_UNIT_VECTORS, _UNIT_VECTORS**2])
 
 
@@ -89,12 +89,12 @@ class PairedPoint:
     time_s: float = 0.0
     correlation_s: float = 0.0
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> PairedPoint:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> PairedPoint:
         """Return the pair with the track position transformed by a function of positions (2,)."""
         return replace(self, track_m=read_only(positions(self.track_m)))
 
 
-def thinned(pairs: tuple[PairedPoint, ...], most: int) -> tuple[PairedPoint, ...]:
+def spaced_pairs(pairs: tuple[PairedPoint, ...], most: int) -> tuple[PairedPoint, ...]:
     """Return at most `most` of the point pairs in order of time, about evenly spaced, with the first and the last one.
 
     The pair whose neighbours are closest in time is removed, until `most` pairs are left.
@@ -235,26 +235,26 @@ class RotationDensity:
         at = np.minimum(np.searchsorted(np.cumsum(self.normal_prob), share), len(self.prob) - 1)
         return _ANGLES_RAD[at] + (rng.random(n) - 0.5) * 2 * math.pi / len(self.prob)
 
-    def world(self, place: Place) -> Place:
-        """Return a place in the frame of the fixes, with mean and covariance over all angles.
+    def world(self, pose: Pose) -> Pose:
+        """Return a pose in the frame of the fixes, with mean and covariance over all angles.
 
-        Let positions be complex numbers north + i east and u = e^(i angle). A place at d from the centre is u d from it
+        Let positions be complex numbers north + i east and u = e^(i angle). A pose at d from the centre is u d from it
         in the frame of the fixes. E is the mean over all angles, and r the rotation used for the output: E[u], or e^(i
         angle) of the angle with the index `drawn`. The deviations (u - r) d have the moments E|.|^2 = |d|^2 (1 - 2
         Re(E[u] r*) + |r|^2) and E[.^2] = d^2 (E[u^2] - 2 r E[u] + r^2).
         """
         u, u2 = (self.prob @ _UNIT_VECTORS_AND_SQUARES).tolist()
         r = u if self.drawn is None else cmath.rect(1.0, self.angle_rad)
-        east_m, north_m = (place.position_m - self.track_centre_m).tolist()
+        east_m, north_m = (pose.position_m - self.track_centre_m).tolist()
         d = complex(north_m, east_m)
         reported, square = r * d, d * d * (u2 - 2.0 * r * u + r * r)
         size_m2 = 0.5 * abs(d) ** 2 * (1.0 - 2.0 * (u * r.conjugate()).real + abs(r) ** 2) + self.centre_var_m2
         east_north = 0.5 * square.imag
-        cov = rotated_cov(place.cov_m2, u2.conjugate())
+        cov = rotated_cov(pose.cov_m2, u2.conjugate())
         cov += [[size_m2 - 0.5 * square.real, east_north], [east_north, size_m2 + 0.5 * square.real]]
         position_m = self.world_centre_m + np.array([reported.imag, reported.real])
-        heading_rad = place.heading_rad + (cmath.phase(u) if self.drawn is None else self.angle_rad)
-        return Place(position_m, cov, heading_rad, place.n_steps)
+        heading_rad = pose.heading_rad + (cmath.phase(u) if self.drawn is None else self.angle_rad)
+        return Pose(position_m, cov, heading_rad, pose.n_steps)
 
 
 class _Fit(NamedTuple):

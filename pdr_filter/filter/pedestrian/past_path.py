@@ -183,7 +183,7 @@ class PastSteps:
     ----------
     time_s : (N,) array
         Contacts of the steps.
-    place_m : (2, N) array
+    position_m : (2, N) array
         Estimated positions (east, north) after each step.
     by_state : (2, 4, N) array
         B, the derivative of each position with respect to the later state.
@@ -192,14 +192,14 @@ class PastSteps:
     """
 
     time_s: FloatArray
-    place_m: FloatArray
+    position_m: FloatArray
     by_state: FloatArray
     own_cov_m2: FloatArray
 
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def joined(self, later: PastSteps) -> PastSteps:
+    def with_later(self, later: PastSteps) -> PastSteps:
         """Return these steps and later ones, thinned to at most `MAX_STEPS`."""
         keep = np.ones(len(self), dtype=bool)
         if len(self) + len(later) > MAX_STEPS:
@@ -221,13 +221,13 @@ class PastSteps:
         """
         turn_rad, along_arc = float(moved[HEADING_OFFSET]), moved.copy()
         along_arc[HEADING_OFFSET] = math.sin(turn_rad)
-        place_m = self.place_m + along_arc @ self.by_state
+        position_m = self.position_m + along_arc @ self.by_state
         lever_m, versine = self.by_state[:, HEADING_OFFSET], 1.0 - math.cos(turn_rad)
-        place_m[EAST] += versine * lever_m[NORTH]
-        place_m[NORTH] -= versine * lever_m[EAST]
-        return place_m
+        position_m[EAST] += versine * lever_m[NORTH]
+        position_m[NORTH] -= versine * lever_m[EAST]
+        return position_m
 
-    def rebased(self, back: BackwardRelation) -> PastSteps:
+    def related_to(self, back: BackwardRelation) -> PastSteps:
         """Return the steps related to a later state x' instead of the state x.
 
         `back` is the backward relation from x' to x.
@@ -236,7 +236,7 @@ class PastSteps:
         return PastSteps(self.time_s, self.moved_m(back.correction), back.gain.T @ self.by_state, own_cov_m2)
 
     def with_moments(
-        self, place_m: FloatArray, cov_m2: FloatArray, cross: FloatArray, state_cov: FloatArray
+        self, position_m: FloatArray, cov_m2: FloatArray, cross: FloatArray, state_cov: FloatArray
     ) -> PastSteps:
         """Return the steps with given positions (2, N) and position covariances (3, N), related to a given state.
 
@@ -245,7 +245,7 @@ class PastSteps:
         is `cov_m2` - B C'.
         """
         by = np.linalg.inv(state_cov + _MIN_COV) @ cross
-        return PastSteps(self.time_s, place_m, by, cov_m2 - _products(by, cross))
+        return PastSteps(self.time_s, position_m, by, cov_m2 - _products(by, cross))
 
 
 NO_STEPS = PastSteps(np.empty(0), np.empty((2, 0)), np.empty((2, N_STATES, 0)), np.empty((3, 0)))
@@ -280,27 +280,27 @@ class PastPath:
     def with_event(self, event: WalkedStep | BackwardRelation) -> PastPath:
         """Return the path after one more event: a step, or a backward relation over a change of the state."""
         if abs(event.turned_rad) > _LARGE_TURN_RAD:
-            return replace_unchecked(self.rebased(), events=(event,)).rebased()
+            return replace_unchecked(self.related_to_present(), events=(event,)).related_to_present()
         path = replace_unchecked(self, events=(*self.events, event))
-        return path.rebased() if len(path.events) >= _BLOCK else path
+        return path.related_to_present() if len(path.events) >= _BLOCK else path
 
-    def predicted(self, before: FloatArray, after: FloatArray) -> PastPath:
+    def after_prediction(self, before: FloatArray, after: FloatArray) -> PastPath:
         """Return the path after the covariance (4, 4) of the present state has grown from `before` to `after`."""
         return self.with_event(BackwardRelation.over_prediction(before, before, after))
 
-    def corrected(self, moved: FloatArray, scale: float) -> PastPath:
+    def after_correction(self, moved: FloatArray, scale: float) -> PastPath:
         """Return the path after a correction (4,) of the present state.
 
         `scale` is the factor by which the covariances of all errors so far are multiplied.
         """
         return self.with_event(replace_unchecked(_UNCHANGED, correction=moved, scale=scale))
 
-    def rebased(self) -> PastPath:
+    def related_to_present(self) -> PastPath:
         """Return the path with all steps related to the present state."""
         if not self.events:
             return self
         back, last = self._last()
-        return replace_unchecked(self, earlier=self.earlier.rebased(back).joined(last), events=())
+        return replace_unchecked(self, earlier=self.earlier.related_to(back).with_later(last), events=())
 
     def _last(self) -> tuple[BackwardRelation, PastSteps]:
         """Return the backward relation over all stored events, and the stored steps related to the present state."""
@@ -326,36 +326,46 @@ class PastPath:
         move the step, too. Shared errors that arise later accumulate from `present_m`.
         """
         if np.trace(shared_m2) < _MIN_SHARED * np.trace(before[:2, :2]):
-            return replace_unchecked(self.predicted(before, after), shared_from_s=time_s, shared_from_m=present_m)
-        path, displacement_m, share = self.rebased(), present_m - self.shared_from_m, self._share(shared_m2, present_m)
+            return replace_unchecked(
+                self.after_prediction(before, after), shared_from_s=time_s, shared_from_m=present_m
+            )
+        path, displacement_m, share = (
+            self.related_to_present(),
+            present_m - self.shared_from_m,
+            self._share(shared_m2, present_m),
+        )
         steps = path.earlier
-        since_m = self._since_shared_m(steps.time_s, steps.place_m)
+        since_m = self._since_shared_m(steps.time_s, steps.position_m)
         cross = before @ steps.by_state
         cross[:, :2] += share * since_m[:, None] * displacement_m[:, None]
         cov_m2 = steps.cov_m2(before) + share * _squares(since_m)
-        earlier = steps.with_moments(steps.place_m, cov_m2, cross, after)
+        earlier = steps.with_moments(steps.position_m, cov_m2, cross, after)
         return replace_unchecked(path, earlier=earlier, shared_from_s=time_s, shared_from_m=present_m)
 
-    def detached(self, cov: FloatArray, time_s: float, present_m: FloatArray) -> PastPath:
+    def without_past(self, cov: FloatArray, time_s: float, present_m: FloatArray) -> PastPath:
         """Return the path whose past steps no longer change with the present state, as after a lost heading.
 
         `cov` (4, 4) is the covariance of the present state, `time_s` the present time, and `present_m` (2,) the present
         position. Later changes of the frame do not move the steps until `time_s`.
         """
-        path = self.rebased()
+        path = self.related_to_present()
         steps = path.earlier
         fixed = replace_unchecked(steps, by_state=np.zeros_like(steps.by_state), own_cov_m2=steps.cov_m2(cov))
         return replace_unchecked(path, earlier=fixed, since_s=time_s, shared_from_s=time_s, shared_from_m=present_m)
 
     def turned_until_loss(self, alignment: Alignment) -> PastPath:
         """Return the path whose steps until `since_s` are transformed by an alignment."""
-        path = self.rebased()
+        path = self.related_to_present()
         steps, first = path.earlier, int(np.searchsorted(path.earlier.time_s, self.since_s, side="right"))
-        place_m, cov_m2 = steps.place_m.copy(), steps.own_cov_m2.copy()
-        place_m[:, :first], cov_m2[:, :first] = turned(alignment, place_m[:, :first], cov_m2[:, :first])
-        return replace_unchecked(path, earlier=replace_unchecked(steps, place_m=place_m, own_cov_m2=cov_m2))
+        position_m, cov_m2 = steps.position_m.copy(), steps.own_cov_m2.copy()
+        position_m[:, :first], cov_m2[:, :first] = aligned_positions(
+            alignment, position_m[:, :first], cov_m2[:, :first]
+        )
+        return replace_unchecked(path, earlier=replace_unchecked(steps, position_m=position_m, own_cov_m2=cov_m2))
 
-    def turned(self, alignment: Alignment, before: FloatArray, after: FloatArray, present_m: FloatArray) -> PastPath:
+    def with_alignment(
+        self, alignment: Alignment, before: FloatArray, after: FloatArray, present_m: FloatArray
+    ) -> PastPath:
         """Return the path transformed by an alignment from the present frame to another one.
 
         `before` and `after` are the covariances (4, 4) of the present state in the two frames, and `present_m` (2,) is
@@ -363,15 +373,15 @@ class PastPath:
         and the present position together. Their variances and their covariance with the present state grow
         accordingly. Steps until `since_s` are already in the frame of the fixes and do not change.
         """
-        path, T = self.rebased(), np.eye(N_STATES)
+        path, T = self.related_to_present(), np.eye(N_STATES)
         T[:2, :2] = alignment.rotation
         steps, first = path.earlier, int(np.searchsorted(path.earlier.time_s, self.since_s, side="right"))
         past, present = (
             PastSteps(*(getattr(steps, name)[..., part] for name in steps.__dataclass_fields__))
             for part in (slice(first), slice(first, None))
         )
-        place_m, cov_m2 = turned(alignment, present.place_m, present.cov_m2(before))
-        lever_m = place_m - alignment.world_centre_m[:, None]
+        position_m, cov_m2 = aligned_positions(alignment, present.position_m, present.cov_m2(before))
+        lever_m = position_m - alignment.world_centre_m[:, None]
         east_m, north_m = present_m - alignment.world_centre_m
         of_state = np.array([north_m, -east_m, 1.0, 0.0])
         cross = np.einsum("ab,bin->ain", alignment.rotation, T @ before @ present.by_state)
@@ -379,11 +389,11 @@ class PastPath:
         cross += (
             alignment.angle_var_rad2 * by_angle[:, None] * of_state[:, None] + alignment.centre_var_m2 * _POSITION_ROWS
         )
-        present = present.with_moments(place_m, cov_m2, cross, after)
+        present = present.with_moments(position_m, cov_m2, cross, after)
         from_m = alignment.positions(self.shared_from_m)
-        return replace_unchecked(path, earlier=past.joined(present), shared_from_m=from_m)
+        return replace_unchecked(path, earlier=past.with_later(present), shared_from_m=from_m)
 
-    def places(
+    def positions(
         self, cov: FloatArray, shared_m2: FloatArray, present_m: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return times (N,) in s, positions (2, N) in m, and covariances (3, N) in m2 of all N steps.
@@ -395,10 +405,10 @@ class PastPath:
         cov_m2 = back.scale * earlier.own_cov_m2
         cov_m2 += _propagated(earlier.by_state, back.error_cov + back.gain @ cov @ back.gain.T)
         time_s = np.concatenate([earlier.time_s, last.time_s])
-        place_m = np.concatenate([earlier.moved_m(back.correction), last.place_m], axis=-1)
+        position_m = np.concatenate([earlier.moved_m(back.correction), last.position_m], axis=-1)
         cov_m2 = np.concatenate([cov_m2, last.cov_m2(cov)], axis=-1)
-        shared_m2 = self._share(shared_m2, present_m) * _squares(self._since_shared_m(time_s, place_m))
-        return time_s, place_m, cov_m2 + shared_m2
+        shared_m2 = self._share(shared_m2, present_m) * _squares(self._since_shared_m(time_s, position_m))
+        return time_s, position_m, cov_m2 + shared_m2
 
     def _share(self, shared_m2: FloatArray, present_m: FloatArray) -> float:
         """Return the variance of the errors that all steps share, per square metre of displacement.
@@ -413,23 +423,25 @@ class PastPath:
         squares = nn * east_m * east_m - 2.0 * en * east_m * north_m + ee * north_m * north_m
         return min((ee * nn - en * en) / max(squares, _MIN_VAR), _MAX_SHARED)
 
-    def _since_shared_m(self, time_s: FloatArray, place_m: FloatArray) -> FloatArray:
-        """Return the vectors (2, N) from `shared_from_m` to the positions `place_m` (2, N) of N steps.
+    def _since_shared_m(self, time_s: FloatArray, position_m: FloatArray) -> FloatArray:
+        """Return the vectors (2, N) from `shared_from_m` to the positions `position_m` (2, N) of N steps.
 
         `shared_from_m` is the position from which the errors that all steps share accumulate, and `shared_from_s` its
         time. The vectors of steps at or before this time are zero.
         """
-        return np.where(time_s > self.shared_from_s, place_m - self.shared_from_m[:, None], 0.0)
+        return np.where(time_s > self.shared_from_s, position_m - self.shared_from_m[:, None], 0.0)
 
 
-def turned(alignment: Alignment, place_m: FloatArray, cov_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
+def aligned_positions(
+    alignment: Alignment, position_m: FloatArray, cov_m2: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return positions (2, N) and covariances (3, N) in the frame to which an alignment leads.
 
     Vectorised form of `Alignment.world`.
     """
     c, s = math.cos(alignment.angle_rad), math.sin(alignment.angle_rad)
     (ee, en, nn), var_rad2 = cov_m2, alignment.angle_var_rad2
-    moved_m = alignment.positions(place_m.T).T
+    moved_m = alignment.positions(position_m.T).T
     east_m, north_m = moved_m - alignment.world_centre_m[:, None]
     return moved_m, np.stack(
         [
@@ -443,11 +455,11 @@ def turned(alignment: Alignment, place_m: FloatArray, cov_m2: FloatArray) -> tup
 def _related_steps(steps: Sequence[WalkedStep], backs: Sequence[BackwardRelation]) -> PastSteps:
     """Return steps related to the present state, from the backward relations to the state after each step."""
     pairs = zip(steps, backs, strict=True)
-    place_m = np.stack([step.updated_mean[:2] + back.correction[:2] for step, back in pairs], axis=-1)
+    position_m = np.stack([step.updated_mean[:2] + back.correction[:2] for step, back in pairs], axis=-1)
     by_state = np.stack([back.gain[:2] for back in backs], axis=-1)
     cov = np.stack([back.error_cov for back in backs], axis=-1)
     own_cov_m2 = np.stack([cov[EAST, EAST], cov[EAST, NORTH], cov[NORTH, NORTH]])
-    return PastSteps(np.array([step.time_s for step in steps]), place_m, by_state, own_cov_m2)
+    return PastSteps(np.array([step.time_s for step in steps]), position_m, by_state, own_cov_m2)
 
 
 def _times(matrix: FloatArray, vector: FloatArray) -> FloatArray:

@@ -53,7 +53,7 @@ class ModeLengths(NamedTuple):
         second_moment_m2 = float(weights.dot(self.var_m2 + self.length_m * self.length_m))
         return max(second_moment_m2 - float(weights.dot(self.length_m)) ** 2, 0.0)
 
-    def weighted(self, weights: FloatArray) -> ModeLengths:
+    def of_one_filter(self, weights: FloatArray) -> ModeLengths:
         """Return the length of a step in a single filter for all modes, the mean with mode weights (M,)."""
         var_m2, parameter_var_m2 = self.mixture_var_m2(weights), float(weights @ self.parameter_std_m**2)
         each = float(weights @ self.length_m), var_m2, max(var_m2 - parameter_var_m2, 0.0), np.sqrt(parameter_var_m2)

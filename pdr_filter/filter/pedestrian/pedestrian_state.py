@@ -24,7 +24,7 @@ from pdr_filter.filter.imm.motion_model import (
     stepless_var_m2,
 )
 from pdr_filter.filter.imm.step_cycle import Cycle, HeadingZero
-from pdr_filter.filter.pedestrian.alignment import Alignment, Place, moved, walked_var_m2
+from pdr_filter.filter.pedestrian.alignment import Alignment, Pose, transformed_estimates, walked_var_m2
 from pdr_filter.filter.pedestrian.fix_history import FixHistory
 from pdr_filter.filter.pedestrian.frame import Frame
 from pdr_filter.filter.pedestrian.frame_rotation import Compass, PairedPoint
@@ -85,7 +85,7 @@ class StepUpdate:
         Names of the C contexts.
     mode_prob : (M,) array
         Mode probabilities.
-    of_start : Place or None
+    of_start : Pose or None
         Position, covariance and heading in the start frame of the track, as long as the rotation to the frame of the
         fixes is not settled. None afterwards.
     gap_before_s : float
@@ -123,7 +123,7 @@ class StepUpdate:
     context_prob: FloatArray
     contexts: tuple[str, ...]
     mode_prob: FloatArray
-    of_start: Place | None
+    of_start: Pose | None
     gap_before_s: float
     reach_m: float = math.inf
     height_m: float = 0.0
@@ -149,13 +149,13 @@ class StepUpdate:
         if is_settled or self.on_plan is not None:
             return self
         # a heading fix also rotates the earlier steps of a track in the start frame
-        own = Place(self.position_m, self.position_cov_m2, self.walking_heading_rad, self.index)
-        place = frame.world(self.of_start or own)
+        own = Pose(self.position_m, self.position_cov_m2, self.walking_heading_rad, self.index)
+        pose = frame.world(self.of_start or own)
         return replace_unchecked(
             self,
-            position_m=read_only(place.position_m),
-            position_cov_m2=read_only(within_reach(place.cov_m2, frame, self.reach_m)),
-            walking_heading_rad=place.heading_rad,
+            position_m=read_only(pose.position_m),
+            position_cov_m2=read_only(within_reach(pose.cov_m2, frame, self.reach_m)),
+            walking_heading_rad=pose.heading_rad,
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -264,7 +264,7 @@ def before_step(state: PedestrianState, step: Step) -> PedestrianState:
     """Return the state before a step, whose heading may have been lost (`with_reopened_rotation`).
 
     The first step begins at the origin, so that motion or a gap before it adds nothing. It does if a position fix has
-    shown an earlier place.
+    shown an earlier pose.
     """
     if math.isfinite(state.std_at_start_m):
         return with_reopened_rotation(state)
@@ -337,7 +337,7 @@ class StepEstimate(NamedTuple):
     context_prob: FloatArray
 
 
-def after_step(
+def state_after_step(
     model: PedestrianModel,
     previous: PedestrianState,
     step: Step,
@@ -405,7 +405,7 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
         fixes=state.fixes.after_gap(),
         std_at_start_m=state.std_at_start_m + math.sqrt(noise.gap_var_m2(gap_s)),
     )
-    return with_change(changed, lambda path: path.predicted(P, after_P))
+    return with_change(changed, lambda path: path.after_prediction(P, after_P))
 
 
 def over_stepless(state: PedestrianState, stepless_s: float) -> PedestrianState:
@@ -421,7 +421,7 @@ def over_stepless(state: PedestrianState, stepless_s: float) -> PedestrianState:
         steps=replace_unchecked(state.steps, stepless_s=state.steps.stepless_s + stepless_s),
         unstepped_var_m2=state.unstepped_var_m2 + var_m2,
     )
-    return with_change(changed, lambda path: path.predicted(P, grown_P))
+    return with_change(changed, lambda path: path.after_prediction(P, grown_P))
 
 
 _MAX_NORTH_STD_RAD = 1.0  # limit of a normal density on a circle
@@ -431,7 +431,7 @@ def with_reach_after_fix(state: PedestrianState, fix: Fix) -> PedestrianState:
     """Return the state after a used fix, with the standard deviation that a fix of the position has given it."""
     if not isinstance(fix, PositionFix | RangeFix):
         return state
-    cov_m2 = present_position(state)[1] if state.frame.is_of_start else track_place(state).cov_m2
+    cov_m2 = reckoned_position(state)[1] if state.frame.is_of_start else track_pose(state).cov_m2
     start_m = float(worst_std_m(cov_m2)) - state.estimates.distance_m
     return replace_unchecked(state, std_at_start_m=start_m, unstepped_var_m2=0.0)
 
@@ -480,10 +480,10 @@ def with_reopened_rotation(state: PedestrianState) -> PedestrianState:
     state = replace_unchecked(
         state,
         estimates=replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=no_error_m),
-        frame=frame.reopened((turning_point,), heading_var_rad2, steps.n_final),
+        frame=frame.with_lost_heading((turning_point,), heading_var_rad2, steps.n_final),
         fixes=replace_unchecked(state.fixes, relocation=RelocationEvidence(), used=(), ranges=()),
     )
-    return with_change(state, lambda path: path.detached(P, time_s, x[:2].copy()))
+    return with_change(state, lambda path: path.without_past(P, time_s, x[:2].copy()))
 
 
 def heading_var_rad2(state: PedestrianState) -> float:
@@ -501,7 +501,7 @@ def with_joined_frame(state: PedestrianState) -> PedestrianState:
     if frame.is_joined:
         return state
     turn = frame.most_probable(state.steps.n_final)
-    return replace_unchecked(in_other_frame(state, turn), frame=frame.joined(turn))
+    return replace_unchecked(in_other_frame(state, turn), frame=frame.with_alignment(turn))
 
 
 def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianState:
@@ -511,7 +511,7 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
     frame. The caller sets the frame of the result.
     """
     estimates = state.estimates
-    mean, cov = moved(estimates.mean, estimates.cov, alignment)
+    mean, cov = transformed_estimates(estimates.mean, estimates.cov, alignment)
     consider_error_m = estimates.consider_error_m @ alignment.rotation.T
     turned = replace_unchecked(estimates, mean=mean, cov=cov, consider_error_m=consider_error_m)
     P, (x, turned_P) = estimates.combined[1], turned.combined
@@ -519,21 +519,23 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
         with_moved_past(state, alignment.positions),
         estimates=turned,
         heading_zero=HeadingZero(state.heading_zero.offset_rad - alignment.angle_rad, state.heading_zero.time_s),
-        frame=state.frame.moved(alignment),
+        frame=state.frame.with_moved_track(alignment),
     )
-    return with_change(state, lambda path: path.turned(alignment, P, turned_P, x[:2]))
+    return with_change(state, lambda path: path.with_alignment(alignment, P, turned_P, x[:2]))
 
 
 def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], FloatArray]) -> PedestrianState:
     """Return the state with stored positions of steps and fixes transformed by a function of positions (..., 2)."""
-    return replace_unchecked(state, steps=state.steps.moved(positions), fixes=state.fixes.moved(positions))
+    return replace_unchecked(
+        state, steps=state.steps.with_moved_track(positions), fixes=state.fixes.with_moved_track(positions)
+    )
 
 
 def with_detached_path(state: PedestrianState) -> PedestrianState:
     """Return the state whose past positions no longer change with the present estimate."""
     x, P = state.estimates.combined
     end_s = state.steps.end_s
-    return with_change(state, lambda path: path.detached(P, end_s, x[:2].copy()))
+    return with_change(state, lambda path: path.without_past(P, end_s, x[:2].copy()))
 
 
 def _step_update(
@@ -550,18 +552,18 @@ def _step_update(
     # the history after a step has its speed
     speed, n_steps = cast(WalkingSpeed, updated.steps.speed), previous.steps.n_final
     cov_m2 = bounded_position_cov(position_cov(P, updated.estimates.consider_cov_m2), updated.reach_m)
-    of_start = Place(make_read_only(x[:2].copy()), cov_m2, walked.heading_rad, n_steps)
-    place = of_start if updated.frame.is_joined else updated.frame.world(of_start)
+    of_start = Pose(make_read_only(x[:2].copy()), cov_m2, walked.heading_rad, n_steps)
+    pose = of_start if updated.frame.is_joined else updated.frame.world(of_start)
     return StepUpdate(
         index=n_steps,
         step=step,
         is_final=is_final,
-        position_m=make_read_only(place.position_m),
-        position_cov_m2=make_read_only(within_reach(place.cov_m2, updated.frame, updated.reach_m)),
+        position_m=make_read_only(pose.position_m),
+        position_cov_m2=make_read_only(within_reach(pose.cov_m2, updated.frame, updated.reach_m)),
         of_start=None if updated.frame.is_joined else of_start,
         step_length_m=walked.length_m,
         walked_m=updated.estimates.distance_m,
-        walking_heading_rad=place.heading_rad,
+        walking_heading_rad=pose.heading_rad,
         speed=speed,
         context_prob=make_read_only(estimate.context_prob),
         contexts=model.contexts,
@@ -579,22 +581,22 @@ def within_reach(cov_m2: FloatArray, frame: Frame, reach_m: float) -> FloatArray
     return bounded_position_cov(cov_m2, reach_m) if frame.name == "start" else cov_m2
 
 
-def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
+def reckoned_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
     """Return position (2,) and covariance (2, 2) after the last final step.
 
     They are in the frame of the fixes as soon as the rotation to that frame has an estimate.
     """
-    place = track_place(state)
-    place = place if state.frame.is_joined else state.frame.world(place)
-    return read_only(place.position_m), read_only(within_reach(place.cov_m2, state.frame, state.reach_m))
+    pose = track_pose(state)
+    pose = pose if state.frame.is_joined else state.frame.world(pose)
+    return read_only(pose.position_m), read_only(within_reach(pose.cov_m2, state.frame, state.reach_m))
 
 
 def past_position(state: PedestrianState, time_s: float) -> FloatArray | None:
-    """Return the position (2,) at a time, in the frame of `present_position`, or None if the steps are not stored."""
-    place, frame = state.steps.at(time_s), state.frame
-    if place is None or frame.is_joined:
-        return None if place is None else place[:2]
-    return frame.world(Place(place[:2], np.zeros((2, 2)), 0.0, state.steps.n_final)).position_m
+    """Return the position (2,) at a time, in the frame of `reckoned_position`, or None if the steps are not stored."""
+    pose, frame = state.steps.at(time_s), state.frame
+    if pose is None or frame.is_joined:
+        return None if pose is None else pose[:2]
+    return frame.world(Pose(pose[:2], np.zeros((2, 2)), 0.0, state.steps.n_final)).position_m
 
 
 def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, length_m: float) -> float:
@@ -615,8 +617,8 @@ def moved_by_heading_m(previous: PedestrianState, updated: PedestrianState, leng
     return max(math.hypot(moved_m[EAST], moved_m[NORTH]) - length_m, 0.0)
 
 
-def track_place(state: PedestrianState) -> Place:
+def track_pose(state: PedestrianState) -> Pose:
     """Return the present position and its covariance in the frame of the filter states. The heading is set to 0."""
     x, P = state.estimates.combined
     cov_m2 = bounded_position_cov(position_cov(P, state.estimates.consider_cov_m2), state.reach_m)
-    return Place(x[[EAST, NORTH]], cov_m2, 0.0, state.steps.n_final)
+    return Pose(x[[EAST, NORTH]], cov_m2, 0.0, state.steps.n_final)

@@ -23,7 +23,7 @@ from pdr_filter.filter.pedestrian.frame_rotation import (
     agreement_limit,
     align,
     least_squares_error,
-    thinned,
+    spaced_pairs,
 )
 from pdr_filter.values import FloatArray
 
@@ -59,12 +59,12 @@ class RelocationEvidence:
     rival: tuple[PairedPoint, ...] = ()
     is_used_last: bool = False
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> RelocationEvidence:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> RelocationEvidence:
         """Return the evidence with the track positions of its fixes transformed by a function of positions (..., 2)."""
         return replace(
             self,
-            pairs=tuple(pair.moved(positions) for pair in self.pairs),
-            rival=tuple(pair.moved(positions) for pair in self.rival),
+            pairs=tuple(pair.with_moved_track(positions) for pair in self.pairs),
+            rival=tuple(pair.with_moved_track(positions) for pair in self.rival),
         )
 
     def with_rejected(self, pair: PairedPoint) -> RelocationEvidence:
@@ -150,7 +150,7 @@ def _thinned(pairs: tuple[PairedPoint, ...]) -> tuple[PairedPoint, ...]:
     times_s = [pair.time_s for pair in pairs]
     while len(pairs) > _MIN_REJECTED and times_s[-1] - times_s[1] >= 2.0 * PATIENCE_S:
         pairs, times_s = pairs[1:], times_s[1:]
-    return thinned(pairs, MAX_REJECTED)
+    return spaced_pairs(pairs, MAX_REJECTED)
 
 
 def _agree(pairs: Sequence[PairedPoint]) -> bool:

@@ -19,7 +19,7 @@ from pdr_filter.values import (
     FloatArray,
     PositionFix,
     Standstill,
-    measured,
+    measurement_of,
     read_only,
     replace_unchecked,
 )
@@ -42,7 +42,7 @@ Repetition = Literal["", "frozen", "repeated"]
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPlace:
+class SeenPosition:
     """Last fix position that was not a repetition, and the track at that time.
 
     Attributes
@@ -76,7 +76,7 @@ class RecentFix:
         Name of the class.
     time_s : float
         Time of the fix.
-    place : (3,) array
+    pose : (3,) array
         East, north and heading of the track at which a measurement of a user-defined class was evaluated.
     values : str
         Hash of all values except the times.
@@ -84,34 +84,34 @@ class RecentFix:
 
     kind: str
     time_s: float
-    place: FloatArray
+    pose: FloatArray
     values: str
 
 
-def recent_after(recent: tuple[RecentFix, ...], fix: Fix, place: FloatArray) -> tuple[RecentFix, ...]:
+def recent_after(recent: tuple[RecentFix, ...], fix: Fix, pose: FloatArray) -> tuple[RecentFix, ...]:
     """Return the last different fixes after one more, or `recent` itself if the fix repeats one of them.
 
-    A repetition has equal values within `_REPEATED_S`. `place` (3,) is east, north and heading of the track at the time
+    A repetition has equal values within `_REPEATED_S`. `pose` (3,) is east, north and heading of the track at the time
     of the fix. Standstills are never stored, because their repetition changes nothing.
     """
     kind = type(fix).__name__
     near = [other for other in recent if other.kind == kind and abs(fix.time_s - other.time_s) < _REPEATED_S]
-    if isinstance(fix, Standstill) or not any(_values(fix, other.place) == other.values for other in near):
-        return (*recent, RecentFix(kind, fix.time_s, read_only(place), _values(fix, place)))[-_N_RECENT:]
+    if isinstance(fix, Standstill) or not any(_values(fix, other.pose) == other.values for other in near):
+        return (*recent, RecentFix(kind, fix.time_s, read_only(pose), _values(fix, pose)))[-_N_RECENT:]
     return recent
 
 
-def _values(fix: Fix, place: FloatArray) -> str:
-    """Return a hash of the values of a fix, of its measurement at a place if its class is user-defined."""
+def _values(fix: Fix, pose: FloatArray) -> str:
+    """Return a hash of the values of a fix, of its measurement at a pose if its class is user-defined."""
     if isinstance(fix, OWN_FIXES):
         parts = [getattr(fix, f.name) for f in fields(fix) if f.name not in ("time_s", "received_time_s")]
     else:
-        parts = measured(fix, place[:2], float(place[2]))
+        parts = measurement_of(fix, pose[:2], float(pose[2]))
     content = b"".join(np.asarray(part, dtype=float).tobytes() for part in parts)
     return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
-def seen_after(previous: SeenPlace | None, fix: PositionFix, track_m: FloatArray, walked_m: float) -> SeenPlace:
+def seen_after(previous: SeenPosition | None, fix: PositionFix, track_m: FloatArray, walked_m: float) -> SeenPosition:
     """Return the last position that was not a repetition, after one more fix.
 
     `track_m` (2,) and `walked_m` are the track position and the walked distance at the time of the fix. An exact
@@ -120,7 +120,7 @@ def seen_after(previous: SeenPlace | None, fix: PositionFix, track_m: FloatArray
     person can have returned: dead reckoning has moved by at most 30 % of the distance, which is long enough for a way
     out of that radius and back. Any other repetition leaves `previous` unchanged.
     """
-    new = SeenPlace(fix.position_m, read_only(track_m), walked_m, floor=fix.floor)
+    new = SeenPosition(fix.position_m, read_only(track_m), walked_m, floor=fix.floor)
     if previous is None or fix.floor != previous.floor or not np.array_equal(fix.position_m, previous.position_m):
         return new
     moved_m, since_m = float(np.linalg.norm(track_m - previous.track_m)), walked_m - previous.walked_m
@@ -137,30 +137,30 @@ class FixMemory:
 
     Attributes
     ----------
-    seen : SeenPlace or None
+    seen : SeenPosition or None
         Last position that was not a repetition.
     recent : tuple of RecentFix
         Last fixes of all kinds that were not repetitions.
     """
 
-    seen: SeenPlace | None = None
+    seen: SeenPosition | None = None
     recent: tuple[RecentFix, ...] = ()
 
-    def plus(self, fix: Fix, place: FloatArray, walked_m: float) -> tuple[FixMemory, Repetition]:
+    def plus(self, fix: Fix, pose: FloatArray, walked_m: float) -> tuple[FixMemory, Repetition]:
         """Return the memory after one more fix, and whether the fix is a repetition.
 
-        `place` (3,) is east, north and heading of the track at the time of the fix, and `walked_m` the walked distance.
+        `pose` (3,) is east, north and heading of the track at the time of the fix, and `walked_m` the walked distance.
         """
-        recent, seen = recent_after(self.recent, fix, place), self.seen
+        recent, seen = recent_after(self.recent, fix, pose), self.seen
         is_repeated = recent is self.recent
         if isinstance(fix, PositionFix):
-            seen = seen_after(self.seen, fix, place[:2], walked_m)
+            seen = seen_after(self.seen, fix, pose[:2], walked_m)
             is_repeated |= seen is self.seen
             if seen.is_frozen:
                 return FixMemory(seen, recent), "frozen"
         return FixMemory(seen, recent), "repeated" if is_repeated else ""
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> FixMemory:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> FixMemory:
         """Return the memory with the track position of `seen` transformed by a function of positions (..., 2)."""
         if self.seen is None:
             return self
@@ -183,7 +183,7 @@ def repetitions(
     result: list[Repetition] = [""] * len(fixes)
     memory, columns = FixMemory(), (*position_m.T, walked_m) if len(time_s) else ()
     for k in sorted(range(len(fixes)), key=lambda k: fixes[k].time_s):
-        place = np.zeros(4)  # east, north, distance, and a heading of zero
-        place[: len(columns)] = [np.interp(fixes[k].time_s, time_s, column) for column in columns]
-        memory, result[k] = memory.plus(fixes[k], place[[0, 1, 3]], float(place[2]))
+        pose = np.zeros(4)  # east, north, distance, and a heading of zero
+        pose[: len(columns)] = [np.interp(fixes[k].time_s, time_s, column) for column in columns]
+        memory, result[k] = memory.plus(fixes[k], pose[[0, 1, 3]], float(pose[2]))
     return result

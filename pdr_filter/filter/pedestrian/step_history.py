@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import EAST, LOG_SCALE, NORTH
-from pdr_filter.filter.pedestrian.walking_speed import WalkingSpeed, after_step
-from pdr_filter.values import FloatArray, Step, interpolated, replace_unchecked
+from pdr_filter.filter.pedestrian.walking_speed import WalkingSpeed, speed_after_step
+from pdr_filter.values import FloatArray, Step, interpolated_rows, replace_unchecked
 
 # Number of stored final steps: one minute at four steps a second, the largest delay of a fix
 # (`filtering.MAX_FIX_AGE_S`).
@@ -88,7 +88,9 @@ class StepHistory:
         # after a pause the smoothed speed starts again
         is_first = math.isnan(self.last_s) or step.time_s - self.last_s > 1.5 * step.duration_s
         scale_var = float(P[LOG_SCALE, LOG_SCALE])
-        speed = after_step(self.speed, walked.length_m, walked.length_var_m2, step.duration_s, scale_var, is_first)
+        speed = speed_after_step(
+            self.speed, walked.length_m, walked.length_var_m2, step.duration_s, scale_var, is_first
+        )
         trail = np.empty((min(len(self.trail) + 1, TRAIL_STEPS), 4))
         trail[:-1] = self.trail[len(self.trail) + 1 - len(trail) :]
         trail[-1] = step.time_s, x[EAST], x[NORTH], step.reference_heading_rad
@@ -101,7 +103,7 @@ class StepHistory:
         """
         return replace_unchecked(self, last_s=math.nan, gap_s=self.gap_s + gap_s, speed=None)
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> StepHistory:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> StepHistory:
         """Return the history with its positions transformed by a function of positions (..., 2)."""
         trail = self.trail.copy()
         trail[:, TRAIL_POSITION] = positions(self.trail[:, TRAIL_POSITION])
@@ -116,4 +118,4 @@ class StepHistory:
         trail = self.trail
         if len(trail) == 0 or (time_s < trail[0, TRAIL_TIME] and len(trail) == TRAIL_STEPS):
             return None
-        return interpolated(time_s, trail[:, TRAIL_TIME], trail[:, 1 : TRAIL_HEADING + 1])
+        return interpolated_rows(time_s, trail[:, TRAIL_TIME], trail[:, 1 : TRAIL_HEADING + 1])

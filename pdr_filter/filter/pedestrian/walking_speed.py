@@ -55,7 +55,7 @@ class WalkingSpeed:
     scatter_m2ps2: float
 
 
-def after_step(
+def speed_after_step(
     previous: WalkingSpeed | None,
     length_m: float,
     length_var_m2: float,

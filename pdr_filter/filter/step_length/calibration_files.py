@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
+from pdr_filter.classifiers.model_files import Arrays, ArtefactFormat, file_pair, of_prefix, with_prefix
 from pdr_filter.filter.step_length import models as step_length
 from pdr_filter.filter.step_length.calibration_result import ARRAYS, CalibrationResult
 from pdr_filter.filter.step_length.models import StepLengthModel
@@ -21,11 +21,11 @@ _SEGMENT = "segment_"  # prefix of the column names of `segments` in a file
 OwnModels = Sequence[tuple[str, str, StepLengthModel]]
 
 
-def write(path: str | Path, result: CalibrationResult) -> Path:
+def write_calibration(path: str | Path, result: CalibrationResult) -> Path:
     """Write a calibration, and return the path of the .json file."""
     arrays = {name: np.asarray(getattr(result, name)) for name in ARRAYS}
     columns = result.segments.dtype.names or ()
-    arrays |= prefixed(_SEGMENT, {name: np.asarray(result.segments[name]) for name in columns})
+    arrays |= with_prefix(_SEGMENT, {name: np.asarray(result.segments[name]) for name in columns})
     description = {
         "models": {name: _model_to_plain(model) for name, model in result.models.items()},
         "subject_ids": list(result.subject_ids),

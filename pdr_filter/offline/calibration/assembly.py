@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pdr_filter.offline.calibration.joint_smoothing import JointEstimate
 
 
-def assembled(
+def calibration_of(
     priors: Mapping[str, StepLengthPrior],
     found: ParameterEstimate | JointEstimate,
     heights_m: Mapping[str, float | None],

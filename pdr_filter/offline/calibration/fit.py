@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.filter.step_length.calibration_result import UNNAMED
-from pdr_filter.offline.calibration.assembly import assembled, impossible_steps, length_warnings
+from pdr_filter.offline.calibration.assembly import calibration_of, impossible_steps, length_warnings
 from pdr_filter.offline.calibration.estimation import ParameterEstimate
 from pdr_filter.offline.calibration.model_forms import (
     MIN_GROUPS,
@@ -19,8 +19,8 @@ from pdr_filter.offline.calibration.model_forms import (
     estimate_segments,
     forms_of,
     models_of,
+    prior_means,
     standard_error,
-    start_of,
 )
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, own_priors, separate_modes
 from pdr_filter.offline.calibration.segments import (
@@ -326,7 +326,7 @@ def calibrate_segments(
     name, choice = best_form(segments, forms, loss, recording_std, walking)
     full = forms[name]
     held = _held(segments, full)
-    sums = integrate(segments, models_of(full), start_of(full))
+    sums = integrate(segments, models_of(full), prior_means(full))
     found = estimate_segments(segments, sums, full, loss, recording_std)
     rows = _table(segments, sums, found, np.concatenate([prior.mean for prior in full.values()]))
     if impossible := _impossible(segments, rows, running):
@@ -347,7 +347,7 @@ def calibrate_segments(
         )
     noise_factor = dict(zip(segments[0].context_names, found.noise_factor.tolist(), strict=True))
     heights = {s.subject: s.height_m for s in segments}
-    return assembled(
+    return calibration_of(
         full,
         found,
         {name: heights[name] for name in sums.subjects},

@@ -26,9 +26,9 @@ from pdr_filter.offline.smoothing.factor_graph import (
     PersonKeys,
     WalkGraph,
     bayes_tree,
+    least_squares_values,
     linear_factor,
     noise_of,
-    optimised,
 )
 from pdr_filter.offline.smoothing.linear_graph import cov_of
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, preintegrate
@@ -264,7 +264,7 @@ def estimate_jointly(
             for factor, is_wrong in zip(lengths[-1], wrong, strict=True):
                 if not is_wrong:
                     graph.push_back(factor)
-        values = optimised(graph, values)
+        values = least_squares_values(graph, values)
         before = theta
         theta = {name: keys[name].theta(values) for name in people}
         population = values.atVector(gtsam.symbol("k", 0))
@@ -307,7 +307,7 @@ def estimate_jointly(
     between_cov = np.zeros((n_free, n_free))
     between_cov[np.ix_(parameters.personal, parameters.personal)] = variances.between
     smoothed = [
-        w.walk.smoothed(of_one.steps, of_one.graph.problem, of_one.graph.solution(values, tree, guess))
+        w.walk.smoothed_walk(of_one.steps, of_one.graph.problem, of_one.graph.solution(values, tree, guess))
         for w, of_one, guess in zip(walks, linearised, guesses, strict=True)
     ]
     return JointEstimate(

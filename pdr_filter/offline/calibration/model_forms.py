@@ -74,7 +74,7 @@ def models_of(priors: Priors) -> dict[str, StepLengthModel]:
     return {name: p.model for name, p in priors.items()}
 
 
-def start_of(priors: Priors) -> dict[str, FloatArray]:
+def prior_means(priors: Priors) -> dict[str, FloatArray]:
     """Return the prior means of each context, at which nonlinear models are first linearised."""
     return {name: p.mean for name, p in priors.items()}
 
@@ -178,7 +178,7 @@ def left_out_errors(
     errors: dict[str, FloatArray] = {}
     good = np.ones(len(segments), dtype=bool)
     for name, priors in forms.items():
-        sums = integrate(segments, models_of(priors), start_of(priors))
+        sums = integrate(segments, models_of(priors), prior_means(priors))
         fold = _groups(sums) % _N_FOLDS
         predicted = np.empty(len(sums))
         for k in np.unique(fold):

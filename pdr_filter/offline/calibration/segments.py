@@ -624,14 +624,14 @@ def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch]
     names = points.dtype.names or ()
     floor = np.asarray(points.floor, dtype=float) if "floor" in names else np.zeros(len(points))
     level = np.where(np.isfinite(floor), floor, 0.0)
-    time_s, place_m = np.asarray(points.time_s, dtype=float), np.column_stack([points.east_m, points.north_m])
-    leg_m, lasts_s = np.hypot(*np.diff(place_m, axis=0).T), np.diff(time_s)
+    time_s, position_m = np.asarray(points.time_s, dtype=float), np.column_stack([points.east_m, points.north_m])
+    leg_m, lasts_s = np.hypot(*np.diff(position_m, axis=0).T), np.diff(time_s)
     same = np.diff(level) == 0
     near = same & (lasts_s > 0) & ((leg_m <= MIN_WAYPOINT_DISTANCE_M) | (lasts_s < MIN_WAYPOINT_TIME_S))
     far = same & ~near & ~(leg_m <= MIN_WAYPOINT_DISTANCE_M)
 
     def stretch(i: int, j: int) -> _Stretch:
-        length_m = float(np.hypot(*(place_m[j] - place_m[i])))
+        length_m = float(np.hypot(*(position_m[j] - position_m[i])))
         return _Stretch(float(time_s[i]), float(time_s[j]), length_m, anchor_std_m)
 
     found = [stretch(k, k + 1) for k in np.flatnonzero(far).tolist()]
@@ -640,7 +640,7 @@ def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch]
     change = np.diff(np.concatenate([[0], near.astype(int), [0]]))
     begins, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
     for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
-        pairs = _groups(place_m[begin : end + 1])
+        pairs = _groups(position_m[begin : end + 1])
         found += [stretch(begin + i, begin + j) for i, j in pairs]
         if not pairs:
             unused.append(f"{time_s[begin]:.1f}-{time_s[end]:.1f} s")
@@ -656,17 +656,17 @@ def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch]
     return sorted(found, key=lambda s: s.start_s), notes
 
 
-def _groups(place_m: FloatArray) -> list[tuple[int, int]]:
+def _groups(position_m: FloatArray) -> list[tuple[int, int]]:
     """Return the first and last index of successive groups of waypoint positions (N, 2) that form straight stretches.
 
     Each stretch is at least `GROUPED_M` long. The last one may be shorter, but not below `MIN_WAYPOINT_DISTANCE_M`.
     Positions from which no straight stretch begins are skipped.
     """
-    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(place_m, axis=0).T))])
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(position_m, axis=0).T))])
     found: list[tuple[int, int]] = []
-    first, last = 0, len(place_m) - 1
+    first, last = 0, len(position_m) - 1
     while first < last:
-        chord_m = np.hypot(*(place_m[first:] - place_m[first]).T)
+        chord_m = np.hypot(*(position_m[first:] - position_m[first]).T)
         far = np.flatnonzero(chord_m >= GROUPED_M)
         end = first + int(far[0]) if len(far) else last
         length_m = float(chord_m[end - first])
@@ -692,10 +692,10 @@ def _between_fixes(time_s: FloatArray, values: FloatArray) -> list[_Stretch]:
         return found
     last = int(usable[0])
     origin = Origin(float(lat_deg[last]), float(lon_deg[last]))
-    place_m = np.zeros((len(values), 2))
-    place_m[usable] = origin.east_north_m(lat_deg[usable], lon_deg[usable])
+    position_m = np.zeros((len(values), 2))
+    position_m[usable] = origin.east_north_m(lat_deg[usable], lon_deg[usable])
     for i in usable[1:].tolist():
-        distance = float(np.hypot(*(place_m[i] - place_m[last])))
+        distance = float(np.hypot(*(position_m[i] - position_m[last])))
         std = float(np.hypot(std_m[i], std_m[last]))
         if distance > max(MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS * std):
             # the cross-track error lengthens the distance: E d^2 = D^2 + std^2, apart from the along-track error

@@ -11,7 +11,7 @@ import numpy as np
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
 from pdr_filter.filter.step_length.calibration_result import of_height, slices_of
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
-from pdr_filter.offline.calibration.assembly import assembled, impossible_steps, length_warnings, scale_std_of
+from pdr_filter.offline.calibration.assembly import calibration_of, impossible_steps, length_warnings, scale_std_of
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import MIN_WAYPOINT_DISTANCE_M, has_known_lengths, segments_of, truth_fixes
@@ -89,7 +89,7 @@ def calibrate_by_smoothing(
         remarks += [f"distrusted: {s.name}: {s.distance_m:.2f} m given, which its steps contradict" for s in wrong]
     heights_m = {w.subject: w.height_m for w in walks}
     rows = _table(walks, found, priors, separate, tuple(heights_m))
-    return assembled(
+    return calibration_of(
         priors,
         found,
         heights_m,

@@ -92,7 +92,7 @@ class ShiftPrior(NamedTuple):
         inside = (shift_s >= self.least_s) & (shift_s <= self.most_s)
         return self.prob * inside * (np.exp(-0.5 * away**2) / (np.sqrt(2.0 * np.pi) * self.std_s)).mean(axis=1)
 
-    def limited(self, shift_s: float) -> float:
+    def nearest_possible(self, shift_s: float) -> float:
         """Return the possible shift that is nearest to a shift."""
         return min(max(shift_s, self.least_s), self.most_s)
 
@@ -150,13 +150,13 @@ def estimated_shift(at: Callable[[float], ShiftedWalk], prior: ShiftPrior) -> Cl
     walks = {0.0: at(0.0)}
     zero = walks[0.0]
     is_determined = zero.information > _SURE_INFORMATION and _posterior(walks, prior)[0] < _POSSIBLE_ODDS
-    if not is_determined or zero.is_rejecting or prior.limited(0.0) != 0.0:
-        possible = {prior.limited(late_s) for late_s in (0.0, *_STARTS_S)}
+    if not is_determined or zero.is_rejecting or prior.nearest_possible(0.0) != 0.0:
+        possible = {prior.nearest_possible(late_s) for late_s in (0.0, *_STARTS_S)}
         walks |= {late_s: at(late_s) for late_s in sorted(possible - {0.0})}
         late_s = min(possible, key=lambda late_s: walks[late_s].squares)
         change_s = walks[late_s].remaining_s
         for _ in range(_MOST_SOLUTIONS):
-            change_s = prior.limited(late_s + float(np.clip(change_s, -_MAX_CHANGE_S, _MAX_CHANGE_S))) - late_s
+            change_s = prior.nearest_possible(late_s + float(np.clip(change_s, -_MAX_CHANGE_S, _MAX_CHANGE_S))) - late_s
             if abs(change_s) < _SMALL_CHANGE_S:
                 break
             new_s = late_s + change_s

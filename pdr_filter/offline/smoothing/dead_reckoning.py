@@ -17,10 +17,10 @@ from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.front_end import SensingState
 from pdr_filter.sensing.heading.heading_stage import after_first_pass
 from pdr_filter.sensing.heading.walking_heading import WalkingHeadingState
-from pdr_filter.tracking.filtering import Output, State, init
+from pdr_filter.tracking.filtering import Output, State, init_filter
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath, walked_path
-from pdr_filter.tracking.whole_recording import collected, outputs, run_sensing
+from pdr_filter.tracking.whole_recording import outputs, run_sensing, track_of_outputs
 from pdr_filter.values import Fix, Measurement, Standstill, Step, has_position, read_only, step_table
 from pdr_filter.values.recording import Recording
 
@@ -45,7 +45,7 @@ def dead_reckoned(
     """
     own, known_device = with_first_pass(recording, config, progress[0])
     own = replace(own.in_hindsight().with_model(frame=START_FRAME), keeps_path=False)
-    end = init(own)
+    end = init_filter(own)
 
     def results() -> Iterator[tuple[State, Output]]:
         nonlocal end
@@ -53,7 +53,7 @@ def dead_reckoned(
             end = state
             yield state, output
 
-    found = collected(recording, own, results())
+    found = track_of_outputs(recording, own, results())
     track = with_arrivals(replace(found, device=known_device or found.device))
     stood_steps = end.pedestrian.fixes.standstill_steps
     return own, track, end.sensing if known_device is None else None, stood_steps
@@ -111,7 +111,7 @@ def online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> W
     if any(has_position(fix) for fix in fixes):
         config = config.in_world_frame()
     config = replace(config, keeps_path=True)
-    state = init(config)
+    state = init_filter(config)
     for new_state, _ in outputs(recording, config, fixes):
         state = new_state
     return walked_path(config, state)
@@ -143,7 +143,7 @@ def observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) -
     """
     bias, heading = config.sensing.attitude.bias, sensing.heading
     steps, turned_rad = smoothed.track.steps, np.unwrap(smoothed.heading_offset_rad)
-    if not isinstance(heading, WalkingHeadingState) or heading.place is None or len(steps) < 2:
+    if not isinstance(heading, WalkingHeadingState) or heading.placement is None or len(steps) < 2:
         return config.sensing.device(sensing)
     lasted_s = np.asarray(steps.time_s)[1:] - float(steps.time_s[0])
     var = smoothed.heading_offset_std_rad[1:] ** 2 + smoothed.heading_offset_std_rad[0] ** 2
@@ -152,5 +152,5 @@ def observed_device(smoothed: Smoothed, config: Config, sensing: SensingState) -
     other_var = np.cumsum(moved_var[1:]) + walk_var
     k = int(np.argmin((var + other_var) / lasted_s**2))
     error_rad = float(turned_rad[0] - turned_rad[1 + k])
-    ago_s, up = sensing.processed_s - float(steps.time_s[1 + k]), np.array(heading.place.up)
+    ago_s, up = sensing.processed_s - float(steps.time_s[1 + k]), np.array(heading.placement.up)
     return bias.device_from_smoothed(sensing.attitude.bias, error_rad, float(var[k]), float(other_var[k]), ago_s, up)

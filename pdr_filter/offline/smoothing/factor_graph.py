@@ -440,7 +440,7 @@ def linear_factor(first: int, A: FloatArray, second: int, B: FloatArray) -> gtsa
     return gtsam.LinearContainerFactor(linear, zero)
 
 
-def optimised(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
+def least_squares_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
     """Return the values that minimise the error of a graph, by Levenberg-Marquardt with QR factorisation.
 
     A Cholesky factorisation takes the prior of a start in an unknown region for no information at all.
@@ -583,7 +583,7 @@ def solved_with(graph: WalkGraph, found: Solution, user: UserGraph) -> tuple[Sol
     factors.push_back(user.graph)
     graph.insert_into(values, found)
     try:
-        values = optimised(factors, values)
+        values = least_squares_values(factors, values)
         return graph.solution(values, bayes_tree(factors, values), found), values
     except RuntimeError as error:
         raise ValueError(

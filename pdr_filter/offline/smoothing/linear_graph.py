@@ -78,7 +78,7 @@ def graph_of(rows: Sequence[Rows]) -> gtsam.GaussianFactorGraph:
     return graph
 
 
-def eliminated(rows: Sequence[Rows]) -> gtsam.GaussianBayesTree:
+def eliminate(rows: Sequence[Rows]) -> gtsam.GaussianBayesTree:
     """Return the Bayes tree of the equations, in which each key is solved given the keys eliminated after it."""
     return graph_of(rows).eliminateMultifrontal(gtsam.Ordering.OrderingType.COLAMD, gtsam.EliminateQR)
 

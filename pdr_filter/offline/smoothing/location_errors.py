@@ -109,7 +109,7 @@ def errors_of(
     if not len(position):
         return NO_ERRORS
     chosen = [fixes[k] for k in position.tolist()]
-    time_s, place_m = np.array([f.time_s for f in chosen]), np.array([f.position_m for f in chosen])
+    time_s, position_m = np.array([f.time_s for f in chosen]), np.array([f.position_m for f in chosen])
     root = np.linalg.cholesky(np.array([f.cov_m2 for f in chosen]))
     by = np.zeros((len(chosen), 2, N_ERRORS))
     located = is_location[position]
@@ -117,9 +117,9 @@ def errors_of(
     by[:, :, _VARYING] = np.sqrt(varying)[:, None, None] * root
     by[:, :, _CONSTANT] = np.where(located, np.sqrt(_CONSTANT_SHARE), 0.0)[:, None, None] * root
     std_m = np.sqrt([f.var_m2 for f in chosen])
-    shrunk_m = _shrinkage_m(time_s, place_m, place_m if shape_m is None else shape_m[position], std_m)
+    shrunk_m = _shrinkage_m(time_s, position_m, position_m if shape_m is None else shape_m[position], std_m)
     by[:, :, _SHRUNK] = np.where(located[:, None], -shrunk_m, 0.0)
-    by[:, :, _LATE] = -_LATE_STD_S * located[:, None] * _velocity_mps(time_s, place_m)
+    by[:, :, _LATE] = -_LATE_STD_S * located[:, None] * _velocity_mps(time_s, position_m)
     memory_s = np.full((len(chosen) - 1, N_ERRORS), _CONSTANT_S)
     memory_s[:, _VARYING] = np.array([f.correlation_s for f in chosen[1:]])[:, None]
     memory_s[:, _LATE] = _FILTERED_S
@@ -133,14 +133,14 @@ def turned_to(locations: Sequence[PositionFix], at_m: FloatArray, walk_m: FloatA
     """
     if not locations:
         return walk_m
-    place_m = np.array([f.position_m for f in locations])
-    a, b = at_m - at_m.mean(axis=0), place_m - place_m.mean(axis=0)
+    position_m = np.array([f.position_m for f in locations])
+    a, b = at_m - at_m.mean(axis=0), position_m - position_m.mean(axis=0)
     angle = np.arctan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
     c, s = np.cos(angle), np.sin(angle)
     return walk_m @ np.array([[c, s], [-s, c]])
 
 
-def _shrinkage_m(time_s: FloatArray, place_m: FloatArray, shape_m: FloatArray, std_m: FloatArray) -> FloatArray:
+def _shrinkage_m(time_s: FloatArray, position_m: FloatArray, shape_m: FloatArray, std_m: FloatArray) -> FloatArray:
     """Return the standard deviation of the shrinkage of each location, as a vector (E, 2) away from the local mean.
 
     It is half of the position in `shape_m` (E, 2) relative to the mean of all positions in [t - d, t + d), with d =
@@ -148,7 +148,7 @@ def _shrinkage_m(time_s: FloatArray, place_m: FloatArray, shape_m: FloatArray, s
     walk with an error below a tenth of the extent, and are not smaller than the walk. The error is that of the best
     similarity, or the stated one if that is larger.
     """
-    place, shape = (m[:, 0] + 1j * m[:, 1] for m in (place_m, shape_m))
+    place, shape = (m[:, 0] + 1j * m[:, 1] for m in (position_m, shape_m))
     most_m = np.full(len(time_s), np.inf)
     away = np.zeros((len(time_s), 2))
     first, end = (np.searchsorted(time_s, time_s + d).tolist() for d in (-_SHRUNK_WITHIN_S, _SHRUNK_WITHIN_S))
@@ -179,14 +179,14 @@ def _size_and_error(shape: NDArray[np.complexfloating], place: NDArray[np.comple
     return size, std_m * float(np.sqrt(len(place) / (len(place) - 2)))
 
 
-def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
+def _velocity_mps(time_s: FloatArray, position_m: FloatArray) -> FloatArray:
     """Return the mean velocity (E, 2) around each location, limited to the speed of a pedestrian.
 
     It is computed from the first and the last location in [t - d, t + d), with d = `_LATE_WITHIN_S`.
     """
     first, end = (np.searchsorted(time_s, time_s + d) for d in (-_LATE_WITHIN_S, _LATE_WITHIN_S))
     apart_s = np.maximum(time_s[end - 1] - time_s[first], 1.0)
-    velocity_mps = (place_m[end - 1] - place_m[first]) / apart_s[:, None]
+    velocity_mps = (position_m[end - 1] - position_m[first]) / apart_s[:, None]
     return _limited(velocity_mps, np.full(len(time_s), _MAX_SPEED_MPS))
 
 
@@ -279,12 +279,12 @@ def _joined(fixes: Sequence[PositionFix]) -> PositionFix:
     """
     if len(fixes) == 1:
         return fixes[0]
-    place_m, mean_cov = mean_place(fixes)
+    position_m, mean_cov = mean_position(fixes)
     middle = fixes[len(fixes) // 2]
-    return replace(middle, position_m=place_m, cov_m2=len(fixes) * 0.5 * (mean_cov + mean_cov.T))
+    return replace(middle, position_m=position_m, cov_m2=len(fixes) * 0.5 * (mean_cov + mean_cov.T))
 
 
-def mean_place(fixes: Sequence[PositionFix]) -> tuple[FloatArray, FloatArray]:
+def mean_position(fixes: Sequence[PositionFix]) -> tuple[FloatArray, FloatArray]:
     """Return the information-weighted mean (2,) of fixes, and its covariance (2, 2) for independent errors."""
     information = np.linalg.inv(np.array([f.cov_m2 for f in fixes]))
     cov = np.linalg.inv(information.sum(axis=0))

@@ -18,7 +18,7 @@ from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, 
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS
 from pdr_filter.offline.smoothing.preintegration import TURN, Increments, ModeSteps, scaled_rotation, step_states
 from pdr_filter.offline.smoothing.problem import Problem
-from pdr_filter.offline.smoothing.solve import Solution, linearised
+from pdr_filter.offline.smoothing.solve import Solution, linear_equations
 from pdr_filter.values import FloatArray
 from pdr_filter.values.mixtures import posterior_prob
 
@@ -70,7 +70,7 @@ class SwitchingWalk:
     transition_prob: FloatArray
     observed: dict[int, list[Observed]] = field(default_factory=dict[int, list[Observed]])
 
-    def smoothed(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def smoothed_modes(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return probabilities (K, M), means (K, M, D) and covariances of the modes at each step."""
         n, n_modes, size = self.shift.shape
         prob, mean, cov = np.empty((n, n_modes)), np.empty((n, n_modes, size)), np.empty((n, n_modes, size, size))
@@ -178,7 +178,7 @@ def _observations(problem: Problem, found: Solution, own: int, size: int) -> dic
     n, frame = problem.n_nodes, problem.n_states
     own_cov = np.concatenate([found.joint_cov[:, :N_STATES, :N_STATES], found.joint_cov[-1:, N_STATES:, N_STATES:]])
     result: defaultdict[int, list[Observed]] = defaultdict(list)
-    for rows in linearised(problem, found.states, found.frame_rad, found.weight)[2:]:
+    for rows in linear_equations(problem, found.states, found.frame_rad, found.weight)[2:]:
         for i, (a, b) in enumerate(zip(rows.a.tolist(), rows.b.tolist(), strict=True)):
             if a >= n or (len(rows.weight) and not rows.weight[i]):
                 continue  # a prior of an error or of the frame is part of the model; a rejected observation

@@ -125,8 +125,8 @@ def increments(
     parameter_std_m = np.array([of.parameter_std_m for of in lengths]).reshape(n, -1) * mode_prob
     prob = mode_prob
     if is_weighted:
-        lengths = [of.weighted(weights) for of, weights in zip(lengths, mode_prob, strict=True)]
-        directions = [of.weighted(weights) for of, weights in zip(directions, mode_prob, strict=True)]
+        lengths = [of.of_one_filter(weights) for of, weights in zip(lengths, mode_prob, strict=True)]
+        directions = [of.of_one_filter(weights) for of, weights in zip(directions, mode_prob, strict=True)]
         prob = np.ones((n, 1))
     way, move = _motion(each, lengths, directions)
     along, across = move.along, move.across

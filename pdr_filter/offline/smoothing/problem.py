@@ -21,7 +21,7 @@ from pdr_filter.values import (
     Measurement,
     PositionFix,
     TrackRows,
-    measured,
+    measurement_of,
     read_only,
     wrap_angle,
 )
@@ -258,7 +258,7 @@ class Problem:
         """
         of = {1: _DIRECTION_NIS, 2: _POSITION_NIS}
         guesses = zip(self.measurements.fixes, self.measurements.guess_m, strict=True)
-        sizes = [len(measured(fix, guess_m, 0.0)[0]) for fix, guess_m in guesses]
+        sizes = [len(measurement_of(fix, guess_m, 0.0)[0]) for fix, guess_m in guesses]
         return np.array([of.get(k) or high_quantile(k) for k in sizes])
 
     @property

@@ -80,7 +80,7 @@ from pdr_filter.offline.smoothing.smoothed import (
     observation_table,
     without_steps,
 )
-from pdr_filter.offline.smoothing.smoothed_place import aligned_walk, on_earth, with_given_place
+from pdr_filter.offline.smoothing.smoothed_georeference import aligned_walk, on_earth, with_given_origin
 from pdr_filter.offline.smoothing.solve import Solution, response, solve, sum_of_squares
 from pdr_filter.offline.smoothing.usable import Used, start_end_closure, usable
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
@@ -102,13 +102,13 @@ from pdr_filter.values import (
     PositionFix,
     Samples,
     Standstill,
-    interpolated,
+    interpolated_rows,
     read_only,
     wrap_angle,
 )
+from pdr_filter.values.georeference import Georeference, GnssUse, NorthUse
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.serialisation import to_bytes
-from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement
 from pdr_filter.values.uncertainty import worst_std_m
 
 # Prior standard deviation of the start in the frame of the fixes: only the region is known.
@@ -302,8 +302,8 @@ def smooth(
             "start_heading_std_rad or factors together with plan: omit them"
         )
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
-    placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
-    run = prepared_run(recording, config, fixes, placement, weighting, calibration, device, person)
+    georeference = Georeference(gnss, origin, heading_rad, north, plan, start)
+    run = prepared_run(recording, config, fixes, georeference, weighting, calibration, device, person)
     given, recording, asked = recording, run.recording, run.config
     if isinstance(loop_closures, str):
         loop_closures = tuple(wifi_loop_closures(recording))
@@ -314,7 +314,7 @@ def smooth(
             config = config.in_world_frame()
         found = asked.on_plan.plan.smoothed(recording, config, run.fixes, run.with_location, second_pass)
         places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
-        return with_given_place(run, _on_plan(found, Observations(places)))
+        return with_given_origin(run, _on_plan(found, Observations(places)))
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
 
     def reckoned() -> Reckoned:
@@ -324,7 +324,7 @@ def smooth(
     if memory is None:
         config, track, sensing, stood_steps = reckoned()
     else:
-        key = _key_of((asked.with_model(frame=START_FRAME), stood, placement.north, run.with_location))
+        key = _key_of((asked.with_model(frame=START_FRAME), stood, georeference.north, run.with_location))
         config, track, sensing, stood_steps = memory.of(given, key, reckoned)
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
@@ -357,7 +357,7 @@ def smooth(
     else:
         observed = _on_clock(observed, clocks)
         locations = observed.locations
-    return with_given_place(run, on_earth(smoothed, where, locations, observed))
+    return with_given_origin(run, on_earth(smoothed, where, locations, observed))
 
 
 def _key_of(value: object) -> bytes:
@@ -383,7 +383,7 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     for a recording without steps.
     """
     north: NorthUse | None = "magnetic" if "magnetometer" in recording.streams else None
-    run = prepared_run(recording, None, (), TrackPlacement(gnss="off", north=north))
+    run = prepared_run(recording, None, (), Georeference(gnss="off", north=north))
     config, track, *_ = dead_reckoned(run.recording, run.config, (), (None, None), with_hills=False)
     if not track.n_steps:
         raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
@@ -455,7 +455,7 @@ class ReckonedWalk(NamedTuple):
         steps, _ = increments(track.steps, track.mode_prob, config.model, track.gap_before_s, is_weighted=is_weighted)
         return _with_withheld_steps(steps, track, config, self.stood)
 
-    def smoothed(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
+    def smoothed_walk(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
         """Return the smoothed walk for a solution of `problem`, with step lengths whose parameters are in `found`."""
         known = np.zeros_like(self.posed.parameter_error_m)
         posed, on_clock = _Posed(steps, known, self.posed.used, problem), _on_clock(self.observed, self.clocks)
@@ -476,7 +476,7 @@ def reckoned_walk(
     smaller one would reject right fixes of a person who is not calibrated yet. ValueError for a recording without
     steps, or with observations outside of it.
     """
-    run = prepared_run(recording, config, fixes, TrackPlacement())
+    run = prepared_run(recording, config, fixes, Georeference())
     if run.config.on_plan is not None or any(isinstance(fix, GridFix) for fix in run.fixes):
         raise ValueError("smoothing on a floor plan does not estimate step lengths: omit plan and GridFix")
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
@@ -658,7 +658,7 @@ def _with_observed_modes(filtered: Track, blind: Track, config: Config, posed: _
     between = start_prob[likely], transition_prob[likely][:, likely]
     walk = switching_walk(posed.steps, of_modes, posed.problem, found, evidence, *between)
     prob = blind.mode_prob.copy()
-    prob[:, likely] = walk.smoothed()[0] * prob[:, likely].sum(axis=1, keepdims=True)
+    prob[:, likely] = walk.smoothed_modes()[0] * prob[:, likely].sum(axis=1, keepdims=True)
     return replace(blind, mode_prob=read_only(prob))
 
 
@@ -736,9 +736,9 @@ def _problem(
         shape_m = turned_to(used.observed.locations, walk_m[at], walk_m)
     fixes = (*used.observed.positions, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
-    if not fixes and guess is not None and used.has_places:
+    if not fixes and guess is not None and used.has_positions:
         centre = _measurements_on_path(used, guess).guess_m.mean(axis=0)
-    start_std_m = _REGION_STD_M if used.has_places else KNOWN_STD_M
+    start_std_m = _REGION_STD_M if used.has_positions else KNOWN_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2)
     before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]
     start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
@@ -837,7 +837,7 @@ def _smoothed(
     withheld_m = np.where(step_std_m > 1.0, step_std_m, 0.0)
     unstepped_m = np.sqrt(steps.gap_var_m2)
     start_std_m = worst_std_m(start_cov)
-    if not used.has_places:  # the first step begins at the origin
+    if not used.has_positions:  # the first step begins at the origin
         unstepped_m[:1] = start_std_m = 0.0
     way_m = np.cumsum(np.append(0.0, length + unstepped_m + withheld_m))
     std_m = np.append(start_std_m, worst_std_m(position_cov))
@@ -847,11 +847,11 @@ def _smoothed(
     results, conflict = fix_results(observed, observations, used, end_s), FixConflict()
     for fix, result in zip((*observed.fixes, *observed.locations), results, strict=True):
         if isinstance(fix, PositionFix) and np.isfinite(result.nis):
-            at_m = interpolated(fix.time_s, track.time_s, position)
+            at_m = interpolated_rows(fix.time_s, track.time_s, position)
             conflict = conflict.plus(result.outcome, fix.position_m - at_m)
     position_cov = position_cov + conflict.cov_m2
     scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
-    start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
+    start_m = read_only(found.mean[0, :2] if used.has_positions else np.zeros(2))
     heading_std_rad = np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])
     reckoned = notes_of_reckoning(track, found, heading_std_rad)
     shifts = [note for source, clock in clocks.items() for note in clock.notes(source)]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
-from pdr_filter.offline.smoothing.location_errors import mean_place
+from pdr_filter.offline.smoothing.location_errors import mean_position
 from pdr_filter.offline.smoothing.observations import FloorChange, Observations
 from pdr_filter.offline.smoothing.solve import Solution
 from pdr_filter.offline.smoothing.usable import Used, name_list
@@ -181,7 +181,7 @@ def notes_of_solution(
         if rows.any():
             notes.append(f"{kind} {name_list(observations.number[rows])}: not used, because the walk contradicts it")
     n_good = int((observations.weight[np.isin(observations.kind, _KINDS[:2])] >= 0.5).sum())
-    if used.has_places and n_good == 0:
+    if used.has_positions and n_good == 0:
         notes.append(
             "no fix agrees with the walk: positions in the frame of the fixes are unknown; check the times, the units "
             "and the axes of the fixes"
@@ -255,7 +255,7 @@ def without_steps(track: Track, observed: Observations, fixes: Sequence[Position
 
     Without fixes it is zero, with the covariance of a known position.
     """
-    place, cov = mean_place(fixes) if fixes else (np.zeros(2), KNOWN_STD_M**2 * np.eye(2))
+    place, cov = mean_position(fixes) if fixes else (np.zeros(2), KNOWN_STD_M**2 * np.eye(2))
     none = read_only(np.zeros(0))
     return Smoothed(
         track=replace(track, is_smoothed=True),

@@ -11,7 +11,7 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES
 from pdr_filter.offline.robust_loss import GNC_FACTOR, truncated_start, truncated_weights
-from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminated, graph_of, joint_covariances
+from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminate, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS, Errors
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, state_transform
 from pdr_filter.offline.smoothing.problem import (
@@ -29,7 +29,7 @@ from pdr_filter.values import (
     HeadingFix,
     IntArray,
     PositionFix,
-    measured,
+    measurement_of,
     read_only,
     stated_fixes,
     wrap_angle,
@@ -115,7 +115,7 @@ def solved_from(
     most_steps = first_steps = _FIRST_STEPS if len(problem.measurements) else _MOST_STEPS
     while True:
         mean, frame_rad, converged = _gauss_newton(problem, mean, frame_rad, weight, least_gain, most_steps)
-        rows = linearised(problem, mean, frame_rad, weight)
+        rows = linear_equations(problem, mean, frame_rad, weight)
         joint_cov, with_error_cov = joint_covariances(rows, problem.n_nodes, problem.errors.node, has_frame)
         nis = _innovations(problem, mean, weight, rows, joint_cov, with_error_cov)
         seen.add(weight.tobytes())
@@ -233,10 +233,10 @@ def measurement_residuals(observed: ObservedMeasurements, mean: FloatArray) -> l
     """
     at = mean[observed.node, :N_STATES]
     moved_m = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), observed.ahead_m)
-    place_m, heading_rad = at[:, :2] + moved_m, observed.device_rad + at[:, HEADING_OFFSET]
+    position_m, heading_rad = at[:, :2] + moved_m, observed.device_rad + at[:, HEADING_OFFSET]
     result: list[tuple[FloatArray, FloatArray]] = []
     for k, fix in enumerate(observed.fixes):
-        residual, J, cov = measured(fix, place_m[k], float(heading_rad[k]))
+        residual, J, cov = measurement_of(fix, position_m[k], float(heading_rad[k]))
         by_place = J[:, :2]
         whiten = np.linalg.inv(np.linalg.cholesky(cov + observed.extra_var_m2[k] * by_place @ by_place.T))
         H = np.zeros((len(residual), N_STATES))
@@ -278,7 +278,7 @@ def _gauss_newton(
     without a measured heading, a turn of one step and the opposite one of the next step would alternate. The last steps
     are not halved, because the covariance of an interval turns with its start and changes the sum, too.
     """
-    largest, squares, rows = 0.0, 0.0, linearised(problem, mean, frame_rad, weight)
+    largest, squares, rows = 0.0, 0.0, linear_equations(problem, mean, frame_rad, weight)
     for _ in range(most_steps):
         change, turn = _solved(graph_of(rows), problem)
         at_anchors = np.abs(change[: problem.n_nodes])
@@ -287,7 +287,7 @@ def _gauss_newton(
         share = min(1.0, 0.7 / max(largest_turn, 1e-9), 0.3 / max(largest_scale, 1e-9))
         squares = _sum_of_squares(rows)
         for _ in range(_MOST_HALVINGS):
-            rows = linearised(problem, mean + share * change, frame_rad + share * turn, weight)
+            rows = linear_equations(problem, mean + share * change, frame_rad + share * turn, weight)
             largest = share * float(np.abs(change).max())
             if largest < _CONVERGED or _sum_of_squares(rows) <= squares:
                 break
@@ -305,7 +305,7 @@ def sum_of_squares(problem: Problem, found: Solution) -> float:
     observation its gate, above which it would have been rejected.
     """
     rejected = problem.limit_nis[(found.weight == 0) & (problem.possible > 0)]
-    rows = linearised(problem, found.states, found.frame_rad, found.weight)
+    rows = linear_equations(problem, found.states, found.frame_rad, found.weight)
     return _sum_of_squares(rows) + float(rejected.sum()) - 2.0 * len(problem.positions)
 
 
@@ -315,9 +315,9 @@ def response(problem: Problem, found: Solution, moved_m: FloatArray) -> tuple[Fl
     The second and third results are half of the first and of the second derivative of the least sum of squares by the
     factor on `moved_m`, at zero.
     """
-    rows = linearised(problem, found.states, found.frame_rad, found.weight)
+    rows = linear_equations(problem, found.states, found.frame_rad, found.weight)
     positions = replace(problem.positions, position_m=problem.positions.position_m + moved_m)
-    moved = linearised(replace(problem, positions=positions), found.states, found.frame_rad, found.weight)
+    moved = linear_equations(replace(problem, positions=positions), found.states, found.frame_rad, found.weight)
     gained = [replace(after, rhs=after.rhs - before.rhs) for before, after in zip(rows, moved, strict=True)]
     graph = graph_of(gained)
     solution = graph.optimize(gtsam.EliminateQR)
@@ -404,7 +404,7 @@ def _innovations(
     ends = zip(directions.last, directions.first, turn, by_last, -by_last, strict=True)
     pairs += [(n_positions + i, *blocks) for i, blocks in enumerate(ends)]
     if pairs:
-        tree = eliminated(rows)
+        tree = eliminate(rows)
         for i, a, b, r, A, B in pairs:
             keys, by_keys = ([int(a)], A + B) if a == b else ([int(a), int(b)], np.hstack([A, B]))
             leverage = by_keys @ cov_of(tree, keys) @ by_keys.T
@@ -439,7 +439,7 @@ def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatAr
     return state, float(turn[0]) if len(turn) == 1 else float(np.arctan2(turn[1], turn[0]))
 
 
-def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
+def linear_equations(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
     """Return the equations for the change of the states (N, 6) of anchors and errors, linearised at these states.
 
     They are the prior of the start, the steps between anchors, and all observations with their weights. `frame_rad` is

@@ -81,7 +81,7 @@ class Used:
         return self.n_north > 0
 
     @property
-    def has_places(self) -> bool:
+    def has_positions(self) -> bool:
         """True if fixes or locations place the walk in their frame (`values.has_position`)."""
         return bool(self.observed.fixes or self.observed.locations) or any(map(has_position, self.measured))
 
@@ -96,7 +96,7 @@ class Used:
     @property
     def frame(self) -> str:
         """Name of the frame that the observations define (`Track.frame`), or an empty string for the start frame."""
-        if self.has_places:
+        if self.has_positions:
             return "fixes"
         given = self.states.state[: len(self.states.state) - self.n_north]
         if self.observed.known_headings or (given == HEADING_OFFSET).any():

@@ -19,7 +19,7 @@ from pdr_filter.classifiers.blend import Blend, Mixture
 from pdr_filter.classifiers.boosting import BoostedTrees
 from pdr_filter.classifiers.foreign_classifier import ForeignClassifier
 from pdr_filter.classifiers.forest import Forest
-from pdr_filter.classifiers.probability_calibration import slipped
+from pdr_filter.classifiers.probability_calibration import slipped_prob
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier, stratified_rows
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.offline.training.cross_validation import MachineFit, TextArray
@@ -108,7 +108,7 @@ def fit_extra_trees(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Fo
     options: Any = {"min_samples_leaf": 3, "max_features": 0.3, "max_leaf_nodes": 500, "random_state": 0, "n_jobs": 1}
     forest: Any = ExtraTreesClassifier(80, **options).fit(in_float32(Z), y, sample_weight=weight)
     exact = Forest.from_sklearn(forest)
-    return Forest(exact.trees, slipped(exact.probability, 0.01)), _names(forest.classes_)
+    return Forest(exact.trees, slipped_prob(exact.probability, 0.01)), _names(forest.classes_)
 
 
 def fit_local_relevance_vectors(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, Classes]:

@@ -21,12 +21,12 @@ from pdr_filter.offline.training.cross_validation import (
     LabelledWindows,
     TextArray,
     TrainingPlan,
-    calibrated,
-    calibration,
+    calibrated_prob,
     cross_calibrated,
     in_window_order,
     label_row,
     score,
+    temperature_and_slip,
     train_one,
     with_familiarity,
     worst_person_accuracy,
@@ -461,7 +461,9 @@ class FittingPlan(TrainingPlan):
         n = min(len(units), MAX_PARTS)
         return {", ".join(map(str, units[k::n])): np.isin(self.unit, units[k::n]) for k in range(n)}
 
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+    def final_model(
+        self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]
+    ) -> ContextModel:
         """Return the model, calibrated on held-out windows, with its card, transitions and exponents."""
         left, label = in_window_order(left_out.values()), windows.label(self.head)
         scored = np.zeros(len(label), dtype=bool)
@@ -469,9 +471,11 @@ class FittingPlan(TrainingPlan):
             others = np.unique(label[~group.rows])
             scored |= group.rows & (label != "") & np.isin(label, others)
         prob, y, unit = left.prob[scored], label[scored], self.unit[scored]
-        temperature, slip = calibration(prob, y, model)
+        temperature, slip = temperature_and_slip(prob, y, model)
         usual, limit = np.maximum(np.quantile(left.distance[scored], [0.9, 0.99]), 1e-6).tolist()
-        found = self._evidence(calibrated(left.prob, model, temperature, slip), left.distance, limit, model, windows)
+        found = self._evidence(
+            calibrated_prob(left.prob, model, temperature, slip), left.distance, limit, model, windows
+        )
         held_out = cross_calibrated(prob, y, unit, model)
         is_person, n_units = self.held_out_unit == "person", len(np.unique(unit))
         scores = {

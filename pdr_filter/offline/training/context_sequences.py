@@ -12,7 +12,7 @@ import numpy as np
 
 from pdr_filter.offline.training.cross_validation import TextArray
 from pdr_filter.values import BoolArray, FloatArray, IntArray, check_array, check_transition_prob, read_only
-from pdr_filter.values.mixtures import reweighted
+from pdr_filter.values.mixtures import reweighted_prob
 
 UNKNOWN = -1  # label of an unknown context, which counts neither as staying nor as changing
 # Candidates for the exponents. A step of a tenth is fine enough: next to the optimum, the log loss changes in the third
@@ -230,7 +230,7 @@ def filter_windows(
     for k in range(len(log_prob)):
         predicted = (even if starts[k] else p) @ transition_prob
         log_evidence = by_evidence * (log_prob[k] - by_prior * log_prior[k])
-        p = result[k] = reweighted(predicted, log_evidence)
+        p = result[k] = reweighted_prob(predicted, log_evidence)
     return result
 
 

@@ -24,7 +24,13 @@ from threadpoolctl import threadpool_limits
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.context_model import HEADS, ContextModel
 from pdr_filter.classifiers.familiarity import fit_familiarity
-from pdr_filter.classifiers.probability_calibration import brier_score, fit_calibration, reliability, slipped, tempered
+from pdr_filter.classifiers.probability_calibration import (
+    brier_score,
+    fit_calibration,
+    reliability_diagram,
+    slipped_prob,
+    tempered_prob,
+)
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, Table
 from pdr_filter.values.recording import Recording
 
@@ -72,7 +78,7 @@ class Columns:
         return type(self)(*(getattr(self, name)[use] for name in vars(self)))
 
     @classmethod
-    def joined(cls, parts: Sequence[Self]) -> Self:
+    def concatenate(cls, parts: Sequence[Self]) -> Self:
         """Return the windows of one or more parts, concatenated."""
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])))
 
@@ -269,7 +275,9 @@ class TrainingPlan(ABC):
         """Return the groups of windows that are held out together, as masks (W,) by the name of the group."""
 
     @abstractmethod
-    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]) -> ContextModel:
+    def final_model(
+        self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, HeldOut]
+    ) -> ContextModel:
         """Return the final model with its card and the calibration from the held-out groups."""
 
 
@@ -318,7 +326,7 @@ def fit_groups(plan: TrainingPlan, windows: LabelledWindows, progress: Progress,
 def calibrate_fits(plan: TrainingPlan, windows: LabelledWindows, fits: Fits) -> ContextModel:
     """Return the final model of a training plan, calibrated and scored on its held-out groups."""
     with threadpool_limits(1):
-        return plan.finished(fits.model, windows, predictions(plan, windows, fits))
+        return plan.final_model(fits.model, windows, predictions(plan, windows, fits))
 
 
 def predictions(plan: TrainingPlan, windows: LabelledWindows, fits: Fits) -> dict[str, HeldOut]:
@@ -392,11 +400,11 @@ def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, mo
     result = np.zeros_like(prob)
     for name in np.unique(person):
         own = person == name
-        result[own] = calibrated(prob[own], model, *calibration(prob[~own], context[~own], model))
+        result[own] = calibrated_prob(prob[own], model, *temperature_and_slip(prob[~own], context[~own], model))
     return result
 
 
-def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tuple[float, float]:
+def temperature_and_slip(prob: FloatArray, context: TextArray, model: ContextModel) -> tuple[float, float]:
     """Return the temperature and the slip probability that calibrate the probabilities (W, C) of held-out people.
 
     The slip probability e is the probability that a window has any class at random, so p becomes (1 - e) p + e / K for
@@ -412,10 +420,10 @@ def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tu
     return temperature, max(slip, 1.0 / (len(label) + 2))
 
 
-def calibrated(prob: FloatArray, model: ContextModel, temperature: float, slip: float) -> FloatArray:
+def calibrated_prob(prob: FloatArray, model: ContextModel, temperature: float, slip: float) -> FloatArray:
     """Return calibrated probabilities (W, C), which are zero for classes that `model` does not have."""
     result = np.zeros_like(prob)
-    result[:, _columns(model)] = slipped(tempered(prob[:, _columns(model)], temperature), slip)
+    result[:, _columns(model)] = slipped_prob(tempered_prob(prob[:, _columns(model)], temperature), slip)
     return result
 
 
@@ -437,7 +445,7 @@ def silent(what: str, fraction: float) -> None:
     """Do nothing. This is the default callback for the progress of a training."""
 
 
-def predicted(prob: FloatArray, labels: tuple[str, ...]) -> TextArray:
+def most_probable_labels(prob: FloatArray, labels: tuple[str, ...]) -> TextArray:
     """Return the most probable label of each row, (W,)."""
     return np.array(labels)[prob.argmax(axis=1)]
 
@@ -449,7 +457,7 @@ def score(truth: TextArray, prob: FloatArray, labels: tuple[str, ...] = CONTEXTS
     error and confusion matrix. Recalls are of the labels that occur in `truth` (W,). Numbers have four decimals.
     """
     present = [c for c in labels if (truth == c).any()]
-    best = predicted(prob, labels)
+    best = most_probable_labels(prob, labels)
     recall = np.array([np.mean(best[truth == c] == c) for c in present])
     label = np.array([labels.index(c) for c in truth])
     return {
@@ -459,14 +467,14 @@ def score(truth: TextArray, prob: FloatArray, labels: tuple[str, ...] = CONTEXTS
         "recall": {c: round(float(r), 4) for c, r in zip(present, recall, strict=True)},
         "log_loss": round(float(-np.log(np.maximum(prob[np.arange(len(label)), label], 1e-15)).mean()), 4),
         "brier": round(brier_score(prob, label), 4),
-        "expected_calibration_error": round(reliability(prob, best == truth).expected_calibration_error, 4),
+        "expected_calibration_error": round(reliability_diagram(prob, best == truth).expected_calibration_error, 4),
         "confusion": {c: {d: int(np.sum(best[truth == c] == d)) for d in labels} for c in present},
     }
 
 
 def worst_person_accuracy(truth: TextArray, prob: FloatArray, person: TextArray, labels: tuple[str, ...]) -> float:
     """Return the lowest accuracy among the people, to four decimals, from probabilities (W, L) of the labels."""
-    right = predicted(prob, labels) == truth
+    right = most_probable_labels(prob, labels) == truth
     return round(float(min(right[person == name].mean() for name in np.unique(person))), 4)
 
 

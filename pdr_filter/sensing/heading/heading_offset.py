@@ -1,18 +1,18 @@
 """Heading offset between device and walking direction, and the part of it that a track needs.
 
 A track begins in its own frame, whose north is the walking direction at a device heading of zero. The angle from the
-device to the walking direction in the first place of the phone is therefore part of the definition of the frame. An
+device to the walking direction in the first placement of the phone is therefore part of the definition of the frame. An
 error of this angle does not deform the track, because the turn of the device alone determines its shape. The angle
-matters when the phone moves to another place, because the track needs the difference of the two angles. Three normally
-distributed quantities with a joint covariance describe this:
+matters when the phone moves to another placement, because the track needs the difference of the two angles. Three
+normally distributed quantities with a joint covariance describe this:
 
 - o, the heading offset in the frame of the track: walking heading minus device heading. It starts at 0 and drifts
   slowly.
 - g, the angle that defines the zero of o: strides measure o + g in the axes of the phone.
-- s, the systematic error of all strides in the present place.
+- s, the systematic error of all strides in the present placement.
 
-A stride measures o + g + s. The axis of a phone that is being read measures o + g. In the first place o is known and g
-is estimated. In the next place o is estimated from g, and from the walking direction before the change.
+A stride measures o + g + s. The axis of a phone that is being read measures o + g. In the first placement o is known
+and g is estimated. In the next placement o is estimated from g, and from the walking direction before the change.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ _DEFINED_RAD2 = math.radians(1.0) ** 2
 class Offset:
     """Mean and covariance of the heading offset o, the reference angle g and the systematic error s, all in rad.
 
-    o is the walking heading minus the device heading, in the frame of the track. It is 0 in the first place of the
-    phone by definition of that frame. g is the angle from the device to the walking direction in the first place.
-    Strides measure o + g + s, with the systematic error s of the strides in the present place.
+    o is the walking heading minus the device heading, in the frame of the track. It is 0 in the first placement of the
+    phone by definition of that frame. g is the angle from the device to the walking direction in the first placement.
+    Strides measure o + g + s, with the systematic error s of the strides in the present placement.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ class Offset:
         return Offset((o + ph_o * shift, g + ph_g * shift, s + ph_s * shift), cov)
 
     def after_move(self, offset_rad: float, var_rad2: float, systematic_rad2: float) -> Offset:
-        """Return the offset after the phone was moved to another place.
+        """Return the offset after the phone was moved to another placement.
 
         The new heading offset is `offset_rad`, with a variance increased by `var_rad2`. The systematic error is a new
         one with variance `systematic_rad2`.

@@ -13,7 +13,7 @@ class HeadingStage(StepStage, Protocol):
     """Interface of a causal stage that sets the walking headings of steps.
 
     The stage sets `Step.walking_heading_rad`, `Step.walking_heading_std_rad` and `Step.offset_change_std_rad`.
-    `config.with_heading` uses such a stage, and `pdr_filter.testing.check_stage` tests it. Headings are in rad,
+    `config.with_heading` uses such a stage, and `pdr_filter.testing.verify_stage` tests it. Headings are in rad,
     clockwise, with the zero of `Step.device_heading_rad`. A walking heading with a standard deviation above 0 measures
     the heading offset. One with a standard deviation of 0 states the direction of the step, as decided by a rule for
     each step. The filter then estimates only the error that all stated directions share, and a stage must state the

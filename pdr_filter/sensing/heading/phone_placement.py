@@ -1,7 +1,7 @@
-"""Statistics over the strides in one place of the phone: which stride vectors point forward, and how well they agree.
+"""Statistics over the strides in one placement of the phone: which stride vectors point forward, how well they agree.
 
-A place lasts from the time when the phone is put there until it is moved. Exponentially forgotten sums over its strides
-distinguish a swinging hand from a pocket. They also give the phase of the push forward of this person, and the
+A placement lasts from the time when the phone is put there until it is moved. Exponentially forgotten sums over its
+strides distinguish a swinging hand from a pocket. They also give the phase of the push forward of this person, and the
 agreement of the strides on a direction. In a bag the strides hardly agree, whatever its carrying mode is called.
 """
 
@@ -36,7 +36,7 @@ _Plane = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """Statistics of the strides since the phone was put into its present place.
+    """Statistics of the strides since the phone was put into its present placement.
 
     Vectors are horizontal, with components forward and right of the reference axis in m/s2. Sums are exponentially
     forgotten.
@@ -48,11 +48,11 @@ class Placement:
     carrying_mode : int
         Index into `CARRYING_MODES`; -1 if unknown.
     old_mode : int
-        Carrying mode of the previous place, which the classifier still reports for some seconds; -1 if none.
+        Carrying mode of the previous placement, which the classifier still reports for some seconds; -1 if none.
     up : tuple of float
         Mean unit vector up of the strides, sensor frame.
     n_strides : int
-        Strides in this place.
+        Strides in this placement.
     n_read : int
         Strides during which the phone may have been read.
     vectors : tuple of tuple of float
@@ -82,7 +82,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class StrideAgreement:
-    """Rules that update the statistics of a place of the phone by a stride, and derive the walking direction from them.
+    """Rules that update the statistics of a placement by a stride, and derive the walking direction from them.
 
     Parameters
     ----------
@@ -113,19 +113,19 @@ class StrideAgreement:
     def __post_init__(self) -> None:
         check_numbers(self)
 
-    def learn(self, place: Placement, stride: Stride, elapsed_s: float) -> Placement:
-        """Return the statistics of a place updated with one more stride.
+    def learn(self, placement: Placement, stride: Stride, elapsed_s: float) -> Placement:
+        """Return the statistics of a placement updated with one more stride.
 
         `elapsed_s` is the time of walking by which earlier strides are forgotten.
         """
-        n_strides = place.n_strides + 1
+        n_strides = placement.n_strides + 1
         stay = math.exp(-elapsed_s / self.memory_s)
-        (af, ar), (bf, br), (cf, cr) = place.vectors
-        (aa, bb, cc), (p, q, r), (a, b, c) = place.squares, place.powers, stride.vectors
+        (af, ar), (bf, br), (cf, cr) = placement.vectors
+        (aa, bb, cc), (p, q, r), (a, b, c) = placement.squares, placement.powers, stride.vectors
         new_p, new_q, new_r = stride.powers
         share = 1.0 / min(float(n_strides), _POWER_STRIDES)
         return replace_unchecked(
-            place,
+            placement,
             n_strides=n_strides,
             vectors=(
                 (stay * af + a.real, stay * ar + a.imag),
@@ -133,64 +133,64 @@ class StrideAgreement:
                 (stay * cf + c.real, stay * cr + c.imag),
             ),
             squares=(stay * aa + _inner(a, a), stay * bb + _inner(b, b), stay * cc + _inner(c, c)),
-            product=stay * place.product + _inner(b, c),
-            weight=stay * place.weight + 1.0,
+            product=stay * placement.product + _inner(b, c),
+            weight=stay * placement.weight + 1.0,
             powers=(p + share * (new_p - p), q + share * (new_q - q), r + share * (new_r - r)),
         )
 
-    def mix(self, place: Placement) -> Vector:
+    def mix(self, placement: Placement) -> Vector:
         """Return the coefficients (3,) with which the sum of the three vectors of a stride points forward.
 
         The vectors are `Stride.vectors`: one of the motion at stride frequency, and two of the motion at step
         frequency, which differ by 90 degrees in phase. For a swinging hand the result is (1, 0, 0), the vector at
         stride frequency alone. Otherwise it is (0, cos x, sin x) with the phase x of this person minus the usual phase.
         """
-        if self._swings(place):
+        if self._swings(placement):
             return (1.0, 0.0, 0.0)
-        ahead_rad = self._phase_ahead(place)
+        ahead_rad = self._phase_ahead(placement)
         return (0.0, math.cos(ahead_rad), math.sin(ahead_rad))
 
-    def agreement(self, place: Placement, mix: Vector) -> tuple[float, float]:
+    def agreement(self, placement: Placement, mix: Vector) -> tuple[float, float]:
         """Return the mean squared length of the combined stride vectors in (m/s2)^2, and their agreement, 0 to 1.
 
         The combined vector of a stride is the sum of its three vectors with the coefficients `mix`. Their agreement on
         a direction is the squared length of the mean vector relative to the mean squared length. The part due to
         chance, noise and sway is subtracted, and a prior is added as for two more strides that do not overlap.
         """
-        (a, b, c), (aa, bb, cc) = mix, place.squares
-        (af, ar), (bf, br), (cf, cr) = place.vectors
-        forward, right = (a * af + b * bf + c * cf) / place.weight, (a * ar + b * br + c * cr) / place.weight
-        length2 = (a * a * aa + b * b * bb + c * c * cc + 2.0 * b * c * place.product) / place.weight
-        leak2 = _NOISE_MPS2**2 + (_LEAK**2 + (_SWAY_LEAK / place.weight) ** 2) * place.powers[0]
-        n = 0.5 * place.weight  # strides overlap by half, so two count as one
+        (a, b, c), (aa, bb, cc) = mix, placement.squares
+        (af, ar), (bf, br), (cf, cr) = placement.vectors
+        forward, right = (a * af + b * bf + c * cf) / placement.weight, (a * ar + b * br + c * cr) / placement.weight
+        length2 = (a * a * aa + b * b * bb + c * c * cc + 2.0 * b * c * placement.product) / placement.weight
+        leak2 = _NOISE_MPS2**2 + (_LEAK**2 + (_SWAY_LEAK / placement.weight) ** 2) * placement.powers[0]
+        n = 0.5 * placement.weight  # strides overlap by half, so two count as one
         # For n independent vectors, the squared length of their mean is length2 / n on average. It is subtracted.
         shared2 = max(n * (forward * forward + right * right - leak2) - length2, 0.0) / max(n - 1.0, 1.0)
         share = min(shared2 / length2, 1.0) if length2 > 0 else 0.0
         return length2, (n * share + _PRIOR_STRIDES * _PRIOR_SHARE) / (n + _PRIOR_STRIDES)
 
-    def _swings(self, place: Placement) -> bool:
+    def _swings(self, placement: Placement) -> bool:
         """Return True if the phone is in a swinging hand."""
-        stride_power, step_power, lift_power = place.powers
-        if place.carrying_mode not in _MAY_SWING or stride_power < self.swinging_mps2**2:
+        stride_power, step_power, lift_power = placement.powers
+        if placement.carrying_mode not in _MAY_SWING or stride_power < self.swinging_mps2**2:
             return False
         # The motion at step frequency agrees on a direction in a pocket, but not in a swinging hand.
-        (_, (forward, right), _), (_, length2, _) = place.vectors, place.squares
-        agree = forward * forward + right * right > self.swinging_agreement * place.weight * length2
-        if place.carrying_mode == _SWINGING:
-            is_pocket = agree and place.n_strides >= _SETTLED_STRIDES
+        (_, (forward, right), _), (_, length2, _) = placement.vectors, placement.squares
+        agree = forward * forward + right * right > self.swinging_agreement * placement.weight * length2
+        if placement.carrying_mode == _SWINGING:
+            is_pocket = agree and placement.n_strides >= _SETTLED_STRIDES
             return not is_pocket and step_power <= _LABELLED_STEP_SHARE**2 * stride_power
         lifts = lift_power >= self.swinging_lift**2 * stride_power
         return not agree and lifts and step_power <= self.swinging_step_share**2 * stride_power
 
-    def _phase_ahead(self, place: Placement) -> float:
+    def _phase_ahead(self, placement: Placement) -> float:
         """Return the phase of the push forward relative to the vertical force, of this person minus the usual one, rad.
 
         It is the angle x that maximises |a cos x + b sin x|, where the complex numbers a and b are the sums of the two
         vectors at step frequency. The result is limited while strides are few.
         """
-        _, (af, ar), (bf, br) = place.vectors
+        _, (af, ar), (bf, br) = placement.vectors
         ahead_rad = 0.5 * math.atan2(2.0 * (af * bf + ar * br), af * af + ar * ar - (bf * bf + br * br))
-        limit_rad = self.max_phase_rad * place.weight / (place.weight + self.phase_strides)
+        limit_rad = self.max_phase_rad * placement.weight / (placement.weight + self.phase_strides)
         return min(max(ahead_rad, -limit_rad), limit_rad)
 
 

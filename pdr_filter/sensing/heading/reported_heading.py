@@ -58,7 +58,7 @@ class Reported:
     shown_rad : float
         Part of the offset that comes from strides and the axis of the phone, rad.
     shown_var_rad2 : float
-        Smallest variance of `shown_rad` in the present place of the phone so far, rad2.
+        Smallest variance of `shown_rad` in the present placement of the phone so far, rad2.
     error_rad : float
         Error of the device heading (estimate minus truth) in the last report, rad.
     var_rad2 : float

@@ -6,10 +6,11 @@ moves at stride frequency, and its horizontal force in phase with its vertical o
 (docs/methods/heading.md).
 
 The stage estimates the angle from the device to the walking heading, which is constant while the phone stays in its
-place. Strides are weighted by their agreement (`phone_placement`). The axis of the phone counts while it is being read.
-After the phone was moved to another place, the last walking direction gives the new angle, and so does a previous place
-with the same tilt. A track needs only the difference of the angle to that of the first place (`heading_offset`). The
-error of the device heading itself comes from the gyroscope bias and from the axes of a building (`corridors`).
+placement. Strides are weighted by their agreement (`phone_placement`). The axis of the phone counts while it is being
+read. After the phone was moved to another placement, the last walking direction gives the new angle, and so does a
+previous placement with the same tilt. A track needs only the difference of the angle to that of the first placement
+(`heading_offset`). The error of the device heading itself comes from the gyroscope bias and from the axes of a building
+(`corridors`).
 
 The angle is estimated in the attitude frame (`AttitudeBlock.horizontal_mps2`) and expressed relative to
 `device_heading_rad`, both averaged over a stride. The relation between the two therefore does not matter, and swings
@@ -64,20 +65,20 @@ _MIN_STRIDE_S, _MAX_STRIDE_S = 0.45, 2.2
 _MAX_LATENCY_S = 8.0
 # Largest share of a step in its stride. Beyond it a step was missed, or the walk has just begun.
 _MAX_SHARE = 0.68
-# Number of first strides of a place that are used by their sum instead of one by one.
+# Number of first strides of a placement that are used by their sum instead of one by one.
 _FIRST_STRIDES = 30
 # Agreement of strides above which they overrule the axis of the phone, if they differ from it by this angle. Readers
 # walk in the direction in which they read, but do not always hold the phone straight.
 _OVERRULES_AXIS, _AGAINST_AXIS_RAD = 0.6, math.radians(50.0)
-# Number of strides after which the direction of a place is remembered when the phone is moved.
+# Number of strides after which the direction of a placement is remembered when the phone is moved.
 _SETTLED_STRIDES = 4
-# Number of previous places that are remembered. A look at the phone can produce two places.
-_N_PREVIOUS_PLACES = 3
-# Strides over which the up direction of a place is averaged.
+# Number of previous placements that are remembered. A look at the phone can produce two placements.
+_N_PREVIOUS_PLACEMENTS = 3
+# Strides over which the up direction of a placement is averaged.
 _UP_STRIDES = 8.0
 # Strides that are processed together, so that their samples fit into the processor's cache.
 _MAX_GROUP = 32
-# Time after a change of place during which the classifier still reports the old carrying mode, s. It uses several
+# Time after a change of placement during which the classifier still reports the old carrying mode, s. It uses several
 # seconds of samples, and follows slowly.
 _LABEL_LAG_S = 10.0
 _NO_DIRECTION = (0.0, 0.0, 0.0)
@@ -86,8 +87,8 @@ _TURN_VAR_RAD2_PER_S = math.radians(3.0) ** 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class KnownPlace:
-    """Walking direction in the axes of the phone while it is carried in one place, estimated from all strides there.
+class KnownPlacement:
+    """Walking direction in the axes of the phone during one placement, estimated from all strides.
 
     Attributes
     ----------
@@ -104,28 +105,28 @@ class KnownPlace:
     var_rad2: float
 
 
-def known_places(steps: Table) -> tuple[KnownPlace, ...]:
-    """Return the places of the phone during a track, in order of time.
+def known_placements(steps: Table) -> tuple[KnownPlacement, ...]:
+    """Return the placements of the phone during a track, in order of time.
 
-    Each has the walking direction in the axes of the phone, as estimated at the last stride in this place.
+    Each has the walking direction in the axes of the phone, as estimated at the last stride in this placement.
     """
     since_s, std_rad = np.asarray(steps.carried_since_s), np.asarray(steps.shown_offset_std_rad)
     shown_rad = np.asarray(steps.shown_offset_rad)
-    (in_place,) = (np.isfinite(since_s) & np.isfinite(std_rad)).nonzero()
-    last = in_place[np.flatnonzero(np.diff(since_s[in_place], append=np.inf))]
-    return tuple(KnownPlace(float(since_s[k]), float(shown_rad[k]), float(std_rad[k]) ** 2) for k in last)
+    (is_shown,) = (np.isfinite(since_s) & np.isfinite(std_rad)).nonzero()
+    last = is_shown[np.flatnonzero(np.diff(since_s[is_shown], append=np.inf))]
+    return tuple(KnownPlacement(float(since_s[k]), float(shown_rad[k]), float(std_rad[k]) ** 2) for k in last)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviousPlacement:
-    """A previous place of the phone, to which it may return.
+    """A previous placement of the phone, to which it may return.
 
     Attributes
     ----------
     left_s : float
-        Time when the phone left the place, s.
+        Time when the phone left the placement, s.
     n_strides : int
-        Strides in the place.
+        Strides in the placement.
     up : tuple of float
         Mean unit vector up of its last stride, sensor frame.
     direction : tuple of float
@@ -156,14 +157,14 @@ class WalkingHeadingState:
         Mean unit vector up of the last stride, sensor frame. None before the first.
     axis : tuple of float
         Reference axis, a unit vector perpendicular to `up`, sensor frame.
-    place : Placement or None
-        Statistics of the strides in the present place of the phone.
+    placement : Placement or None
+        Statistics of the strides in the present placement of the phone.
     offset : Offset
-        Heading offset without temporary information (the axis of the phone, and the first strides of a place).
+        Heading offset without temporary information (the axis of the phone, and the first strides of a placement).
     shown : Offset
         Heading offset with the temporary information.
     trust : float
-        Agreement of the strides in this place, 0 to 1.
+        Agreement of the strides in this placement, 0 to 1.
     corridors : CorridorState
         State of the estimation of drift from the axes of a building.
     error_at_restart_rad : float
@@ -186,8 +187,8 @@ class WalkingHeadingState:
         Last walking direction, a unit vector perpendicular to `direction_up`, sensor frame.
     direction_up : tuple of float
         Mean unit vector up of that stride, sensor frame.
-    previous_places : tuple of PreviousPlacement
-        Up to three previous places of the phone.
+    previous_placements : tuple of PreviousPlacement
+        Up to three previous placements of the phone.
     """
 
     n_samples: int
@@ -196,7 +197,7 @@ class WalkingHeadingState:
     contacts_s: tuple[float, ...]
     up: Vector | None
     axis: Vector
-    place: Placement | None
+    placement: Placement | None
     offset: Offset
     shown: Offset
     trust: float
@@ -211,7 +212,7 @@ class WalkingHeadingState:
     walking_s: float
     direction: Vector
     direction_up: Vector
-    previous_places: tuple[PreviousPlacement, ...]
+    previous_placements: tuple[PreviousPlacement, ...]
 
 
 @dataclass(frozen=True)
@@ -229,12 +230,12 @@ class WalkingHeading(StepStage):
         Phones in hands, at ears and in pockets have 40 to 145 degrees.
     running_phase_rad : float, default -135 degrees
         Phase for running, rad. It is -60 to -180 degrees in the trouser pockets of twelve persons, if they run with the
-        phone in the same place as they walk.
+        phone in the same placement as they walk.
     running_mps2 : float, default 8.5
         Amplitude of the vertical specific force at step frequency from which the motion is running, m/s2. Walking has
         up to 6.5 m/s2, jogging 11 to 16.
     strides : StrideAgreement, optional
-        Statistics over the strides of one place.
+        Statistics over the strides of one placement.
     systematic_std_rad : float, default 6 degrees
         Standard deviation of the error of the push forward that remains after any number of strides, rad.
     held_systematic_std_rad : float, default 20 degrees
@@ -245,16 +246,16 @@ class WalkingHeading(StepStage):
     axis_std_rad : float, default 12 degrees
         Standard deviation of the angle between walking heading and the axis of a phone that is or may be read, rad.
     max_tilt_rad : float, default 35 degrees
-        The phone was moved if the mean up direction of a stride differs from the up direction of the place by more than
-        this angle, rad.
+        The phone was moved if the mean up direction of a stride differs from the up direction of the placement by more
+        than this angle, rad.
     change_std_rad : float, default 35 degrees
         Standard deviation of the turn of the pedestrian while the phone is moved, rad.
     away_s, return_std_rad : float, default 30 and 20 degrees
-        A phone that returns within `away_s` seconds to the tilt of a previous place has the direction that it had
+        A phone that returns within `away_s` seconds to the tilt of a previous placement has the direction that it had
         there, with a standard deviation of `return_std_rad`.
     corridors : Corridors, optional
         Estimation of the heading drift from the axes of a building.
-    known_places : tuple of KnownPlace, default empty
+    known_placements : tuple of KnownPlacement, default empty
         Directions from a first pass over the same recording, in order of time. If given, strides are not used.
     drift : HeadingDrift, optional
         Heading drift of the filter of the track (`MotionNoise.heading_drift`). `Config` refuses a different one.
@@ -297,7 +298,7 @@ class WalkingHeading(StepStage):
     away_s: float = 30.0
     return_std_rad: float = math.radians(20.0)
     corridors: Corridors = field(default_factory=Corridors)
-    known_places: tuple[KnownPlace, ...] = ()
+    known_placements: tuple[KnownPlacement, ...] = ()
     drift: HeadingDrift = field(default_factory=HeadingDrift)
 
     learns_directions = True
@@ -316,9 +317,9 @@ class WalkingHeading(StepStage):
         Returns
         -------
         WalkingHeading
-            Stage with `known_places`.
+            Stage with `known_placements`.
         """
-        return replace(self, known_places=known_places(steps))
+        return replace(self, known_placements=known_placements(steps))
 
     def init(self) -> WalkingHeadingState:
         return WalkingHeadingState(
@@ -328,7 +329,7 @@ class WalkingHeading(StepStage):
             contacts_s=(),
             up=None,
             axis=_NO_DIRECTION,
-            place=None,
+            placement=None,
             offset=Offset(),
             shown=Offset(),
             trust=0.0,
@@ -343,13 +344,13 @@ class WalkingHeading(StepStage):
             walking_s=math.nan,
             direction=_NO_DIRECTION,
             direction_up=_NO_DIRECTION,
-            previous_places=(),
+            previous_placements=(),
         )
 
     def after_gap(self, state: WalkingHeadingState) -> WalkingHeadingState:
         """Return the state after a gap, during which the pedestrian may have turned in an unknown way.
 
-        A phone whose tilt is the same as before is assumed to be in the same place.
+        A phone whose tilt is the same as before is assumed to be in the same placement.
 
         Parameters
         ----------
@@ -370,7 +371,7 @@ class WalkingHeading(StepStage):
             contacts_s=(),
             walking_rad=math.nan,
             walking_s=math.nan,
-            previous_places=(),
+            previous_placements=(),
         )
 
     def update(
@@ -446,7 +447,7 @@ class WalkingHeading(StepStage):
     ) -> tuple[WalkingHeadingState, dict[str, Any]]:
         """Return the new state and the changed fields of a step.
 
-        The stride that the step ends updates the place of the phone and the heading offset. The new information is
+        The stride that the step ends updates the placement of the phone and the heading offset. The new information is
         reported in the fields of the step. `stride` is None if the step ends no usable stride. The step then receives
         only the heading error due to the gyroscope bias and the present offset. Before the first usable stride there is
         no offset. `bias_error` holds the three results of `_bias_error`: the error of the device heading due to the
@@ -458,7 +459,7 @@ class WalkingHeading(StepStage):
         state = replace_unchecked(
             state, bias_error_rad=bias_error_rad, bias_error_var_rad2=bias_error_var_rad2, lost_var_rad2=lost_var_rad2
         )
-        if stride is None and state.place is None:
+        if stride is None and state.placement is None:
             return replace_unchecked(state, reported=reported), loss
         if stride is None:
             # A bias that was estimated while the pedestrian stood must already correct the first step, before the first
@@ -469,16 +470,20 @@ class WalkingHeading(StepStage):
                 reported, report = reported.with_report(step, self._reportable(state), error_rad, var_rad2, 0.0)
             return replace_unchecked(state, reported=reported), loss | report | _shown_fields(state)
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
-        offset, previous_places, place, change_std_rad = self._update_place(state, stride, step.time_s, carrying_mode)
-        known_place = self._known_place_at(step.time_s)
-        if known_place is not None and (change_std_rad > 0 or state.place is None):
-            known_direction = cmath.rect(1.0, known_place.shown_rad)
-            offset = offset.after_measurement(AXIS_MEASUREMENT, known_direction, known_place.var_rad2)
-        may_read = place.carrying_mode == _TEXTING or (place.carrying_mode < 0 and stride.up[2] > 0.5)
-        place = self.strides.learn(replace_unchecked(place, n_read=place.n_read + may_read), stride, step.duration_s)
+        offset, previous_placements, placement, change_std_rad = self._update_placement(
+            state, stride, step.time_s, carrying_mode
+        )
+        known_placement = self._known_placement_at(step.time_s)
+        if known_placement is not None and (change_std_rad > 0 or state.placement is None):
+            known_direction = cmath.rect(1.0, known_placement.shown_rad)
+            offset = offset.after_measurement(AXIS_MEASUREMENT, known_direction, known_placement.var_rad2)
+        may_read = placement.carrying_mode == _TEXTING or (placement.carrying_mode < 0 and stride.up[2] > 0.5)
+        placement = self.strides.learn(
+            replace_unchecked(placement, n_read=placement.n_read + may_read), stride, step.duration_s
+        )
         elapsed_s = step.duration_s if math.isnan(state.walking_s) else step.time_s - state.walking_s
-        offset, shown, trust = self._update_offset(place, offset, stride, elapsed_s)
-        shown = self._with_axis(place, shown, stride, trust) if known_place is None else offset
+        offset, shown, trust = self._update_offset(placement, offset, stride, elapsed_s)
+        shown = self._with_axis(placement, shown, stride, trust) if known_placement is None else offset
         angle_rad = shown.shown_rad - stride.axis_offset_rad
         offset_rad = shown.offset_rad
         walking_rad = stride.device_heading_rad + offset_rad
@@ -488,8 +493,8 @@ class WalkingHeading(StepStage):
             state,
             up=stride.up,
             axis=stride.axis,
-            previous_places=previous_places,
-            place=place,
+            previous_placements=previous_placements,
+            placement=placement,
             offset=offset,
             shown=shown,
             trust=trust,
@@ -622,67 +627,72 @@ class WalkingHeading(StepStage):
         """Phases by which the vertical force is advanced to be in phase with the push forward."""
         return Phases(self.phase_rad, self.running_phase_rad, self.running_mps2)
 
-    def _update_place(
+    def _update_placement(
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
     ) -> tuple[Offset, tuple[PreviousPlacement, ...], Placement, float]:
-        """Return the heading offset, the previous places, the place of a stride, and the change of the offset.
+        """Return the heading offset, the previous placements, the placement of a stride, and the change of the offset.
 
-        The phone was moved if the mean up direction of the stride is too far from the up direction of the place. A new
-        place then begins. Its offset follows from the last walking direction, and from a previous place with the same
-        tilt if there is one. The change of the offset is a standard deviation in rad, and zero unless the phone was
-        moved.
+        The phone was moved if the mean up direction of the stride is too far from the up direction of the placement. A
+        new placement then begins. Its offset follows from the last walking direction, and from a previous placement
+        with the same tilt if there is one. The change of the offset is a standard deviation in rad, and zero unless the
+        phone was moved.
         """
-        place_before, previous_places = state.place, state.previous_places
-        if place_before is None:
+        placement_before, previous_placements = state.placement, state.previous_placements
+        if placement_before is None:
             offset = state.offset.after_move(0.0, 0.0, self._systematic_rad2(stride))
-            return offset, previous_places, Placement(time_s, carrying_mode, -1, stride.up), 0.0
-        is_moved = math.acos(min(max(dot(place_before.up, stride.up), -1.0), 1.0)) > self.max_tilt_rad
-        is_old = carrying_mode == place_before.old_mode and time_s - place_before.start_s < _LABEL_LAG_S
-        label = place_before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
+            return offset, previous_placements, Placement(time_s, carrying_mode, -1, stride.up), 0.0
+        is_moved = math.acos(min(max(dot(placement_before.up, stride.up), -1.0), 1.0)) > self.max_tilt_rad
+        is_old = carrying_mode == placement_before.old_mode and time_s - placement_before.start_s < _LABEL_LAG_S
+        label = placement_before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
         if not is_moved:
-            up = unit(linear_sum(1.0 - 1.0 / _UP_STRIDES, place_before.up, 1.0 / _UP_STRIDES, stride.up))
-            return state.offset, previous_places, replace_unchecked(place_before, up=up, carrying_mode=label), 0.0
+            up = unit(linear_sum(1.0 - 1.0 / _UP_STRIDES, placement_before.up, 1.0 / _UP_STRIDES, stride.up))
+            return (
+                state.offset,
+                previous_placements,
+                replace_unchecked(placement_before, up=up, carrying_mode=label),
+                0.0,
+            )
         # The reported carrying mode comes from windows that ended before the phone was moved, so it is the old one.
-        place = Placement(time_s, -1, carrying_mode, stride.up)
+        placement = Placement(time_s, -1, carrying_mode, stride.up)
         offset = state.shown
         moved_rad, turned_var = offset.offset_rad, UNKNOWN_VAR_RAD2
         if not math.isnan(state.walking_rad):
             turned_var = self.change_std_rad**2 + _TURN_VAR_RAD2_PER_S * (time_s - state.walking_s)
             moved_rad = state.walking_rad - stride.device_heading_rad
         offset = offset.after_move(moved_rad, turned_var, self._systematic_rad2(stride))
-        previous_rad = self._previous_direction(state.previous_places, stride, time_s)
+        previous_rad = self._previous_direction(state.previous_placements, stride, time_s)
         if previous_rad is not None:
             shown_rad = stride.axis_offset_rad + previous_rad
             offset = offset.after_measurement(STRIDE_MEASUREMENT, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
-        if place_before.n_strides >= _SETTLED_STRIDES:
-            previous = PreviousPlacement(time_s, place_before.n_strides, state.direction_up, state.direction)
-            previous_places = (*previous_places, previous)[-_N_PREVIOUS_PLACES:]
-        return offset, previous_places, place, UNKNOWN_STD_RAD
+        if placement_before.n_strides >= _SETTLED_STRIDES:
+            previous = PreviousPlacement(time_s, placement_before.n_strides, state.direction_up, state.direction)
+            previous_placements = (*previous_placements, previous)[-_N_PREVIOUS_PLACEMENTS:]
+        return offset, previous_placements, placement, UNKNOWN_STD_RAD
 
-    def _known_place_at(self, time_s: float) -> KnownPlace | None:
-        """Return the place of the phone at a time, as estimated in the first pass.
+    def _known_placement_at(self, time_s: float) -> KnownPlacement | None:
+        """Return the placement of the phone at a time, as estimated in the first pass.
 
-        The result is None without a first pass, and before the first place.
+        The result is None without a first pass, and before the first placement.
         """
-        i = bisect_right(self.known_places, time_s, key=attrgetter("start_s"))
-        return self.known_places[i - 1] if i else None
+        i = bisect_right(self.known_placements, time_s, key=attrgetter("start_s"))
+        return self.known_placements[i - 1] if i else None
 
     def _previous_direction(
-        self, previous_places: tuple[PreviousPlacement, ...], stride: Stride, time_s: float
+        self, previous_placements: tuple[PreviousPlacement, ...], stride: Stride, time_s: float
     ) -> float | None:
-        """Return the walking direction in a previous place with the tilt of this stride, or None if there is none.
+        """Return the walking direction in a previous placement with the tilt of this stride, or None if there is none.
 
         The direction is clockwise from the reference axis of the stride, in rad. It helps when a hand lifts the phone
         for a look and then swings on.
         """
         matching = [
-            place
-            for place in previous_places
-            if time_s - place.left_s < self.away_s and dot(place.up, stride.up) > math.cos(self.max_tilt_rad)
+            placement
+            for placement in previous_placements
+            if time_s - placement.left_s < self.away_s and dot(placement.up, stride.up) > math.cos(self.max_tilt_rad)
         ]
         if not matching:
             return None
-        previous = max(matching, key=lambda place: place.n_strides)
+        previous = max(matching, key=lambda placement: placement.n_strides)
         direction = carry_axis(previous.direction, previous.up, stride.up)
         right = cross(stride.axis, stride.up)
         return math.atan2(dot(direction, right), dot(direction, stride.axis))
@@ -695,13 +705,13 @@ class WalkingHeading(StepStage):
         has_large_error = stride.runs or stride.up[2] > 0.5
         return (self.held_systematic_std_rad if has_large_error else self.systematic_std_rad) ** 2
 
-    def _with_axis(self, place: Placement, offset: Offset, stride: Stride, trust: float) -> Offset:
+    def _with_axis(self, placement: Placement, offset: Offset, stride: Stride, trust: float) -> Offset:
         """Return the heading offset updated with the pointing axis of the phone, as of a phone that is being read.
 
-        The axis is used only if the phone may have been read during at least half of the strides in this place
+        The axis is used only if the phone may have been read during at least half of the strides in this placement
         (`Placement.n_read`). It is not used if strides with high agreement (`trust`) contradict it.
         """
-        if 2 * place.n_read < place.n_strides:
+        if 2 * placement.n_read < placement.n_strides:
             return offset
         pointing_rad = stride.axis_offset_rad + stride.pointing_rad
         if trust > _OVERRULES_AXIS and abs(wrap_angle(pointing_rad - offset.shown_rad)) > _AGAINST_AXIS_RAD:
@@ -709,36 +719,36 @@ class WalkingHeading(StepStage):
         return offset.after_measurement(AXIS_MEASUREMENT, cmath.rect(1.0, pointing_rad), self.axis_std_rad**2)
 
     def _update_offset(
-        self, place: Placement, offset: Offset, stride: Stride, elapsed_s: float
+        self, placement: Placement, offset: Offset, stride: Stride, elapsed_s: float
     ) -> tuple[Offset, Offset, float]:
         """Return the permanent heading offset after a stride, the offset to report, and the agreement of the strides.
 
-        The permanent offset does not contain the first strides of a place, because later strides may change the
+        The permanent offset does not contain the first strides of a placement, because later strides may change the
         direction of their sum: they may show a swinging hand or another phase. Until stride number `_FIRST_STRIDES`,
-        the reported offset is therefore the permanent one, updated with the sum of all strides of the place. At this
-        stride the sum becomes permanent. From then on, each stride updates the permanent offset, and both results are
-        equal.
+        the reported offset is therefore the permanent one, updated with the sum of all strides of the placement. At
+        this stride the sum becomes permanent. From then on, each stride updates the permanent offset, and both results
+        are equal.
         """
         stay = math.exp(-elapsed_s / self.systematic_s)
         random_walk_rad2 = self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
         offset = offset.after_time(random_walk_rad2, stay, self._systematic_rad2(stride))
-        mix = self.strides.mix(place)
-        length2, share = self.strides.agreement(place, mix)
-        if length2 == 0 or self.known_places:
+        mix = self.strides.mix(placement)
+        length2, share = self.strides.agreement(placement, mix)
+        if length2 == 0 or self.known_placements:
             return offset, offset, share
         # Variance (1 - share) / share per stride: half of the squared length that strides do not share is across the
         # direction, and two overlapping strides count as one.
-        uses_sum = place.n_strides <= _FIRST_STRIDES
-        vectors, weight = (_as_complex(place), place.weight) if uses_sum else (stride.vectors, 1.0)
+        uses_sum = placement.n_strides <= _FIRST_STRIDES
+        vectors, weight = (_as_complex(placement), placement.weight) if uses_sum else (stride.vectors, 1.0)
         forward = (mix[0] * vectors[0] + mix[1] * vectors[1] + mix[2] * vectors[2]) / weight
         direction = forward / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
         shown = offset.after_measurement(STRIDE_MEASUREMENT, direction, (1.0 - share) / share / weight)
-        return (offset if place.n_strides < _FIRST_STRIDES else shown), shown, share
+        return (offset if placement.n_strides < _FIRST_STRIDES else shown), shown, share
 
 
-def _as_complex(place: Placement) -> tuple[complex, complex, complex]:
-    """Return the summed stride vectors of a carrying place as complex numbers, forward + i right."""
-    a, b, c = place.vectors
+def _as_complex(placement: Placement) -> tuple[complex, complex, complex]:
+    """Return the summed stride vectors of a carrying placement as complex numbers, forward + i right."""
+    a, b, c = placement.vectors
     return complex(*a), complex(*b), complex(*c)
 
 
@@ -746,12 +756,12 @@ def _shown_fields(state: WalkingHeadingState, on_axes: bool = False) -> dict[str
     """Return the fields of a step that describe the walking direction relative to the phone.
 
     They are the direction with its standard deviation, the agreement of the strides, the time since which the phone is
-    in its place, and `on_axes`. `on_axes` is True if the walk certainly follows the axes of a building.
+    in its placement, and `on_axes`. `on_axes` is True if the walk certainly follows the axes of a building.
     """
     return {
         "on_axes": on_axes,
         "shown_offset_rad": state.shown.shown_rad,
         "shown_offset_std_rad": math.sqrt(state.shown.shown_var_rad2),
         "direction_trust": state.trust,
-        "carried_since_s": -math.inf if state.place is None else state.place.start_s,
+        "carried_since_s": -math.inf if state.placement is None else state.placement.start_s,
     }

@@ -15,7 +15,7 @@ S = TypeVar("S")
 class StepDetector(Protocol[S]):
     """Interface of a causal stage that detects steps in uniform samples.
 
-    `config.with_steps` uses such a detector, and `pdr_filter.testing.check_stage` tests it. A frozen dataclass is
+    `config.with_steps` uses such a detector, and `pdr_filter.testing.verify_stage` tests it. A frozen dataclass is
     recommended: it holds the constant parameters, and the state holds everything that changes. The result must not
     depend on how samples are cut into blocks. Samples are numbered from 0 after each gap.
 

@@ -29,7 +29,7 @@ def assembled(messages: Iterable[dict[str, Any]], platform: str = "") -> tuple[A
         for message in parse(json.dumps(content).encode()):
             state, held, ready = assembly.take(state, held, message, platform)
             parts += ready
-    state, _, ready = assembly.finish(state, held, platform)
+    state, _, ready = assembly.finish_assembly(state, held, platform)
     parts += ready
     names = {name for part in parts for name in part}
     rows = {n: [np.column_stack([p[n].time_s, p[n].values]) for p in parts if n in p] for n in names}

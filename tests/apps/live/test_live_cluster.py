@@ -20,7 +20,7 @@ from serving import Server, own_messages, short_walk, until
 import pdr_filter as pdr
 from pdr_filter.apps.live import cluster as live_cluster
 from pdr_filter.apps.live.cluster import DaskCluster
-from pdr_filter.apps.live.settings import Settings, part_of
+from pdr_filter.apps.live.settings import Settings, worker_of
 
 pytest.importorskip("distributed")
 PHONES = ("left", "right", "third", "fourth")
@@ -60,7 +60,7 @@ def cluster(folder: Path, n_workers: int) -> Iterator[tuple[str, list[subprocess
 
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 def test_with_one_of_two_machines_killed_every_phone_goes_on_and_no_step_is_there_twice(tmp_path: Path) -> None:
-    assert {part_of(name, 2) for name in PHONES} == {0, 1}
+    assert {worker_of(name, 2) for name in PHONES} == {0, 1}
     walk = short_walk(30.0)
     bodies = {name: own_messages(walk, name) for name in PHONES}
     n = len(bodies["left"])

@@ -21,10 +21,10 @@ from pdr_filter.apps.live import session as live_session
 from pdr_filter.apps.live import sessions as live_sessions
 from pdr_filter.apps.live.assembly import LateError, SessionError
 from pdr_filter.apps.live.messages import parse
-from pdr_filter.apps.live.recorder import exported
+from pdr_filter.apps.live.recorder import exported_files
 from pdr_filter.apps.live.session import DeviceSession, session_id
 from pdr_filter.apps.live.sessions import Sessions
-from pdr_filter.apps.live.settings import BusyError, Event, FixError, Settings, part_of
+from pdr_filter.apps.live.settings import BusyError, Event, FixError, Settings, worker_of
 from pdr_filter.data.io.fix_files import ranges_of_file
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Samples
@@ -205,7 +205,7 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
     lines = (session.recorder.folder / "fixes.csv").read_text().splitlines()
     assert lines[0] == "time_s,east_m,north_m,std_m"
     assert len(lines) == 2
-    assert {"fixes.csv", "steps.jsonl"} <= exported(session.recorder.folder).keys()
+    assert {"fixes.csv", "steps.jsonl"} <= exported_files(session.recorder.folder).keys()
 
 
 def test_a_range_to_an_anchor_is_used_and_is_on_record_as_a_file_of_ranges(walk: Recording, tmp_path: Path) -> None:
@@ -227,7 +227,7 @@ def test_a_range_to_an_anchor_is_used_and_is_on_record_as_a_file_of_ranges(walk:
     (read,) = ranges_of_file(session.recorder.folder / "ranges.csv")
     assert (read.range_m, read.std_m) == (12.4, 1.0)
     np.testing.assert_allclose(read.anchor_m, [east_m + 12.0, north_m])
-    assert "ranges.csv" in exported(session.recorder.folder)
+    assert "ranges.csv" in exported_files(session.recorder.folder)
 
 
 @pytest.mark.parametrize(("away_m", "outcome"), [(1.0, "used"), (500.0, "rejected")])
@@ -374,9 +374,9 @@ def test_a_damaged_file_of_a_phone_does_not_stop_its_next_session(walk: Recordin
 
 
 def test_each_device_belongs_to_one_worker() -> None:
-    parts = [part_of(f"phone {i}", 2) for i in range(100)]
+    parts = [worker_of(f"phone {i}", 2) for i in range(100)]
     assert 30 < sum(parts) < 70
-    assert parts == [part_of(f"phone {i}", 2) for i in range(100)]
+    assert parts == [worker_of(f"phone {i}", 2) for i in range(100)]
 
 
 def test_a_message_of_a_minute_gives_the_same_track_as_many_short_ones(walk: Recording, tmp_path: Path) -> None:
@@ -464,7 +464,7 @@ def test_what_an_untracked_phone_sends_is_recorded_and_can_be_read(
     expected = walk.accelerometer.values[: n_rows["gravity"]]
     np.testing.assert_allclose(recording.accelerometer.values, expected, atol=1e-12)
     assert len(recording.gyroscope) == n_rows["gyroscope"]
-    (name,) = exported(session.recorder.folder)
+    (name,) = exported_files(session.recorder.folder)
     assert name == "messages.json"
 
 

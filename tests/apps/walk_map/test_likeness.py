@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.apps.walk_map import placing, walk_map
+from pdr_filter.apps.walk_map import walk_map, walk_poses
 from pdr_filter.apps.walk_map.chains import Chain, Scans, chain_of
 from pdr_filter.apps.walk_map.joint import _by_state, contradicting, solve_group, step_positions
 from pdr_filter.apps.walk_map.likeness import (
@@ -22,17 +22,17 @@ from pdr_filter.apps.walk_map.likeness import (
     likelihood,
     log_ratio,
 )
-from pdr_filter.apps.walk_map.placing import (
+from pdr_filter.apps.walk_map.walk_poses import (
     PACES,
-    PlacedGroup,
-    Pose,
+    JoinedWalks,
     ScannedWalks,
+    WalkPose,
     _thinned,
     adjust,
+    clockwise_rotation,
     joint_poses,
     log_evidence,
     partners_of,
-    rotation_matrix,
     scans_around,
 )
 
@@ -90,7 +90,7 @@ def test_the_information_is_the_expected_curvature(scans: tuple[np.ndarray, np.n
 
 
 def test_a_clockwise_quarter_turn_moves_north_to_east() -> None:
-    np.testing.assert_allclose(np.array([[0.0, 1.0]]) @ rotation_matrix(np.pi / 2), [[1.0, 0.0]], atol=1e-15)
+    np.testing.assert_allclose(np.array([[0.0, 1.0]]) @ clockwise_rotation(np.pi / 2), [[1.0, 0.0]], atol=1e-15)
 
 
 def test_the_slope_of_the_joint_poses_is_that_of_differences(chain: Chain) -> None:
@@ -98,15 +98,15 @@ def test_the_slope_of_the_joint_poses_is_that_of_differences(chain: Chain) -> No
     rng = np.random.default_rng(1)
     heard = [Scans(np.arange(0, 20, 4), np.arange(0, 35, 6), np.tile(np.arange(6), 5), rng.uniform(-80, -40, 30))] * 2
     walks = ScannedWalks.of([replace(chain, scans=s) for s in heard])
-    poses = {0: Pose(0.1, np.array([1.0, 2.0])), 1: Pose(-0.2, np.array([9.0, -4.0]), scale=1.1)}
-    group = PlacedGroup(poses, {0: Pose(0.0, np.zeros(2))}, 0.05)
+    poses = {0: WalkPose(0.1, np.array([1.0, 2.0])), 1: WalkPose(-0.2, np.array([9.0, -4.0]), scale=1.1)}
+    group = JoinedWalks(poses, {0: WalkPose(0.0, np.zeros(2))}, 0.05)
     scans = scans_around(walks, group, [0, 1])
     before = joint_poses(walks, group, [0, 1], scans)
 
     def objective(k: int, by: float) -> float:
         change = by * np.eye(9)[k]
         changed = {
-            i: Pose(
+            i: WalkPose(
                 pose.turn_rad + change[4 * i],
                 pose.shift_m + change[4 * i + 1 : 4 * i + 3],
                 pose.floor,
@@ -128,9 +128,9 @@ def test_the_evidence_of_a_walk_is_zero_far_away_and_positive_where_it_hears_the
     rng = np.random.default_rng(3)
     heard = Scans(np.arange(0, 20, 4), np.arange(0, 35, 6), np.tile(np.arange(6), 5), rng.uniform(-80, -40, 30))
     walks = ScannedWalks.of([replace(chain, scans=heard, knows_north=False)] * 2)
-    here = Pose(0.0, np.zeros(2))
-    groups = [{0: here}, {0: here, 1: Pose(0.0, np.array([1e6, 0.0]))}, {0: here, 1: here}]
-    alone, far, same = (log_evidence(walks, PlacedGroup(poses, {0: here})) for poses in groups)
+    here = WalkPose(0.0, np.zeros(2))
+    groups = [{0: here}, {0: here, 1: WalkPose(0.0, np.array([1e6, 0.0]))}, {0: here, 1: here}]
+    alone, far, same = (log_evidence(walks, JoinedWalks(poses, {0: here})) for poses in groups)
     assert alone == pytest.approx(0.0, abs=1e-9) and far == pytest.approx(0.0, abs=1e-4)
     assert same > 3.0
 
@@ -139,9 +139,9 @@ def test_the_evidence_of_a_walk_is_zero_far_away_and_positive_where_it_hears_the
 def test_of_two_paces_of_growth_the_more_probable_result_counts(monkeypatch: pytest.MonkeyPatch, better: int) -> None:
     """At the first pace walks 1 and 2 join, at the other one walks 1 and 3, and walk 4 is removed."""
 
-    def grow(_: object, group: PlacedGroup, free: set[int], pace: int) -> None:
+    def grow(_: object, group: JoinedWalks, free: set[int], pace: int) -> None:
         joined = {PACES[0]: (1, 2), PACES[1]: (1, 3)}[pace]
-        group.poses.update({i: Pose(float(pace), np.zeros(2)) for i in joined})
+        group.poses.update({i: WalkPose(float(pace), np.zeros(2)) for i in joined})
         group.north_rad = float(pace)
         free.difference_update({*joined, 4})
 
@@ -150,7 +150,7 @@ def test_of_two_paces_of_growth_the_more_probable_result_counts(monkeypatch: pyt
         monkeypatch.setattr(walk_map, name, other)
     monkeypatch.setattr(walk_map, "log_evidence", lambda _, group: float(2 + better in group.poses))
     walks = SimpleNamespace(partners=[set(range(5)) for _ in range(5)])
-    group, free = PlacedGroup({0: Pose(0.0, np.zeros(2))}, {}), {1, 2, 3, 4}
+    group, free = JoinedWalks({0: WalkPose(0.0, np.zeros(2))}, {}), {1, 2, 3, 4}
     reasons = dict[int, str]()
     walk_map._extend(cast(Any, walks), group, free, reasons)
     assert set(group.poses) == {0, 1, 2 + better} and group.north_rad == PACES[better]
@@ -161,8 +161,8 @@ def test_walks_of_other_storeys_do_not_move_a_walk(chain: Chain) -> None:
     rng = np.random.default_rng(2)
     heard = Scans(np.arange(0, 20, 4), np.arange(0, 35, 6), np.tile(np.arange(6), 5), rng.uniform(-80, -40, 30))
     walks = ScannedWalks.of([replace(chain, scans=heard)] * 3)
-    poses = {i: Pose(0.0, np.array([9.0 * i, 0.0]), floor) for i, floor in enumerate((0, 0, 1))}
-    group = PlacedGroup(poses, {1: poses[1]})
+    poses = {i: WalkPose(0.0, np.array([9.0 * i, 0.0]), floor) for i, floor in enumerate((0, 0, 1))}
+    group = JoinedWalks(poses, {1: poses[1]})
     scans = scans_around(walks, group, [0])
     assert set(walks.owner[scans].tolist()) == {0, 1}
     with_other = np.concatenate([scans, walks.scans_of([2])])
@@ -214,8 +214,8 @@ def test_a_known_start_and_end_of_one_walk_are_its_solution_with_their_covarianc
     walks = ScannedWalks.of([chain])
     ends = np.array([[10.0, 20.0], [10.0, 46.0]])
     known = [pdr.PositionFix(t, p, 0.05**2 * np.eye(2)) for t, p in zip((0.0, chain.time_s[-1]), ends, strict=True)]
-    pose = Pose(0.3, np.zeros(2))
-    found = solve_group(walks, PlacedGroup({0: pose}, {0: pose}), {0: known})
+    pose = WalkPose(0.3, np.zeros(2))
+    found = solve_group(walks, JoinedWalks({0: pose}, {0: pose}), {0: known})
     position_m, cov_m2 = step_positions(walks.chains[0], found[0])
     np.testing.assert_allclose(position_m[[0, -1]], ends, atol=0.15)
     np.testing.assert_allclose(cov_m2[[0, -1]], np.tile(0.05**2 * np.eye(2), (2, 1, 1)), rtol=0.2, atol=3e-4)
@@ -227,8 +227,8 @@ def test_a_known_start_and_end_of_one_walk_are_its_solution_with_their_covarianc
 def test_a_known_heading_rotates_a_walk(chain: Chain) -> None:
     walks, half_s = ScannedWalks.of([chain]), float(chain.time_s[len(chain.time_s) // 2])
     known = [pdr.PositionFix(0.0, (0.0, 0.0), 0.01 * np.eye(2)), pdr.HeadingFix(half_s, np.pi / 2, 0.01)]
-    pose = Pose(1.2, np.zeros(2))
-    found = solve_group(walks, PlacedGroup({0: pose}, {0: pose}), {0: known})
+    pose = WalkPose(1.2, np.zeros(2))
+    found = solve_group(walks, JoinedWalks({0: pose}, {0: pose}), {0: known})
     end_m = step_positions(walks.chains[0], found[0])[0][-1]
     assert end_m[0] == pytest.approx(25.0, rel=0.15) and abs(end_m[1]) < 3.0
 
@@ -243,39 +243,39 @@ def test_the_index_gives_cosines_of_fingerprints() -> None:
 
 
 def test_walks_that_are_on_a_map_stay_although_the_others_do_not_confirm_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(placing, "_is_confirmed", lambda *_: False)
-    monkeypatch.setattr(placing, "adjust", lambda *_: None)
-    poses = {i: Pose(0.0, np.zeros(2)) for i in range(4)}
-    group = PlacedGroup(poses, {0: poses[0]})
-    assert placing.settle(cast(Any, None), group, kept=frozenset([0, 2])) == [1, 3]
+    monkeypatch.setattr(walk_poses, "_is_confirmed", lambda *_: False)
+    monkeypatch.setattr(walk_poses, "adjust", lambda *_: None)
+    poses = {i: WalkPose(0.0, np.zeros(2)) for i in range(4)}
+    group = JoinedWalks(poses, {0: poses[0]})
+    assert walk_poses.settle(cast(Any, None), group, kept=frozenset([0, 2])) == [1, 3]
     assert set(group.poses) == {0, 2}
 
 
 def test_walks_leave_a_storey_on_which_no_walk_of_the_frame_is_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(placing, "_is_confirmed", lambda _, group, i, prob: i == 0 and prob == placing.SURE)
-    poses = {i: Pose(0.0, np.zeros(2), floor) for i, floor in enumerate((0, 1, 0, 1, 2, 0))}
-    group = PlacedGroup(poses, {})
+    monkeypatch.setattr(walk_poses, "_is_confirmed", lambda _, group, i, prob: i == 0 and prob == walk_poses.SURE)
+    poses = {i: WalkPose(0.0, np.zeros(2), floor) for i, floor in enumerate((0, 1, 0, 1, 2, 0))}
+    group = JoinedWalks(poses, {})
     # the walks 0 and 5 of storey 0 define the frame, of which one is confirmed; storey 2 has none
-    assert placing.drop_doubtful_storeys(cast(Any, None), group, frozenset([0, 1, 5])) == [3]
+    assert walk_poses.drop_doubtful_storeys(cast(Any, None), group, frozenset([0, 1, 5])) == [3]
     assert set(group.poses) == {0, 1, 2, 4, 5}
 
 
 def test_after_a_map_without_agreement_the_other_pace_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     tried: list[int] = []
 
-    def grow(_: object, group: PlacedGroup, free: set[int], pace: int) -> None:
+    def grow(_: object, group: JoinedWalks, free: set[int], pace: int) -> None:
         tried.append(pace)
-        group.poses[1] = Pose(float(pace), np.zeros(2))
+        group.poses[1] = WalkPose(float(pace), np.zeros(2))
         free.discard(1)
 
-    def drop(_: object, group: PlacedGroup, __: object) -> list[int]:
+    def drop(_: object, group: JoinedWalks, __: object) -> list[int]:
         return [i for i in (1,) if group.poses[1].turn_rad == PACES[0] and group.poses.pop(1)]
 
     others = {"grow": grow, "adjust": lambda *_, **__: None, "settle": lambda *_: [], "drop_doubtful_storeys": drop}
     for name, other in others.items():
         monkeypatch.setattr(walk_map, name, other)
     monkeypatch.setattr(walk_map, "log_evidence", lambda _, group: float(len(group.poses)))
-    group, free = PlacedGroup({0: Pose(0.0, np.zeros(2))}, {}), {1}
+    group, free = JoinedWalks({0: WalkPose(0.0, np.zeros(2))}, {}), {1}
     walk_map._extend(cast(Any, SimpleNamespace(partners=[{1}, {0}])), group, free, reasons := dict[int, str]())
     assert tried == list(PACES) and set(group.poses) == {0, 1} and not reasons
 
@@ -283,7 +283,7 @@ def test_after_a_map_without_agreement_the_other_pace_is_tried(monkeypatch: pyte
 def fixes_along(chain: Chain, every: int, std_m: float = 0.5) -> list[pdr.PositionFix]:
     """Positions of every so many steps of a walk, rotated and shifted, with the order of their times."""
     steps = np.arange(0, len(chain.time_s), every)
-    at_m = Pose(0.3, np.array([50.0, -20.0])).of(chain.position_m(steps))
+    at_m = WalkPose(0.3, np.array([50.0, -20.0])).of(chain.position_m(steps))
     times_s = np.append(chain.time_s[:1] - 0.1, chain.time_s)[steps]
     return [pdr.PositionFix(t, p, std_m**2 * np.eye(2)) for t, p in zip(times_s.tolist(), at_m, strict=True)]
 

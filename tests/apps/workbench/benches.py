@@ -14,7 +14,7 @@ import httpx
 
 import pdr_filter as pdr
 from pdr_filter.apps.workbench.hub import Workbench
-from pdr_filter.apps.workbench.server import app
+from pdr_filter.apps.workbench.server import workbench_application
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values.recording import Recording, Truth
 
@@ -75,7 +75,7 @@ def with_bench(folder: Path, scenario: Callable[[Client], Awaitable[None]], is_w
         await bench.start()
         if not is_working:
             bench._tasks[0].cancel()
-        transport = httpx.ASGITransport(app(bench, None))
+        transport = httpx.ASGITransport(workbench_application(bench, None))
         try:
             async with httpx.AsyncClient(transport=transport, base_url=ORIGIN, timeout=120) as http:
                 await scenario(Client(http, bench))

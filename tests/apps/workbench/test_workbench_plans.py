@@ -14,7 +14,7 @@ import pytest
 
 import pdr_filter as pdr
 from pdr_filter.apps.maps.plan_checks import problems_of
-from pdr_filter.apps.workbench.pictures import convert, rectify
+from pdr_filter.apps.workbench.pictures import convert_picture, rectify
 from pdr_filter.apps.workbench.plans import Plans
 from pdr_filter.apps.workbench.walks import ConflictError
 
@@ -159,7 +159,7 @@ def test_pictures_become_png_of_bounded_size(tmp_path: Path) -> None:
 
     source = tmp_path / "scan"
     Image.new("L", (6000, 3000), 200).save(source, "JPEG")
-    assert convert(source, 1, tmp_path / "plan.png") == {"width": 4000, "height": 2000}
+    assert convert_picture(source, 1, tmp_path / "plan.png") == {"width": 4000, "height": 2000}
     assert Image.open(tmp_path / "plan.png").format == "PNG"
 
 
@@ -169,6 +169,6 @@ def test_a_page_of_a_pdf_file_becomes_a_picture(tmp_path: Path) -> None:
 
     source = tmp_path / "plan.pdf"
     matplotlib.figure.Figure((8, 4)).savefig(source)
-    assert convert(source, 1, tmp_path / "plan.png") == {"width": 4000, "height": 2000}
+    assert convert_picture(source, 1, tmp_path / "plan.png") == {"width": 4000, "height": 2000}
     with pytest.raises(ValueError, match="no page 2"):
-        convert(source, 2, tmp_path / "plan.png")
+        convert_picture(source, 2, tmp_path / "plan.png")

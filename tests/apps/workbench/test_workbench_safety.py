@@ -18,7 +18,7 @@ from starlette.routing import Mount, Route
 
 from pdr_filter.apps.workbench import server
 from pdr_filter.apps.workbench.hub import Workbench
-from pdr_filter.apps.workbench.server import WorkbenchSite, app
+from pdr_filter.apps.workbench.server import WorkbenchSite, workbench_application
 from pdr_filter.apps.workbench.walks import Walks
 from pdr_filter.values import safe_files
 
@@ -48,7 +48,7 @@ def test_every_address_refuses_other_sites_other_hosts_and_wrong_tokens(tmp_path
             ("secret", {"Cookie": "pdr_filter_token=wrong"}, 401),
             ("secret", {"Authorization": "Bearer secret", "Origin": "http://evil.example"}, 403),
         ):
-            transport = httpx.ASGITransport(app(bench, None, token))
+            transport = httpx.ASGITransport(workbench_application(bench, None, token))
             async with httpx.AsyncClient(transport=transport, base_url="http://127.0.0.1") as http:
                 for method, path in addresses:
                     for name, value in filled.items():

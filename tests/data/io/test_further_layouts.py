@@ -9,7 +9,7 @@ from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, 
 
 from pdr_filter.data.io.column_names import column_of, quantity_of_file
 from pdr_filter.data.io.formats import read
-from pdr_filter.data.io.tables.any_table import read_table
+from pdr_filter.data.io.tables.any_table import read_any_table
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 HORIZONTAL = """
@@ -136,7 +136,7 @@ def test_columns_with_a_g_behind_their_word_are_in_the_unit_that_their_size_show
     for factor in (1.0, 1 / STANDARD_GRAVITY_MPS2):
         columns = {"time": WALK.accelerometer.time_s} | axes("accG_%", factor * WALK.accelerometer.values)
         path = write_text(tmp_path / "walk.csv", table_text(columns))
-        assert_same_streams(read_table(path, platform="android"), WALK, "accelerometer", 1e-6, 1e-9)
+        assert_same_streams(read_any_table(path, platform="android"), WALK, "accelerometer", 1e-6, 1e-9)
 
 
 def test_a_mapping_given_as_a_recording_is_refused_with_the_command_that_takes_it(tmp_path: Path) -> None:

@@ -13,13 +13,13 @@ from scipy.stats import chi2, invgamma, multivariate_normal
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
-from pdr_filter.filter.pedestrian.alignment import Alignment, Place
+from pdr_filter.filter.pedestrian.alignment import Alignment, Pose
 from pdr_filter.filter.pedestrian.frame import UNKNOWN_FRAME
 from pdr_filter.filter.pedestrian.frame_rotation import PairedPoint, align, least_squares_error, rotation_density
-from pdr_filter.filter.pedestrian.pedestrian_state import present_position
+from pdr_filter.filter.pedestrian.pedestrian_state import reckoned_position
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracking import filtering
-from pdr_filter.tracking.filtering import add_fixes, init
+from pdr_filter.tracking.filtering import add_fixes, init_filter
 from pdr_filter.values import Fix, HeadingFix, PositionFix, SpeedFix, Standstill, wrap_angle
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.serialisation import to_bytes
@@ -255,7 +255,7 @@ def test_an_unexpected_fix_increases_the_covariance_more_after_few_fixes(n_befor
     state, outcome, nis = tracker.on_fix(state, PositionFix(0.0, np.array([east_m, 0.0]), 7.0 * np.eye(2)))
     assert outcome == "used"
     assert nis == pytest.approx(east_m**2 / 16.0)
-    position_m, cov_m2 = present_position(state.pedestrian)
+    position_m, cov_m2 = reckoned_position(state.pedestrian)
     larger = max((4 + n_before + nis) / (4 + n_before + 2), 1.0)
     np.testing.assert_allclose(position_m, [east_m * 9.0 / 16.0, 0.0])
     np.testing.assert_allclose(cov_m2, larger * 63.0 / 16.0 * np.eye(2), atol=1e-12)
@@ -278,7 +278,7 @@ def test_fixes_with_correlated_errors_agree_with_generalised_least_squares(
     np.fill_diagonal(cov, stds**2)
     precision = np.ones(4) @ np.linalg.inv(cov) @ np.ones(4) + 1 / 64.0
     expected = np.ones(4) @ np.linalg.inv(cov) @ places / precision
-    position_m, cov_m2 = present_position(state.pedestrian)
+    position_m, cov_m2 = reckoned_position(state.pedestrian)
     np.testing.assert_allclose(position_m, expected, atol=1e-9)
     np.testing.assert_allclose(cov_m2, np.eye(2) / precision, atol=1e-9)
 
@@ -289,11 +289,11 @@ def test_correlated_fixes_with_crossed_ellipses_never_increase_the_covariance() 
     covs = (np.diag([400.0, 9.0]), np.diag([9.0, 400.0]))
     for k in range(8):
         fix = PositionFix(4.0 * k, np.array([1e-3 * k, 0.0]), covs[k % 2], correlation_s=30.0)
-        before = present_position(state.pedestrian)[1]
+        before = reckoned_position(state.pedestrian)[1]
         state, outcome, nis = tracker.on_fix(state, fix)
         assert outcome == "used"
         assert nis >= 0
-        gained = before - present_position(state.pedestrian)[1]
+        gained = before - reckoned_position(state.pedestrian)[1]
         assert np.linalg.eigvalsh(gained).min() > -1e-9
 
 
@@ -306,7 +306,7 @@ def test_across_a_gap_a_correlated_fix_counts_as_a_position_and_not_as_a_displac
     heading = state.pedestrian.estimates.mean[:, 2].copy()
     state, outcome, _ = tracker.on_fix(state, replace(first, time_s=20.0, position_m=np.array([40.0, 0.0])))
     assert outcome == "used"
-    position_m, cov_m2 = present_position(state.pedestrian)
+    position_m, cov_m2 = reckoned_position(state.pedestrian)
     left = 0.99 * np.exp(-1.0)
     own_var, before_var = 16.0 * (1 + left) / (1 - left), 20.0**2 + 1 / (1 / 4.0 + 1 / 16.0)
     np.testing.assert_allclose(position_m, [40.0 * before_var / (before_var + own_var), 0.0], atol=1e-9)
@@ -534,7 +534,7 @@ def test_adding_a_fix_takes_few_operations_however_many_wait_and_all_wait_in_ord
     assert len(compared) < 25 * len(fixes) and 0 < len(processed) < 30
     waiting = online.state.waiting_fixes
     assert [fix.time_s for fix in waiting] == sorted(times.tolist())
-    assert add_fixes(online.config, init(online.config), fixes).waiting_fixes == waiting
+    assert add_fixes(online.config, init_filter(online.config), fixes).waiting_fixes == waiting
 
 
 def test_an_accepted_fix_corrects_the_stored_position_at_the_time_of_a_later_older_fix(walk: Recording) -> None:
@@ -566,7 +566,7 @@ def test_the_displacement_since_a_late_fix_makes_the_fix_less_certain(walk: Reco
 def test_a_place_with_unknown_rotation_has_the_mean_and_covariance_over_all_rotations() -> None:
     rng = np.random.default_rng(4)
     pairs = [PairedPoint(rng.normal(size=2), rng.normal(size=2), 4.0) for _ in range(3)]
-    turn, place = rotation_density(pairs), Place(np.array([3.0, -7.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.0, 0)
+    turn, place = rotation_density(pairs), Pose(np.array([3.0, -7.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.0, 0)
     means, covs = [], []
     for angle_rad in np.linspace(-np.pi, np.pi, 120, endpoint=False):
         turned = clockwise(angle_rad)
@@ -590,7 +590,7 @@ def test_a_place_with_unknown_rotation_has_the_mean_and_covariance_over_all_rota
 
 def test_an_alignment_rotates_the_ellipse_of_a_place_and_adds_its_own_errors() -> None:
     turn = Alignment(0.7, 1e-4, np.array([1.0, 2.0]), np.array([10.0, -5.0]), 0.3, n_steps=9)
-    place = Place(np.array([4.0, -1.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.2, 0)
+    place = Pose(np.array([4.0, -1.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.2, 0)
     rng, n = np.random.default_rng(0), 200_000
     track = rng.multivariate_normal(place.position_m, place.cov_m2, n) - turn.track_centre_m
     # clockwise rotation by a random angle about a random centre

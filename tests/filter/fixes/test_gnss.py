@@ -22,9 +22,9 @@ from pdr_filter.filter.fixes.gnss import (
     MIN_ACCURACY_M,
     RADIUS_68,
     LocationState,
-    good_places,
+    good_locations,
     independent,
-    place_at,
+    location_at,
     position_fixes,
 )
 from pdr_filter.simulate import Leg, simulate
@@ -55,8 +55,8 @@ def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
     return on_track @ clockwise(TURN_RAD).T + [40.0, -25.0]
 
 
-def rows(time_s: np.ndarray, place_m: np.ndarray, accuracy_m: float = 6.0) -> Samples:
-    latitude_deg, longitude_deg = HERE.latitude_longitude_deg(place_m)
+def rows(time_s: np.ndarray, position_m: np.ndarray, accuracy_m: float = 6.0) -> Samples:
+    latitude_deg, longitude_deg = HERE.latitude_longitude_deg(position_m)
     values = np.column_stack([latitude_deg, longitude_deg, np.full((len(time_s), 2), [520.0, accuracy_m])])
     return Samples(time_s, values)
 
@@ -106,9 +106,9 @@ def test_a_short_displacement_in_degrees_follows_from_the_two_radii_of_curvature
 
 
 def test_metres_and_degrees_convert_both_ways_and_agree_with_pymap3d() -> None:
-    place_m = np.random.default_rng(0).normal(scale=800.0, size=(20, 2))
-    latitude_deg, longitude_deg = HERE.latitude_longitude_deg(place_m)
-    np.testing.assert_allclose(HERE.east_north_m(latitude_deg, longitude_deg), place_m, atol=1e-3)
+    position_m = np.random.default_rng(0).normal(scale=800.0, size=(20, 2))
+    latitude_deg, longitude_deg = HERE.latitude_longitude_deg(position_m)
+    np.testing.assert_allclose(HERE.east_north_m(latitude_deg, longitude_deg), position_m, atol=1e-3)
     east_m, north_m, _ = pymap3d.geodetic2enu(latitude_deg, longitude_deg, 0.0, 48.137, 11.575, 0.0)
     np.testing.assert_array_equal(HERE.east_north_m(latitude_deg, longitude_deg), np.column_stack([east_m, north_m]))
 
@@ -516,12 +516,12 @@ def test_a_location_that_jumps_farther_than_its_accuracy_shows_no_present_positi
 
     def places(accuracy_m: float, cut: int = 0) -> np.ndarray:
         columns = time_s, latitude_deg, longitude_deg, np.full(8, accuracy_m)
-        first = good_places(origin, *(c[:cut] for c in columns))
+        first = good_locations(origin, *(c[:cut] for c in columns))
         last = [tuple(row) for row in first[-1:].tolist()]
-        return np.concatenate([first, good_places(origin, *(c[cut:] for c in columns), *last)])
+        return np.concatenate([first, good_locations(origin, *(c[cut:] for c in columns), *last)])
 
     assert np.isfinite(places(10.0)).all()  # 11 m in a second: 9 m of error and 2 m of walking
     found = places(5.0)
-    assert [place_at(found, t) is None for t in (3.5, 4.0, 5.9, 6.0, 6.5)] == [False, True, True, True, False]
+    assert [location_at(found, t) is None for t in (3.5, 4.0, 5.9, 6.0, 6.5)] == [False, True, True, True, False]
     for cut in (3, 4, 5):
         np.testing.assert_array_equal(places(5.0, cut), found)

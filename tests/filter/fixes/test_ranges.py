@@ -18,11 +18,11 @@ from pdr_filter.filter.chain.two_hypotheses import Hypotheses
 from pdr_filter.filter.fixes import range_updates
 from pdr_filter.filter.fixes.range_updates import _is_wide
 from pdr_filter.filter.pedestrian.pedestrian_state import initial_state
-from pdr_filter.filter.pedestrian.range_placement import (
+from pdr_filter.filter.pedestrian.range_solutions import (
     MAX_RANGES,
     PairedRange,
-    PlacedTrack,
     PriorPose,
+    RangeSolution,
     recent,
     solutions,
 )
@@ -376,7 +376,7 @@ def searches(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """Numbers of ranges of the searches for places from now on."""
     counted = list[int]()
 
-    def counting(pairs: Sequence[PairedRange], *prior: PriorPose | None) -> list[PlacedTrack]:
+    def counting(pairs: Sequence[PairedRange], *prior: PriorPose | None) -> list[RangeSolution]:
         counted.append(len(pairs))
         return solutions(pairs, *prior)
 

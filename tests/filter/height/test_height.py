@@ -245,7 +245,7 @@ def test_hills_do_not_depend_on_the_blocks_of_samples_and_locations(hill: Record
                 )
             ]
         floors.append(found + [u.floor for u in online.finish()])
-        assert len(part_of(online.state.chain, HeightTrack).places) <= 26
+        assert len(part_of(online.state.chain, HeightTrack).locations) <= 26
     assert floors[0] == floors[1]
     assert floors[0][-1] == 0
 

@@ -59,7 +59,7 @@ def test_a_second_of_moments_equals_an_imm_of_means_and_covariances(elapsed_s: f
     mean, cov, prob = some_estimates(seed)
     evidence = np.random.default_rng(seed).normal(0.0, 1.0, N_MODES)
     height_m = float(prob @ (mean[:, CLIMBED] + mean[:, SLOPED] + mean[:, AIR]))
-    after = vertical.after_second(moments_of(mean, cov, prob), elapsed_s, n_steps, height_m, 0.01, evidence)
+    after = vertical.moments_after_second(moments_of(mean, cov, prob), elapsed_s, n_steps, height_m, 0.01, evidence)
 
     stays = np.array([15.0, 20.0, 6.6, 5.8, 15.0, 1.1, 60.0])
     transition = vertical._TRANSITIONS  # pyright: ignore[reportPrivateUsage]
@@ -81,7 +81,7 @@ def test_a_second_of_moments_equals_an_imm_of_means_and_covariances(elapsed_s: f
     np.testing.assert_allclose(after[:, 0, 1:] / posterior[:, None], x, rtol=1e-6, atol=1e-7)
     np.testing.assert_allclose(after, moments_of(x, after_cov, posterior), rtol=1e-6, atol=1e-6)
     total, total_cov = imm.combine(x, after_cov, posterior)
-    now = vertical.combined(after)
+    now = vertical.combined_height(after)
     assert now.climbed_m == pytest.approx(total[CLIMBED])
     assert now.height_m == pytest.approx(total[CLIMBED] + total[SLOPED])
     assert now.air_m == pytest.approx(total[AIR])
@@ -99,7 +99,7 @@ def test_a_known_level_corrects_each_mode_and_keeps_the_mode_probabilities() -> 
 
 def test_an_unmeasured_step_climbs_in_each_mode() -> None:
     mean, cov, prob = some_estimates(6)
-    after = vertical.after_step(moments_of(mean, cov, prob), 0.17, 0.02, 0.003)
+    after = vertical.moments_after_step(moments_of(mean, cov, prob), 0.17, 0.02, 0.003)
     cov[:, CLIMBED, CLIMBED] += 0.02
     cov[:, SLOPED, SLOPED] += 0.003
     mean[:, CLIMBED] += 0.17
@@ -108,19 +108,19 @@ def test_an_unmeasured_step_climbs_in_each_mode() -> None:
 
 def test_an_excluded_mode_becomes_probable_again() -> None:
     evidence = np.where(np.arange(N_MODES) == DRIFT, 0.0, -1e6)
-    moments = vertical.after_second(vertical.initial(), 1.0, 0, 0.0, 0.0, evidence)
+    moments = vertical.moments_after_second(vertical.initial(), 1.0, 0, 0.0, 0.0, evidence)
     for _ in range(30):
-        moments = vertical.after_second(moments, 1.0, 2, 0.0, 0.0, np.zeros(N_MODES))
+        moments = vertical.moments_after_second(moments, 1.0, 2, 0.0, 0.0, np.zeros(N_MODES))
     assert np.isfinite(moments).all()
     assert moments[[0, SLOPE], 0, 0].sum() > 0.9
-    assert vertical.combined(moments).climbed_m == pytest.approx(0.0, abs=0.2)
+    assert vertical.combined_height(moments).climbed_m == pytest.approx(0.0, abs=0.2)
 
 
 def test_forgetting_the_air_keeps_the_climbed_variance_and_resets_the_rate() -> None:
     mean, cov, prob = some_estimates(7)
     total, total_cov = imm.combine(mean, cov, prob)
     after = vertical.with_air_unknown(moments_of(mean, cov, prob), 6.0)
-    now = vertical.combined(after)
+    now = vertical.combined_height(after)
     assert after[:, 0, 0].sum() == after[0, 0, 0] == 1.0
     assert now.climbed_m == 6.0
     assert now.climbed_var_m2 == pytest.approx(total_cov[CLIMBED, CLIMBED], rel=1e-6)

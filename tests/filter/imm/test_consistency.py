@@ -12,7 +12,7 @@ import pytest
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from pdr_filter.filter.pedestrian.pedestrian_state import present_position
+from pdr_filter.filter.pedestrian.pedestrian_state import reckoned_position
 from pdr_filter.filter.pedestrian.step_history import TRAIL_STEPS
 from pdr_filter.values import CONTEXTS
 from tests.benchmarks.consistency import Errors, bounds, errors_of_walks, own_model, run_day, said_of, simulated_walk
@@ -120,6 +120,6 @@ def test_hours_of_walking_and_rest_do_not_enlarge_the_state(weighting: str) -> N
     assert np.isfinite(cov).all()
     np.testing.assert_allclose(cov, cov.swapaxes(-1, -2), rtol=0, atol=tolerance)
     assert np.linalg.eigvalsh(cov).min() >= -tolerance
-    position_m, cov_m2 = present_position(pedestrian)
+    position_m, cov_m2 = reckoned_position(pedestrian)
     assert np.isfinite(position_m).all()
     assert np.linalg.eigvalsh(cov_m2).min() > 0

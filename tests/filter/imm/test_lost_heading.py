@@ -227,6 +227,6 @@ def test_ranges_within_a_gap_do_not_place_the_track_after_it() -> None:
 
 def test_magnetic_north_does_not_rotate_a_track_in_the_start_frame() -> None:
     point = PairedPoint(np.zeros(2), np.zeros(2), 1.0)
-    lost = START_FRAME.reopened((point,), np.inf, n_steps=10)
+    lost = START_FRAME.with_lost_heading((point,), np.inf, n_steps=10)
     assert lost.with_compass(Compass(1.0, 0.01)) is lost
     assert (lost.name, lost.is_known) == ("start", False)

@@ -65,7 +65,7 @@ def walked(n: int, measured_at: tuple[int, ...]) -> tuple[PastPath, Joint]:
         if k in measured_at:
             joint.update(joint.mean[-4:-2] + rng.normal(size=2), 0.5)
         if k % 2:  # a fix after the step
-            path = path.with_event(step).corrected(joint.mean[-4:] - before, 1.0)
+            path = path.with_event(step).after_correction(joint.mean[-4:] - before, 1.0)
         else:  # evidence that belongs to the step
             path = path.with_event(replace(step, updated_mean=joint.mean[-4:]))
     return path, joint
@@ -75,10 +75,10 @@ def walked(n: int, measured_at: tuple[int, ...]) -> tuple[PastPath, Joint]:
 def test_past_steps_are_those_of_the_joint_gaussian(n: int) -> None:
     """The steps are within one block, or cover three blocks."""
     path, joint = walked(n, (20, 39, 100, 149))
-    time_s, place_m, cov_m2 = path.places(joint.cov[-4:, -4:], np.zeros((2, 2)), joint.mean[-4:-2])
+    time_s, position_m, cov_m2 = path.positions(joint.cov[-4:, -4:], np.zeros((2, 2)), joint.mean[-4:-2])
     np.testing.assert_array_equal(time_s, np.arange(n))
     expected = joint.mean.reshape(-1, 4)[1:]
-    np.testing.assert_allclose(place_m.T, expected[:, :2], atol=5e-3)
+    np.testing.assert_allclose(position_m.T, expected[:, :2], atol=5e-3)
     own = np.array([joint.cov[4 * k : 4 * k + 2, 4 * k : 4 * k + 2] for k in range(1, n + 1)])
     np.testing.assert_allclose(cov_m2[[0, 1, 1, 2]].T.reshape(-1, 2, 2), own, rtol=5e-3, atol=0.02)
 
@@ -92,10 +92,10 @@ def test_an_alignment_rotates_past_and_present_with_a_shared_error() -> None:
     lever = present_m - alignment.world_centre_m
     g, shift = np.array([lever[1], -lever[0], 1.0, 0.0]), np.diag([4.0, 4.0, 0.0, 0.0])
     after = T @ P @ T.T + 0.01 * np.outer(g, g) + shift
-    before_m = path.places(P, np.zeros((2, 2)), joint.mean[-4:-2])[1]
-    moved = path.turned(alignment, P, after, present_m)
-    _, place_m, cov_m2 = moved.places(after, np.zeros((2, 2)), present_m)
-    np.testing.assert_allclose(place_m.T, alignment.positions(before_m.T), atol=1e-9)
+    before_m = path.positions(P, np.zeros((2, 2)), joint.mean[-4:-2])[1]
+    moved = path.with_alignment(alignment, P, after, present_m)
+    _, position_m, cov_m2 = moved.positions(after, np.zeros((2, 2)), present_m)
+    np.testing.assert_allclose(position_m.T, alignment.positions(before_m.T), atol=1e-9)
     first = alignment.positions(joint.mean[4:6])
     east_m, north_m = first - alignment.world_centre_m
     own = alignment.rotation @ joint.cov[4:6, 4:6] @ alignment.rotation.T
@@ -103,8 +103,8 @@ def test_an_alignment_rotates_past_and_present_with_a_shared_error() -> None:
     np.testing.assert_allclose(cov_m2[:, 0], [expected[0, 0], expected[0, 1], expected[1, 1]], rtol=1e-3, atol=1e-3)
     # correction of the present state in proportion to its covariance with one component
     cross = alignment.rotation @ joint.cov[4:6, -4:] @ T.T + 0.01 * np.outer([north_m, -east_m], g) + shift[:2]
-    corrected = moved.corrected(after[:, 0] / after[0, 0], 1.0)
-    by_m = corrected.places(after, np.zeros((2, 2)), present_m)[1][:, 0] - place_m[:, 0]
+    corrected = moved.after_correction(after[:, 0] / after[0, 0], 1.0)
+    by_m = corrected.positions(after, np.zeros((2, 2)), present_m)[1][:, 0] - position_m[:, 0]
     np.testing.assert_allclose(by_m, cross[:, 0] / after[0, 0], rtol=0.05, atol=1e-3)
 
 
@@ -116,19 +116,19 @@ def test_a_corrected_heading_moves_the_past_along_an_arc() -> None:
     F[0, 2] = 10.0
     path = path.with_event(a_step(1.0, origin, P, F, end, F @ P @ F.T))
     # the end is fixed, and the start moves along a quarter of a circle about it
-    path = path.corrected(np.array([0.0, 0.0, np.pi / 2, 0.0]), 1.0)
-    _, place_m, _ = path.places(P, np.zeros((2, 2)), np.zeros(2))
-    np.testing.assert_allclose(place_m.T, [[-10.0, 10.0], [0.0, 10.0]], atol=0.15)
+    path = path.after_correction(np.array([0.0, 0.0, np.pi / 2, 0.0]), 1.0)
+    _, position_m, _ = path.positions(P, np.zeros((2, 2)), np.zeros(2))
+    np.testing.assert_allclose(position_m.T, [[-10.0, 10.0], [0.0, 10.0]], atol=0.15)
 
 
 def test_a_detached_path_is_not_corrected() -> None:
     path, joint = walked(100, ())
     P = joint.cov[-4:, -4:]
-    fixed = path.detached(P, 99.0, joint.mean[-4:-2])
-    before = path.places(P, np.zeros((2, 2)), np.zeros(2))
+    fixed = path.without_past(P, 99.0, joint.mean[-4:-2])
+    before = path.positions(P, np.zeros((2, 2)), np.zeros(2))
     alignment = Alignment(1.0, 0.1, np.zeros(2), np.zeros(2), 1.0, 0)
-    moved = fixed.corrected(np.ones(4), 1.0).turned(alignment, P, P, np.zeros(2))
-    after = moved.places(P, np.zeros((2, 2)), np.zeros(2))
+    moved = fixed.after_correction(np.ones(4), 1.0).with_alignment(alignment, P, P, np.zeros(2))
+    after = moved.positions(P, np.zeros((2, 2)), np.zeros(2))
     for a, b in zip(before, after, strict=True):
         np.testing.assert_allclose(a, b, atol=1e-9)
 
@@ -136,10 +136,10 @@ def test_a_detached_path_is_not_corrected() -> None:
 def test_a_late_fix_scales_the_errors_of_all_steps_before_it() -> None:
     path, joint = walked(50, ())
     P = joint.cov[-4:, -4:]
-    before = path.places(P, np.zeros((2, 2)), np.zeros(2))[2]
-    scaled = path.corrected(np.zeros(4), 3.0)
-    for later in (scaled, scaled.rebased()):
-        after = later.places(3.0 * P, np.zeros((2, 2)), np.zeros(2))[2]
+    before = path.positions(P, np.zeros((2, 2)), np.zeros(2))[2]
+    scaled = path.after_correction(np.zeros(4), 3.0)
+    for later in (scaled, scaled.related_to_present()):
+        after = later.positions(3.0 * P, np.zeros((2, 2)), np.zeros(2))[2]
         np.testing.assert_allclose(after, 3.0 * before, rtol=1e-7)
 
 
@@ -148,11 +148,11 @@ def test_memory_is_bounded_and_the_past_is_thinned_evenly() -> None:
     for k in range(3 * MAX_STEPS // 2):
         place = np.array([0.0, float(k), 0.0, 0.0])
         path = path.with_event(a_step(float(k), place, P, np.eye(4), place, 1.001 * P))
-    time_s, place_m, _ = path.places(P, np.zeros((2, 2)), np.zeros(2))
+    time_s, position_m, _ = path.positions(P, np.zeros((2, 2)), np.zeros(2))
     assert len(time_s) <= MAX_STEPS + 64
     assert len(time_s) > 0.6 * MAX_STEPS
     assert time_s[0] == 0.0
     assert time_s[-1] == 3 * MAX_STEPS // 2 - 1
     assert set(np.diff(time_s)[-2000:]) == {1.0}
     assert np.diff(time_s).max() <= 16.0
-    np.testing.assert_allclose(place_m[1], time_s)
+    np.testing.assert_allclose(position_m[1], time_s)

@@ -8,7 +8,7 @@ from pdr_filter.filter.pedestrian.walking_speed import (
     CONTACT_STD_S,
     SPEED_CHANGE_MPS_PER_SQRT_S,
     WalkingSpeed,
-    after_step,
+    speed_after_step,
 )
 
 
@@ -16,12 +16,12 @@ def walked(lengths: np.ndarray, durations: np.ndarray, length_var: float = 0.003
     speeds: list[WalkingSpeed] = []
     for length, duration in zip(lengths, durations, strict=True):
         before = speeds[-1] if speeds else None
-        speeds.append(after_step(before, float(length), length_var, float(duration), scale_var))
+        speeds.append(speed_after_step(before, float(length), length_var, float(duration), scale_var))
     return speeds
 
 
 def test_the_speed_of_a_step_is_its_length_over_its_duration() -> None:
-    speed = after_step(None, 0.7, 0.0, 0.5, 0.0)
+    speed = speed_after_step(None, 0.7, 0.0, 0.5, 0.0)
     assert speed.step_mps == speed.smoothed_mps == pytest.approx(1.4)
     assert speed.step_std_mps == pytest.approx(np.sqrt(2) * 1.4 * CONTACT_STD_S / 0.5)
 
@@ -52,7 +52,7 @@ def test_missed_contacts_increase_the_variance_of_the_speed_also_in_the_next_bou
     even = walked(np.full(60, 0.7), np.full(60, 0.5))[-1]
     uneven = walked(np.full(60, 0.7), np.where(np.arange(60) % 3, 0.5, 1.0))[-1]
     assert uneven.smoothed_std_mps > 1.5 * even.smoothed_std_mps
-    fresh = [after_step(before, 0.7, 0.0036, 0.5, 0.0, is_first=True) for before in (even, uneven)]
+    fresh = [speed_after_step(before, 0.7, 0.0036, 0.5, 0.0, is_first=True) for before in (even, uneven)]
     assert fresh[0].smoothed_mps == fresh[1].smoothed_mps == pytest.approx(1.4)
     assert fresh[1].smoothed_std_mps > 1.2 * fresh[0].smoothed_std_mps
 

@@ -40,18 +40,18 @@ def walk_of(number: int, seed: int, minutes: float, leg_m: float = 50.0) -> Reco
 def located(walk: Recording, shrinkage_m: float = 0.0) -> Recording:
     """Return the recording with one location a second, each moved towards their mean by `shrinkage_m`."""
     times, truth = np.arange(1.0, walk.duration_s), walk.truth.position
-    place_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    away_m = place_m - place_m.mean(axis=0)
-    place_m -= away_m * np.minimum(0.5, shrinkage_m / np.maximum(np.hypot(*away_m.T), 1e-6))[:, None]
-    degrees = HERE.latitude_longitude_deg(place_m)
+    position_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    away_m = position_m - position_m.mean(axis=0)
+    position_m -= away_m * np.minimum(0.5, shrinkage_m / np.maximum(np.hypot(*away_m.T), 1e-6))[:, None]
+    degrees = HERE.latitude_longitude_deg(position_m)
     accuracy = np.full((len(times), 2), [520.0, 3.0 * RADIUS_68])
     return replace(walk, location=pdr.Samples(times, np.column_stack([*degrees, accuracy])))
 
 
 def length_error(track: pdr.Track, walk: Recording) -> float:
     truth, grid = walk.truth.position, np.arange(0.0, walk.duration_s, 0.5)
-    place_m = np.column_stack([np.interp(grid, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    return track.distance_m / np.linalg.norm(np.diff(place_m, axis=0), axis=1).sum() - 1.0
+    position_m = np.column_stack([np.interp(grid, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    return track.distance_m / np.linalg.norm(np.diff(position_m, axis=0), axis=1).sum() - 1.0
 
 
 @pytest.fixture(scope="module")
@@ -129,8 +129,10 @@ def spread_fixes(extent_m: float, std_m: float, correlation_s: float) -> LengthF
     """Return the sums of fixes at the four corners of a square."""
     corners = extent_m * np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, -1.0], [-1.0, 1.0]]) + [900.0, -400.0]
     fixes = LengthFixes()
-    for time_s, place_m in enumerate(corners):
-        fixes = fixes.plus(pdr.PositionFix(float(time_s), place_m, std_m**2 * np.eye(2), correlation_s=correlation_s))
+    for time_s, position_m in enumerate(corners):
+        fixes = fixes.plus(
+            pdr.PositionFix(float(time_s), position_m, std_m**2 * np.eye(2), correlation_s=correlation_s)
+        )
     return fixes
 
 

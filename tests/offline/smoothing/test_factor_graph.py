@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
-from pdr_filter.offline.smoothing.factor_graph import PersonKeys, WalkGraph, bayes_tree, optimised
+from pdr_filter.offline.smoothing.factor_graph import PersonKeys, WalkGraph, bayes_tree, least_squares_values
 from pdr_filter.offline.smoothing.linear_graph import cov_of
 from pdr_filter.offline.smoothing.observations import KnownHeading, LoopClosure, Observations
 from pdr_filter.offline.smoothing.problem import Measurements, ObservedOffsets, ObservedStates, Problem, pose_problem
@@ -40,7 +40,7 @@ def estimated(graph: WalkGraph, found: Solution, prior_std: float) -> tuple[floa
     values.insert(K.population, np.ones(1))
     graph.add_to(factors, found.weight)
     graph.insert_into(values, found)
-    values = optimised(factors, values)
+    values = least_squares_values(factors, values)
     return float(values.atVector(K.population)[0]), float(cov_of(bayes_tree(factors, values), [K.population])[0, 0])
 
 

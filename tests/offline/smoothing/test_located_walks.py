@@ -24,7 +24,7 @@ from pdr_filter.offline.smoothing.location_errors import (
 )
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.problem import ObservedStates, Problem, pose_problem
-from pdr_filter.offline.smoothing.solve import linearised, solve
+from pdr_filter.offline.smoothing.solve import linear_equations, solve
 from pdr_filter.offline.smoothing.storeys import with_named_floors
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloorPassage, HeadingFix, Origin, PositionFix, Samples, SpeedFix, Standstill
@@ -248,7 +248,7 @@ def test_covariances_with_location_errors_equal_those_of_the_dense_inverse(rejec
     problem = _with_errors(rejected)
     found = solve(problem)
     assert (found.weight < 0.5).tolist() == [rejected, False, False, False]
-    rows = linearised(problem, found.states, found.frame_rad, found.weight)
+    rows = linear_equations(problem, found.states, found.frame_rad, found.weight)
     jacobian = graph_of(rows).jacobian()[0]
     dense = np.linalg.inv(jacobian.T @ jacobian)
     joint, with_error = joint_covariances(rows, problem.n_nodes, problem.errors.node, has_frame=False)
@@ -271,7 +271,7 @@ def test_equations_with_errors_and_measured_states_are_the_derivatives_of_their_
     def rows_of(values: np.ndarray) -> list[Rows]:
         moved = np.zeros_like(mean)
         moved[:n, :4], moved[n:] = values[:size].reshape(n, 4), values[size:].reshape(-1, 6)
-        return linearised(problem, moved, 0.0, ones)
+        return linear_equations(problem, moved, 0.0, ones)
 
     at = np.concatenate([mean[:n, :4].ravel(), mean[n:].ravel()])
     # the intervals are tested with every other kind of equation (test_smoother.py)

@@ -75,7 +75,11 @@ def test_mode_probabilities_are_near_those_of_all_sequences_of_modes(transition_
     rng = np.random.default_rng(1)
     for fixes in ({5: 2.8}, {5: 4.2}, {2: 1.4, 5: 2.7}):
         walk = small_walk(transition_prob, fixes, rng)
-        exact, (found, *_), (blind, *_) = enumerated(walk), walk.smoothed(), replace(walk, observed={}).smoothed()
+        exact, (found, *_), (blind, *_) = (
+            enumerated(walk),
+            walk.smoothed_modes(),
+            replace(walk, observed={}).smoothed_modes(),
+        )
         assert np.abs(found - exact).max() < 0.05
         assert np.abs(blind - exact).max() > 0.2
 
@@ -98,7 +102,7 @@ def test_a_walk_with_one_mode_has_the_states_of_the_smoother() -> None:
     moved_m = walk.steps.displacement_m[:, None]
     of_one = ModeSteps(moved_m, walk.steps.cov_m2[:, None], np.zeros_like(moved_m))
     system = switching_walk(walk.steps, of_one, problem, found, np.zeros((n, 1)), np.ones(1), one)
-    _, error, error_cov = system.smoothed()
+    _, error, error_cov = system.smoothed_modes()
     assert found.weight.all() and np.ptp(expected[:, 0]) > 10.0
     np.testing.assert_allclose(error[:, 0, :4], 0.0, atol=2e-3)
     variances = np.diagonal(error_cov[:, 0, :4, :4], axis1=1, axis2=2)

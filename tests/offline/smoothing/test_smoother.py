@@ -24,7 +24,7 @@ from pdr_filter.offline.smoothing.observations import (
 from pdr_filter.offline.smoothing.preintegration import Increments, state_transform, step_states
 from pdr_filter.offline.smoothing.problem import NO_OFFSETS, ObservedOffsets, Problem, pose_problem
 from pdr_filter.offline.smoothing.smooth import smooth
-from pdr_filter.offline.smoothing.solve import linearised, solve
+from pdr_filter.offline.smoothing.solve import linear_equations, solve
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix, table, wrap_angle
 from pdr_filter.values.recording import Truth
@@ -141,14 +141,14 @@ def test_equations_agree_with_finite_differences_of_their_residuals() -> None:
     n = problem.n_nodes
     mean = solve(problem).mean + rng.normal(scale=0.05, size=(n, 4))
     ones = np.ones(len(problem.positions) + len(problem.directions))
-    kinds = linearised(problem, mean, 0.2, ones)
+    kinds = linear_equations(problem, mean, 0.2, ones)
     assert len(kinds) == 6  # the last one is the prior of the rotation
 
     for number, rows in enumerate(kinds):
         for block in range(len(rows.a)):
 
             def residual(values: np.ndarray, number: int = number, block: int = block) -> np.ndarray:
-                moved = linearised(problem, values[:-1].reshape(n, 4), float(values[-1]), ones)[number].rhs[block]
+                moved = linear_equations(problem, values[:-1].reshape(n, 4), float(values[-1]), ones)[number].rhs[block]
                 if number != 1:
                     return -moved
                 # an interval's covariance stays where it was linearised

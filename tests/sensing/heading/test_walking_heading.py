@@ -32,7 +32,7 @@ from pdr_filter.sensing.heading.stride_harmonics import (
     pointing_axis,
     strides_of,
 )
-from pdr_filter.sensing.heading.walking_heading import WalkingHeading, WalkingHeadingState, known_places
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading, WalkingHeadingState, known_placements
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.simulate import Gait, Leg, phone_motion, simulate
 from pdr_filter.values import (
@@ -311,10 +311,12 @@ def test_a_second_pass_has_the_direction_of_all_strides_from_the_first_stride_of
     for vectors in (block.specific_force_mps2, attitude.up_sensor):
         vectors[2000:] = Rotation.from_euler("x", -60, degrees=True).apply(vectors[2000:])
     first = annotated((block, attitude, steps), "pocket")
-    places = known_places(step_table(first))
-    assert [place.start_s for place in places] == sorted({s.carried_since_s for s in first if s.carried_since_s > 0})
-    assert len(places) == 2
-    again = replace(STAGE, known_places=places)
+    placements = known_placements(step_table(first))
+    assert [placement.start_s for placement in placements] == sorted(
+        {s.carried_since_s for s in first if s.carried_since_s > 0}
+    )
+    assert len(placements) == 2
+    again = replace(STAGE, known_placements=placements)
     _, result = again.update(again.init(), block, attitude, modes(6000, "pocket"), steps)
     for found, is_right in ((first, False), ([s for _, s in result], True)):
         early = [s.shown_offset_rad for s in found if 21.0 < s.time_s < 23.0]
@@ -380,14 +382,14 @@ def test_a_kalman_filter_that_uses_every_measurement_has_offset_and_variance_of_
 
 @pytest.mark.parametrize("label", ["texting", "pocket"])
 def test_a_carrying_mode_that_is_reported_later_becomes_that_of_the_place(label: str) -> None:
-    """The phone is not moved: the mode that the classifier reports after some seconds belongs to this place."""
+    """The phone is not moved: the mode that the classifier reports after some seconds belongs to this placement."""
     block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=40.0)
     n = len(block.time_s)
     carrying_mode = np.where(np.arange(n) < n // 2, -1, CARRYING_MODES.index(label))
     reported = ContextBlock(np.full(n, -1), carrying_mode)
     state, _ = STAGE.update(STAGE.init(), block, attitude, reported, steps)
-    assert state.place is not None
-    assert state.place.carrying_mode == CARRYING_MODES.index(label)
+    assert state.placement is not None
+    assert state.placement.carrying_mode == CARRYING_MODES.index(label)
 
 
 def test_no_number_of_strides_is_better_than_the_systematic_error() -> None:
@@ -563,14 +565,14 @@ def room_error_deg(path: Path) -> FloatArray:
     recording = pdr.read(path)
     steps, time_s, horizontal = sensed(recording, lambda _: "pocket")
     position = recording.truth.position
-    place = np.interp(time_s, position.time_s, position.north_m) + 1j * np.interp(
+    placement = np.interp(time_s, position.time_s, position.north_m) + 1j * np.interp(
         time_s, position.time_s, position.east_m
     )
     band = butter(2, [0.5, 4.0], "band", fs=100, output="sos")
     force = sosfiltfilt(band, horizontal[:, 1] + 1j * horizontal[:, 0])
-    product = np.gradient(np.gradient(sosfiltfilt(band, place))) * force.conj()
+    product = np.gradient(np.gradient(sosfiltfilt(band, placement))) * force.conj()
     turned = np.angle(sosfiltfilt(butter(1, 0.03, fs=100, output="sos"), product))
-    velocity = 100 * np.gradient(sosfiltfilt(butter(4, 0.5, fs=100, output="sos"), place))
+    velocity = 100 * np.gradient(sosfiltfilt(butter(4, 0.5, fs=100, output="sos"), placement))
     middle_s = np.array([s.time_s - 0.5 * s.duration_s for s in steps])
     at = np.clip(np.searchsorted(time_s, middle_s), 0, len(time_s) - 1)
     inside = (middle_s > position.time_s[0] + 1) & (middle_s < position.time_s[-1] - 1)
@@ -615,7 +617,7 @@ def test_the_phase_of_a_person_makes_the_two_vectors_at_step_frequency_agree_bes
     rng = np.random.default_rng(seed)
     a = rng.normal(size=2) + 1.5
     b = 0.3 * rng.normal(size=2)
-    place = Placement(0.0, 0, 0, (0.0, 0.0, 1.0), vectors=((0.0, 0.0), tuple(a), tuple(b)), weight=1e9)
+    placement = Placement(0.0, 0, 0, (0.0, 0.0, 1.0), vectors=((0.0, 0.0), tuple(a), tuple(b)), weight=1e9)
     angles = np.linspace(-np.pi / 4, np.pi / 4, 100_001)
     best = angles[np.argmax(np.linalg.norm(np.outer(np.cos(angles), a) + np.outer(np.sin(angles), b), axis=1))]
-    assert StrideAgreement()._phase_ahead(place) == pytest.approx(best, abs=1e-3)
+    assert StrideAgreement()._phase_ahead(placement) == pytest.approx(best, abs=1e-3)

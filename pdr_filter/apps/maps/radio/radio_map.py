@@ -25,7 +25,7 @@ from pdr_filter.values import (
     WifiScan,
     check_array,
     check_number,
-    interpolated,
+    interpolated_rows,
     read_only,
 )
 from pdr_filter.values.recording import MissingSensorError, Recording
@@ -392,7 +392,7 @@ def _position(track: Track, scan: WifiScan) -> FloatArray | None:
         return None
     time_s = np.concatenate([[min(track.start_time_s, track.time_s[0])], track.time_s])
     position_m = np.vstack([track.start_position_m, track.position_m])
-    return interpolated(scan.time_s, time_s, position_m)
+    return interpolated_rows(scan.time_s, time_s, position_m)
 
 
 def _assemble(description: Mapping[str, Any], arrays: Arrays) -> RadioMap:

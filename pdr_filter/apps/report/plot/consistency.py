@@ -50,7 +50,7 @@ def reliability(prob: FloatArray, correct: BoolArray, ax: Axes | None = None, n_
     'confidence'
     """
     axes = given_or_new(ax, (4.2, 4.2))
-    diagram = probability_calibration.reliability(prob, correct, n_bins)
+    diagram = probability_calibration.reliability_diagram(prob, correct, n_bins)
     lowest = 1.0 / prob.shape[1]  # the smallest possible maximum of K probabilities
     axes.plot([lowest, 1.0], [lowest, 1.0], color=FAINT, linewidth=1.0)
     axes.vlines(diagram.confidence, diagram.confidence, diagram.accuracy, color=BLUE, linewidth=1.0)

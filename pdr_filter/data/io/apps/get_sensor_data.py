@@ -56,7 +56,7 @@ SHORTEST_CHECKED_S = 20.0
 ONE_CLOCK_S = 0.5
 
 
-def looks_like(head: bytes) -> bool:
+def is_get_sensor_data(head: bytes) -> bool:
     """Return True if a text begins like a log of GetSensorData, judged by its first bytes."""
     return re.search(rb"(?m)^(ACCE|GYRO|MAGN|POSI|AHRS);[-+\d.]+;", head) is not None or b"'ACCE;AppTimestamp" in head
 

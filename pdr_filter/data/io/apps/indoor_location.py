@@ -36,7 +36,7 @@ LAYOUTS = {
 _WIFI = rb"^(\d{10,16})\tTYPE_WIFI\t.*\t(ADDRESS)\t(-?\d{1,4})\t(\d{1,6})\t(\d{1,16})\r?$"
 
 
-def looks_like(head: bytes) -> bool:
+def is_indoor_location(head: bytes) -> bool:
     """Return True if a text begins like a file of the Indoor Location Competition, judged by its first bytes."""
     return re.search(rb"(?m)^\d{10,16}\tTYPE_[A-Z_]+\t", head) is not None
 

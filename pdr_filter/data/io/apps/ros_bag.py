@@ -32,14 +32,14 @@ IMU, FIELD, PRESSURE, PLACE = (
 )
 
 
-def looks_like(head: bytes) -> bool:
+def is_ros_bag(head: bytes) -> bool:
     """Return True if a file begins like a ROS bag, judged by its first bytes."""
     return head.startswith(MCAP) or (head.startswith(SQLITE) and b"topics" in head and b"messages" in head)
 
 
 def is_bag(members: Members) -> bool:
     """Return True if a zip file or folder contains the files of a ROS bag."""
-    return any(looks_like(members.head(name)) for name in _bags(members))
+    return any(is_ros_bag(members.head(name)) for name in _bags(members))
 
 
 def read_ros_bag(path: str | Path) -> Recording:

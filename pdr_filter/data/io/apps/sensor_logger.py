@@ -79,7 +79,7 @@ class _Export:
         return self.metadata.get(key, "").strip()
 
 
-def looks_like(header: str) -> bool:
+def is_sensor_logger(header: str) -> bool:
     """Return True if the header line of a CSV file is one of Sensor Logger."""
     return {"time", "seconds_elapsed"} <= set(header_fields(header, find_separator(header)))
 

@@ -22,7 +22,7 @@ from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
 from pdr_filter.data.io.tables.column_groups import groups_of
 from pdr_filter.data.io.tables.column_guess import Guess, columns_by_content, guess
 from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
-from pdr_filter.data.io.tables.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
+from pdr_filter.data.io.tables.json_tables import SUFFIXES, is_json, json_fields, json_sheets
 from pdr_filter.data.io.tables.matlab import is_matlab, matlab_sheets
 from pdr_filter.data.io.tables.phyphox_experiment import read_experiment
 from pdr_filter.data.io.tables.sheet import Sheet
@@ -48,7 +48,7 @@ class Tables:
     guess: Guess  # mapping of the columns, as guessed from names and values
 
 
-def read_table(path: str | Path, platform: str | None = None) -> Recording:
+def read_any_table(path: str | Path, platform: str | None = None) -> Recording:
     """Return the recording in the tables of an app, which are recognised by their columns.
 
     `platform` ("ios" or "android") determines the sign of the acceleration if the app writes different signs on the two
@@ -150,7 +150,7 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
         found = matlab_sheets(members, members.names[0])
     else:
         texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
-        of_json = [name for name in texts if looks_like(members.head(name, 4096))]
+        of_json = [name for name in texts if is_json(members.head(name, 4096))]
         whole = [sheet for name in texts if name not in of_json for sheet in text_sheets(members, name, separator)]
         for sheet in whole:
             _check_one_device(sheet)
@@ -248,7 +248,7 @@ def sensors_of(members: Members, name: str) -> set[str]:
     """
     sheets: Sequence[Sheet]
     try:
-        if looks_like(members.head(name)):
+        if is_json(members.head(name)):
             sheets = json_fields(members, name)
         else:
             sheet = text_sheet(members, name)

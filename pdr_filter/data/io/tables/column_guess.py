@@ -31,8 +31,8 @@ from pdr_filter.data.io.tables.column_groups import Group
 from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
 from pdr_filter.data.io.tables.column_values import constant_part, turning
 from pdr_filter.data.io.tables.sheet import Sheet
-from pdr_filter.data.io.tables.table_streams import is_new_place
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated, limits
+from pdr_filter.data.io.tables.table_streams import is_new_position
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated_rows, limits
 from pdr_filter.values.errors import RecordingError
 
 # Share of the constant part in the norm of an acceleration: gravity outweighs the motion of walking.
@@ -214,7 +214,7 @@ def _stream(group: Group, sheet: Sheet, dialect: Dialect | None, rate_hz: float)
         time_s = ticks.astype(np.float64) * TIME_UNITS[unit]
     known = np.isfinite(time_s)
     if group.quantity == "location":
-        known &= is_new_place(values)
+        known &= is_new_position(values)
     if not known.all():
         time_s, values = time_s[known], values[known]
     has_constant = group.quantity in (ACCELERATION, LINEAR, GRAVITY, ROTATION)
@@ -399,7 +399,8 @@ def _force(forces: Sequence[_Stream]) -> FloatArray:
     at_s = forces[0].time_s
     same = [np.array_equal(s.time_s, at_s) for s in forces]
     values = [
-        s.values if is_same else interpolated(at_s, s.time_s, s.values) for s, is_same in zip(forces, same, strict=True)
+        s.values if is_same else interpolated_rows(at_s, s.time_s, s.values)
+        for s, is_same in zip(forces, same, strict=True)
     ]
     return np.asarray(sum(s.factor * v for s, v in zip(forces, values, strict=True)))
 

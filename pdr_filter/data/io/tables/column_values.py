@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, interpolated
+from pdr_filter.values import FloatArray, interpolated_rows
 
 # Walking turns the phone by some ten degrees within a step and back; over this time gravity stays and steps cancel.
 WINDOW_S = 2.0
@@ -52,8 +52,8 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
         return None
     step_s = 0.02
     grid_s = np.arange(begin, min(end, begin + 600.0), step_s)
-    u = _smoothed(interpolated(grid_s, time_s, force), round(TURN_S / step_s))
-    w = _smoothed(interpolated(grid_s, rate_time_s, rate), round(TURN_S / step_s))
+    u = _smoothed(interpolated_rows(grid_s, time_s, force), round(TURN_S / step_s))
+    w = _smoothed(interpolated_rows(grid_s, rate_time_s, rate), round(TURN_S / step_s))
     norm = np.linalg.norm(u, axis=1, keepdims=True)
     u = u / np.where(norm > 0, norm, 1.0)
     lag = round(TURN_S / step_s)

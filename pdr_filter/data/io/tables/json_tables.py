@@ -39,7 +39,7 @@ _WHOLE = re.compile(r"[0-9]{1,19}(,[0-9]{1,19})*+")
 Row = dict[str, Any]
 
 
-def looks_like(head: bytes) -> bool:
+def is_json(head: bytes) -> bool:
     """Return True if a text begins like JSON, judged by its first bytes."""
     return _BEGIN.match(head.removeprefix(codecs.BOM_UTF8)) is not None
 

@@ -21,7 +21,7 @@ def plain(value: Any) -> Any:
     return value if isinstance(value, bool | int | float | str) else str(value)
 
 
-def main() -> None:
+def print_sheets() -> None:
     """Write the names and rows of the sheets of a spreadsheet as JSON to the standard output.
 
     The function is the entry point of the child process. The spreadsheet comes from the standard input, and the first
@@ -39,4 +39,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    print_sheets()

@@ -76,7 +76,7 @@ def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Mapp
     time = _place(stream.time, sheet, mapping) if stream.time else None
     ticks, values = sheet.stream([_place(name, sheet, mapping) if name else -1 for name in stream.columns], time)
     if stream.stream == "location":
-        is_new = is_new_place(values)
+        is_new = is_new_position(values)
         ticks, values = ticks[is_new], values[is_new]
         values[values[:, 3] < 0, 3] = np.nan  # apps write -1 for unknown
     unit_s = 1 / mapping.rate_hz if time is None else TIME_UNITS.get(stream.time_unit, 1e-9)
@@ -116,7 +116,7 @@ def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArr
     return np.column_stack([w * cr - y * sr, x * cr - z * sr, y * cr + w * sr, z * cr + x * sr])
 
 
-def is_new_place(values: FloatArray) -> BoolArray:
+def is_new_position(values: FloatArray) -> BoolArray:
     """Return True for each row whose location is known and differs from the location of the row before, shape (N,).
 
     `values` (N, d) begin with latitude and longitude. Tables with a row for each sample repeat locations. Latitude 0

@@ -1,6 +1,6 @@
-"""Placing of walks: each walk as a rigid shape, joined to the placed ones where its scans leave a single place.
+"""Poses of walks in a group: each walk is a rigid shape, and joins where its scans leave a single pose.
 
-A walk is joined if the scans leave one place with `SURE` of the probability. The probability covers all positions on a
+A walk is joined if the scans leave one pose with `SURE` of the probability. The probability covers all positions on a
 grid, all rotations, all storeys of the group, and a place outside of the map. Misleading scans are thus outvoted, and
 ambiguous walks wait until more walks are placed. After each round the poses of all walks are adjusted together, to the
 maximum of the joint likelihood of `likeness`, for which GTSAM has no sparse factors. Then each walk is placed again by
@@ -55,8 +55,8 @@ PACES = 2, 8
 
 
 @dataclass(slots=True)
-class Pose:
-    """Rigid place of a walk in a group: position = scale R(turn) own + shift, with a clockwise turn.
+class WalkPose:
+    """Pose of a walk in a group: position = scale R(turn) own + shift, with a clockwise turn.
 
     `own` is the position of a point in the frame of the walk alone. `floor` is the storey of the start of the walk.
     """
@@ -68,10 +68,10 @@ class Pose:
 
     def of(self, own_m: FloatArray) -> FloatArray:
         """Return the positions (n, 2), in the frame of the group, of points (n, 2) in the frame of the walk alone."""
-        return self.scale * own_m @ rotation_matrix(self.turn_rad) + self.shift_m
+        return self.scale * own_m @ clockwise_rotation(self.turn_rad) + self.shift_m
 
 
-def rotation_matrix(angle_rad: float) -> FloatArray:
+def clockwise_rotation(angle_rad: float) -> FloatArray:
     """Return the matrix M for which x @ M is the row vector x turned clockwise."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     return np.array([[c, -s], [s, c]])
@@ -83,16 +83,16 @@ UNKNOWN_NORTH = 0.0, 0.12
 
 
 @dataclass(slots=True)
-class PlacedGroup:
+class JoinedWalks:
     """Joined walks in one frame.
 
-    `poses` has the rigid place of each walk, by the index of the walk. The walks in `seeds` define the frame by the
+    `poses` has the pose of each walk, by the index of the walk. The walks in `seeds` define the frame by the
     given poses, and are never removed. `north_rad` is the deviation of the frame from magnetic north, and `north` its
     prior mean and standard deviation.
     """
 
-    poses: dict[int, Pose]
-    seeds: Mapping[int, Pose]
+    poses: dict[int, WalkPose]
+    seeds: Mapping[int, WalkPose]
     north_rad: float = 0.0
     north: tuple[float, float] = UNKNOWN_NORTH
 
@@ -164,14 +164,14 @@ def partners_of(walks: ScannedWalks) -> list[set[int]]:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """Most probable place of a walk, its probability, and the centre of its scans there."""
+    """Most probable pose of a walk, its probability, and the centre of its scans there."""
 
     prob: float
-    pose: Pose
+    pose: WalkPose
     centre_m: FloatArray
 
 
-def locate(walks: ScannedWalks, group: PlacedGroup, walk: int) -> Candidate | None:
+def locate(walks: ScannedWalks, group: JoinedWalks, walk: int) -> Candidate | None:
     """Return the most probable pose of a walk in a group without this walk, or None if it recognises no place.
 
     A walk recognises a place if at least `_MIN_SIMILAR` of its scans are similar to scans of the group. `walk` is its
@@ -184,7 +184,7 @@ def locate(walks: ScannedWalks, group: PlacedGroup, walk: int) -> Candidate | No
     # all placed walks around count, because scans that do not fit rule places out
     around = set[int]().union(*(walks.partners[i] for i in placed)) & group.poses.keys() - {walk, *placed}
     others = walks.scans_of(sorted([*placed, *around][:MOST_TOGETHER]))
-    at_m, floor = _placed(walks, group, others)
+    at_m, floor = _scans_in_frame(walks, group, others)
     kept = _thinned(at_m, floor)
     others, at_m, floor = others[kept], at_m[kept], floor[kept]
     cosine = walks.cosines(rows, others)
@@ -240,7 +240,7 @@ def _peak(
     for r, turn in enumerate(turns.tolist()):
         total[r] = log_prior[r]
         for k, (dx, dy) in enumerate(
-            np.round((own_m - centre) @ rotation_matrix(turn + north_rad) / _CELL_M).astype(int)
+            np.round((own_m - centre) @ clockwise_rotation(turn + north_rad) / _CELL_M).astype(int)
         ):
             total[r, pad - dx : pad - dx + nx, pad - dy : pad - dy + ny] += maps[k]
     log_max = float(total.max())
@@ -248,16 +248,16 @@ def _peak(
     _, a, b = np.unravel_index(int(total.argmax()), total.shape)
     x, y = np.ogrid[: total.shape[1], : total.shape[2]]
     near = density * (((x - a) ** 2 + (y - b) ** 2) * _CELL_M**2 <= _PLACE_M**2)
-    mass, of_place = float(density.sum()), float(near.sum())
-    at = np.array([float((near * x).sum()), float((near * y).sum())]) / of_place
+    mass, of_peak = float(density.sum()), float(near.sum())
+    at = np.array([float((near * x).sum()), float((near * y).sum())]) / of_peak
     of_turn = near.sum(axis=(1, 2))
     turn = north_rad + math.atan2(float(of_turn @ np.sin(turns)), float(of_turn @ np.cos(turns)))
     centre_m = low_m + _CELL_M * (at - pad)
-    pose = Pose(turn, centre_m - centre @ rotation_matrix(turn), int(up))
-    return log_max, mass, Candidate(of_place / mass, pose, centre_m)
+    pose = WalkPose(turn, centre_m - centre @ clockwise_rotation(turn), int(up))
+    return log_max, mass, Candidate(of_peak / mass, pose, centre_m)
 
 
-def _placed(walks: ScannedWalks, group: PlacedGroup, rows: IntArray) -> tuple[FloatArray, IntArray]:
+def _scans_in_frame(walks: ScannedWalks, group: JoinedWalks, rows: IntArray) -> tuple[FloatArray, IntArray]:
     """Return positions (n, 2) and storeys (n,) of scans of placed walks in the frame of the group."""
     at_m, floor = np.empty((len(rows), 2)), np.empty(len(rows), dtype=np.int64)
     owner = walks.owner[rows]
@@ -275,7 +275,7 @@ def _thinned(at_m: FloatArray, floor: IntArray) -> IntArray:
     return np.unique((squares[:, 0] * n_north + squares[:, 1]) * n_floors + squares[:, 2], return_index=True)[1]
 
 
-def grow(walks: ScannedWalks, group: PlacedGroup, free: set[int], pace: int) -> None:
+def grow(walks: ScannedWalks, group: JoinedWalks, free: set[int], pace: int) -> None:
     """Join walks of `free` to a group, round by round, until no further walk has a sure place.
 
     In a round, one walk joins for each `pace` placed ones. The group and `free` are changed. A walk that the others do
@@ -307,7 +307,7 @@ def grow(walks: ScannedWalks, group: PlacedGroup, free: set[int], pace: int) -> 
         free.difference_update(group.poses)
 
 
-def doubtful_seeds(walks: ScannedWalks, group: PlacedGroup, seeds: Mapping[int, Pose], free: set[int]) -> set[int]:
+def doubtful_seeds(walks: ScannedWalks, group: JoinedWalks, seeds: Mapping[int, WalkPose], free: set[int]) -> set[int]:
     """Return the new seeds of a group whose poses contradict the other seeds by the scans.
 
     They are those seeds without which the fewest others are contradicted: all candidates, if the scans do not tell
@@ -332,7 +332,7 @@ def _around(walks: ScannedWalks, walk: int) -> set[int]:
 
 
 def _contradicted(
-    walks: ScannedWalks, group: PlacedGroup, seeds: Mapping[int, Pose], some: Iterable[int], free: set[int]
+    walks: ScannedWalks, group: JoinedWalks, seeds: Mapping[int, WalkPose], some: Iterable[int], free: set[int]
 ) -> list[int]:
     """Return those of some seeds that the map grown from all other seeds has elsewhere.
 
@@ -343,16 +343,16 @@ def _contradicted(
         others = {j: pose for j, pose in seeds.items() if j != i}
         trial = replace(group, poses={**group.poses, **others}, seeds={**group.seeds, **others})
         grow(walks, trial, free & _around(walks, i), PACES[0])
-        place = locate(walks, trial, i)
-        if place is None or place.prob < _SURE_ELSEWHERE:
+        candidate = locate(walks, trial, i)
+        if candidate is None or candidate.prob < _SURE_ELSEWHERE:
             continue
         here = seeds[i].of(walks.own_m[walks.rows(i)]).mean(axis=0)
-        if place.pose.floor != seeds[i].floor or float(np.hypot(*(place.centre_m - here))) > _ELSEWHERE_M:
+        if candidate.pose.floor != seeds[i].floor or float(np.hypot(*(candidate.centre_m - here))) > _ELSEWHERE_M:
             found.append(i)
     return found
 
 
-def settle(walks: ScannedWalks, group: PlacedGroup, kept: frozenset[int]) -> list[int]:
+def settle(walks: ScannedWalks, group: JoinedWalks, kept: frozenset[int]) -> list[int]:
     """Remove the walks of a group that the others do not confirm, and return their indices.
 
     The walks in `kept` are never removed: those that define the frame of the group, or that are on a map already.
@@ -369,7 +369,7 @@ def settle(walks: ScannedWalks, group: PlacedGroup, kept: frozenset[int]) -> lis
     return removed
 
 
-def drop_doubtful_storeys(walks: ScannedWalks, group: PlacedGroup, kept: frozenset[int]) -> list[int]:
+def drop_doubtful_storeys(walks: ScannedWalks, group: JoinedWalks, kept: frozenset[int]) -> list[int]:
     """Remove the joined walks of each storey on which the others confirm none of the walks in `kept`.
 
     The walks of a map that grew from a wrongly joined walk agree with each other, but seldom with the walks that define
@@ -383,7 +383,7 @@ def drop_doubtful_storeys(walks: ScannedWalks, group: PlacedGroup, kept: frozens
     return removed
 
 
-def _is_confirmed(walks: ScannedWalks, group: PlacedGroup, walk: int, prob: float | None = None) -> bool:
+def _is_confirmed(walks: ScannedWalks, group: JoinedWalks, walk: int, prob: float | None = None) -> bool:
     """True if all other walks of a group place a walk where it is: within `_PLACE_M` and on the same storey.
 
     Their place must have the probability `prob`, or four fifths of `SURE` by default.
@@ -396,7 +396,7 @@ def _is_confirmed(walks: ScannedWalks, group: PlacedGroup, walk: int, prob: floa
     return again.pose.floor == pose.floor and float(np.hypot(*(again.centre_m - here))) <= _PLACE_M
 
 
-def log_evidence(walks: ScannedWalks, group: PlacedGroup) -> float:
+def log_evidence(walks: ScannedWalks, group: JoinedWalks) -> float:
     """Return the log probability of all scans of a group at its poses minus the sum of those of each walk alone.
 
     A walk that is not in the group contributes zero, so that groups of different walks can be compared. Of many scans,
@@ -424,7 +424,7 @@ class JointPoses:
     information: FloatArray  # (4 n + 1, 4 n + 1)
 
 
-def scans_around(walks: ScannedWalks, group: PlacedGroup, together: Sequence[int]) -> IntArray:
+def scans_around(walks: ScannedWalks, group: JoinedWalks, together: Sequence[int]) -> IntArray:
     """Return the scans for a solution of some walks of a group: those of the walks, then those of their partners.
 
     At most about `_MOST_SCANS` scans of each storey are used, because the cost grows with their third power.
@@ -436,10 +436,10 @@ def scans_around(walks: ScannedWalks, group: PlacedGroup, together: Sequence[int
     if not near:
         return own
     others = walks.scans_of(sorted(near)[:MOST_TOGETHER])
-    at_m, floor = _placed(walks, group, others)
+    at_m, floor = _scans_in_frame(walks, group, others)
     kept = _thinned(at_m, floor)
     # other storeys say nothing about these walks
-    others = others[kept[np.isin(floor[kept], _placed(walks, group, own)[1])]]
+    others = others[kept[np.isin(floor[kept], _scans_in_frame(walks, group, own)[1])]]
     return np.concatenate([own, others[:: math.ceil(len(others) / most)]])
 
 
@@ -459,7 +459,7 @@ def of_storeys(
 
 def joint_poses(
     walks: ScannedWalks,
-    group: PlacedGroup,
+    group: JoinedWalks,
     together: Sequence[int],
     scans: IntArray,
     weight: float = 1.0,
@@ -472,7 +472,7 @@ def joint_poses(
     n = len(together)
     number = np.full(len(walks.chains), -1)
     number[together] = np.arange(n)
-    at_m, floor = _placed(walks, group, scans)
+    at_m, floor = _scans_in_frame(walks, group, scans)
     k = number[walks.owner[scans]]
     own, pose = np.flatnonzero(k >= 0), 4 * k[k >= 0]
     lever = at_m[own] - np.array([group.poses[i].shift_m for i in walks.owner[scans[own]].tolist()]).reshape(-1, 2)
@@ -516,7 +516,7 @@ def joint_poses(
     return JointPoses(objective, slope, information)
 
 
-def adjust(walks: ScannedWalks, group: PlacedGroup, new: Sequence[int], n_iterations: int = 4) -> None:
+def adjust(walks: ScannedWalks, group: JoinedWalks, new: Sequence[int], n_iterations: int = 4) -> None:
     """Adjust the rigid poses of a group together, or those of each new walk alone in a large group.
 
     The poses and the deviation from magnetic north are changed in the group. They maximise the posterior density, by
@@ -540,7 +540,7 @@ def adjust(walks: ScannedWalks, group: PlacedGroup, new: Sequence[int], n_iterat
             for i, (turn, east, north, log_scale) in zip(together, change[:-1].reshape(-1, 4).tolist(), strict=True):
                 pose, moved_m = before[0][i], np.array([east, north])
                 scale = pose.scale * math.exp(log_scale)
-                group.poses[i] = Pose(pose.turn_rad + turn, pose.shift_m + moved_m, pose.floor, scale)
+                group.poses[i] = WalkPose(pose.turn_rad + turn, pose.shift_m + moved_m, pose.floor, scale)
             group.north_rad = before[1] + float(change[-1])
             trial = joint_poses(walks, group, together, scans)
             gain, damping = trial.objective - now.objective, 8.0 * damping

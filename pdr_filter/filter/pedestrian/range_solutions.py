@@ -60,7 +60,7 @@ class PairedRange:
     track_m: FloatArray
     is_used: bool
 
-    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> PairedRange:
+    def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> PairedRange:
         """Return the range with the track position transformed by a function of positions (..., 2)."""
         return replace_unchecked(self, track_m=read_only(positions(self.track_m)))
 
@@ -73,7 +73,7 @@ class PriorPose:
     ----------
     track_m : (2,) array
         Point of the track.
-    place_m : (2,) array
+    position_m : (2,) array
         Prior mean of the position of this point in the frame of the anchors.
     information : (3, 3) array
         Information matrix of the position and the rotation.
@@ -82,13 +82,13 @@ class PriorPose:
     """
 
     track_m: FloatArray
-    place_m: FloatArray
+    position_m: FloatArray
     information: FloatArray
     angle_rad: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlacedTrack:
+class RangeSolution:
     """Shift and rotation of the track that fit the ranges.
 
     Attributes
@@ -166,7 +166,7 @@ def recent(pairs: Sequence[PairedRange], pair: PairedRange) -> tuple[PairedRange
     return tuple(kept)
 
 
-def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> list[PlacedTrack]:
+def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> list[RangeSolution]:
     """Return the possible shifts and rotations of the track that fit the ranges, the most probable first.
 
     Solutions that are a thousand times less probable than the best one are removed. The list is empty if there are
@@ -200,7 +200,7 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
         found.append((float(value[k]) + volume, float(value[k]), pose[k], inverse))
     highest = max((odds for odds, *_ in found), default=0.0)
     result = [
-        PlacedTrack(centre, read_only(p[:2]), float(wrap_angle(p[2])), cov, odds - highest, density, problem.fits(p))
+        RangeSolution(centre, read_only(p[:2]), float(wrap_angle(p[2])), cov, odds - highest, density, problem.fits(p))
         for odds, density, p, cov in sorted(found, key=lambda f: -f[0])
     ]
     return [solution for solution in result if solution.log_odds > MIN_LOG_ODDS]
@@ -267,7 +267,7 @@ class _Problem:
             ]
         )
         if self.prior is not None:
-            around = np.vstack([around, self.prior.place_m + self.centre_m - self.prior.track_m])
+            around = np.vstack([around, self.prior.position_m + self.centre_m - self.prior.track_m])
         place, angle = np.repeat(around, len(angles), axis=0), np.tile(angles, len(around))
         return np.column_stack([place, angle])
 
@@ -306,7 +306,9 @@ class _Problem:
         lever = prior.track_m - self.centre_m
         c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         turned = np.column_stack([c * lever[0] + s * lever[1], c * lever[1] - s * lever[0]])
-        difference = np.column_stack([pose[:, :2] + turned - prior.place_m, wrap_angle(pose[:, 2] - prior.angle_rad)])
+        difference = np.column_stack(
+            [pose[:, :2] + turned - prior.position_m, wrap_angle(pose[:, 2] - prior.angle_rad)]
+        )
         by = np.tile(np.eye(3), (len(pose), 1, 1))
         by[:, 0, 2], by[:, 1, 2] = turned[:, 1], -turned[:, 0]
         return difference, by

@@ -10,7 +10,7 @@ import numpy as np
 from pdr_filter.filter.fixes.gnss import LocationState
 from pdr_filter.filter.fixes.rides import Rides
 from pdr_filter.filter.height.height_filter import Altitude
-from pdr_filter.filter.pedestrian.alignment import Place
+from pdr_filter.filter.pedestrian.alignment import Pose
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import scaled_rotation
 from pdr_filter.offline.smoothing.smoothed import Smoothed
@@ -55,13 +55,13 @@ def aligned_walk(
         notes = (*notes, rotation_note("locations", found.frame.rotation_var_rad2**0.5))
     frame = found.frame.at_most_probable_rotation()
     rows = zip(track.position_m, cov_m2, track.walking_heading_rad.tolist(), strict=True)
-    places = [frame.world(Place(*row, k)) for k, row in enumerate(rows)]
-    start = frame.world(Place(track.start_position_m, smoothed.start_position_cov_m2, 0.0, 0))
+    poses = [frame.world(Pose(*row, k)) for k, row in enumerate(rows)]
+    start = frame.world(Pose(track.start_position_m, smoothed.start_position_cov_m2, 0.0, 0))
     track = replace(
         track,
-        position_m=read_only(np.array([p.position_m for p in places]).reshape(-1, 2)),
-        position_cov_m2=read_only(np.array([p.cov_m2 for p in places]).reshape(-1, 2, 2)),
-        walking_heading_rad=read_only(wrap_angle(np.array([p.heading_rad for p in places]))),
+        position_m=read_only(np.array([p.position_m for p in poses]).reshape(-1, 2)),
+        position_cov_m2=read_only(np.array([p.cov_m2 for p in poses]).reshape(-1, 2, 2)),
+        walking_heading_rad=read_only(wrap_angle(np.array([p.heading_rad for p in poses]))),
         start_position_m=read_only(start.position_m),
         frame="fixes",
         origin=None if found.locations.origin is None else frame.origin(found.locations.origin),
@@ -90,10 +90,10 @@ def on_earth(
     track, notes = smoothed.track, smoothed.notes
     if where.n_unusable:
         notes = (*notes, where.unusable())
-    places = sorted([*locations, *(f for f in observed.fixes if isinstance(f, PositionFix))], key=lambda f: f.time_s)
+    positions = sorted([*locations, *(f for f in observed.fixes if isinstance(f, PositionFix))], key=lambda f: f.time_s)
     start = [track.start_time_s, *track.start_position_m]
     vertices = np.vstack([start, np.column_stack([track.time_s, track.position_m])])
-    rides = Rides.of(places, track.time_s, track.windows.time_s, is_moving(track.windows.standing_prob))
+    rides = Rides.of(positions, track.time_s, track.windows.time_s, is_moving(track.windows.standing_prob))
     notes = (*notes, *(note.text for note in notes_of_rides(rides, vertices)))
     origin, altitude = track.origin, Altitude()
     if origin is None and where.origin is not None and track.frame == "fixes" and track.n_steps:
@@ -117,16 +117,16 @@ def _turned(origin: Origin, smoothed: Smoothed) -> Origin:
     )
 
 
-def with_given_place(run: Run, smoothed: Smoothed) -> Smoothed:
+def with_given_origin(run: Run, smoothed: Smoothed) -> Smoothed:
     """Return a smoothed walk with the geographic position and heading given by the caller of `smooth`.
 
     It is unchanged if neither is given.
     """
-    before, track = smoothed.track, run.placed(smoothed.track)
+    before, track = smoothed.track, run.with_given_origin(smoothed.track)
     if track.frame == "fixes" and track.origin is not None and before.origin is None and track.n_steps:
         track = replace(track, origin=_turned(track.origin, smoothed))
     turn_rad = (
-        track.origin.turn_rad if track.origin is not None and before.frame == "start" else run.placement.heading_rad
+        track.origin.turn_rad if track.origin is not None and before.frame == "start" else run.georeference.heading_rad
     )
     if track.frame == before.frame or turn_rad is None:
         return replace(smoothed, track=track, notes=track.notes)

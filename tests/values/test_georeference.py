@@ -9,9 +9,9 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.apps.cli.app import app
-from pdr_filter.values.track_placement import TrackPlacement, texts
+from pdr_filter.values.georeference import Georeference, texts
 
-NAMES = [field.name for field in fields(TrackPlacement)]
+NAMES = [field.name for field in fields(Georeference)]
 
 
 def test_each_argument_of_a_placement_has_a_description() -> None:
@@ -49,4 +49,4 @@ def test_the_help_of_an_option_is_the_first_sentence_of_its_description(command:
 )
 def test_contradicting_placement_arguments_are_refused_without_a_recording(given: dict[str, object], said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        TrackPlacement(**given)  # type: ignore[arg-type]
+        Georeference(**given)  # type: ignore[arg-type]

@@ -24,7 +24,7 @@ F = TypeVar("F", bound=Callable[..., object])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TrackPlacement:
+class Georeference:
     """Position, north and floor plan of a track, as given to `track`, `smooth`, `OnlineFilter` and the command line.
 
     The first sentence of each parameter is also the help of the command line option. ValueError if a value is invalid,
@@ -84,7 +84,7 @@ class TrackPlacement:
             raise ValueError(
                 f"start is a position on a floor plan, got {self.start!r} without plan: give plan, or leave start out"
             )
-        turn_rad = None if self.place is None else self.place.turn_rad
+        turn_rad = None if self.given_origin is None else self.given_origin.turn_rad
         if self.heading_rad is not None and turn_rad is not None:
             raise ValueError(
                 f"heading_rad ({self.heading_rad}) and turn_rad of origin ({turn_rad}) define the same angle: leave "
@@ -105,7 +105,7 @@ class TrackPlacement:
             raise ValueError(f'gnss="align" and north="{self.north}" both define north: leave one of them out')
 
     @property
-    def place(self) -> Origin | None:
+    def given_origin(self) -> Origin | None:
         """Geographic position (latitude and longitude) given as the origin of the track, or None if none was given."""
         return None if self.origin is None else Origin.of(self.origin)
 
@@ -117,7 +117,9 @@ class TrackPlacement:
     @property
     def states_north(self) -> bool:
         """True if the caller gives the direction of north, by the heading or the turn of the origin."""
-        return self.heading_rad is not None or (self.place is not None and self.place.turn_rad is not None)
+        return self.heading_rad is not None or (
+            self.given_origin is not None and self.given_origin.turn_rad is not None
+        )
 
     @property
     def asks_for_locations(self) -> bool:
@@ -184,7 +186,7 @@ def check_gnss(gnss: str | None) -> None:
 
 
 def texts() -> Mapping[str, str]:
-    """Return the description of each parameter of `TrackPlacement`, by name.
+    """Return the description of each parameter of `Georeference`, by name.
 
     Empty if Python runs without docstrings.
     """
@@ -192,9 +194,9 @@ def texts() -> Mapping[str, str]:
     return {name: " ".join(text.split()) for name, text in entries}
 
 
-def document_placement(function: F) -> F:
-    """Insert the parameters of `TrackPlacement` into the docstring of a function, at the line that names them."""
-    line = f"{', '.join(field.name for field in fields(TrackPlacement))} : fields of `TrackPlacement`"
+def document_georeference(function: F) -> F:
+    """Insert the parameters of `Georeference` into the docstring of a function, at the line that names them."""
+    line = f"{', '.join(field.name for field in fields(Georeference))} : fields of `Georeference`"
     if function.__doc__ is not None:
         # numpydoc expects the closing quotes on their own line; `getdoc` removes that line break.
         function.__doc__ = f"{(inspect.getdoc(function) or '').replace(line, _parameters())}\n"
@@ -202,4 +204,4 @@ def document_placement(function: F) -> F:
 
 
 def _parameters() -> str:
-    return (inspect.getdoc(TrackPlacement) or "").partition("----------\n")[2]
+    return (inspect.getdoc(Georeference) or "").partition("----------\n")[2]
