@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pdr_filter.filter.fixes.gnss import origin_of
-from pdr_filter.filter.pedestrian.alignment import Place
+from pdr_filter.filter.pedestrian.alignment import Pose
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.recipes.calibration import Calibration, load_calibration, with_steps_of
@@ -30,15 +30,15 @@ from pdr_filter.tracking.filtering import (
     add_location,
     add_terrain_locations,
     climb_at,
-    finish,
+    finish_filter,
     frame_name,
-    init,
+    init_filter,
     parts,
     person_of,
-    update,
+    update_filter,
 )
 from pdr_filter.tracking.georeferencing import first_heading_rad, with_north, with_north_of_attitude
-from pdr_filter.tracking.gnss_alignment import aligned
+from pdr_filter.tracking.gnss_alignment import aligned_outputs
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import (
@@ -64,12 +64,12 @@ from pdr_filter.values import (
     wrap_angle,
 )
 from pdr_filter.values.events import Climb
-from pdr_filter.values.interpolation import interpolated
+from pdr_filter.values.georeference import Georeference, GnssUse, NorthUse, document_georeference
+from pdr_filter.values.interpolation import interpolated_rows
 from pdr_filter.values.recording import MissingSensorError, Recording, Truth
-from pdr_filter.values.track_placement import GnssUse, NorthUse, TrackPlacement, document_placement
 
 
-@document_placement
+@document_georeference
 def track(
     recording: Recording,
     config: Config | None = None,
@@ -114,7 +114,7 @@ def track(
     person : Person, Calibration or path, optional
         Step length of the person: `Track.person` of an earlier recording, a calibration, or the file where either was
         saved. If `calibration` is given as well, the walks of the person refine it.
-    gnss, origin, heading_rad, north, plan, start : fields of `TrackPlacement`
+    gnss, origin, heading_rad, north, plan, start : fields of `Georeference`
 
     Returns
     -------
@@ -140,17 +140,17 @@ def track(
     >>> pdr.track(recording, weighting="hc").weighting
     'hc'
     """
-    placement = TrackPlacement(gnss, origin, heading_rad, north, plan, start)
-    run = prepared_run(recording, config, fixes, placement, weighting, calibration, device, person)
+    georeference = Georeference(gnss, origin, heading_rad, north, plan, start)
+    run = prepared_run(recording, config, fixes, georeference, weighting, calibration, device, person)
     recording, config = run.recording, replace(run.config, keeps_path=False)
     with_fixes = run.with_location and gnss != "align"
     results = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
-    return run.placed(
-        collected(
+    return run.with_given_origin(
+        track_of_outputs(
             recording,
             config,
-            aligned(recording, results, config.model.context_set) if gnss == "align" else results,
-            placement.place,
+            aligned_outputs(recording, results, config.model.context_set) if gnss == "align" else results,
+            georeference.given_origin,
         )
     )
 
@@ -167,7 +167,7 @@ class Run:
         Configuration with person, device, weighting, plan and frame.
     fixes : tuple of Fix
         Fixes on the clock of the recording.
-    placement : TrackPlacement
+    georeference : Georeference
         Arguments for position, north and floor plan.
     with_location : bool
         True if the locations of the recording are used.
@@ -178,16 +178,16 @@ class Run:
     recording: Recording
     config: Config
     fixes: tuple[Fix, ...]
-    placement: TrackPlacement
+    georeference: Georeference
     with_location: bool
     notes: tuple[str, ...] = ()
 
-    def placed(self, result: Track) -> Track:
+    def with_given_origin(self, result: Track) -> Track:
         """Return a track with the given origin and heading, with the notes on the arguments.
 
         A further note tells if the locations were ignored because of the origin or the heading.
         """
-        given, place = self.placement, self.placement.place
+        given, place = self.georeference, self.georeference.given_origin
         result = replace(result, notes=(*result.notes, *self.notes))
         if self.recording.location is not None and given.gnss is None and given.is_given:
             note = "the locations of the recording were not used, because origin or heading_rad was given"
@@ -203,7 +203,7 @@ def prepared_run(
     recording: Recording,
     config: Config | None,
     fixes: Iterable[Fix],
-    placement: TrackPlacement,
+    georeference: Georeference,
     weighting: str | None = None,
     calibration: Calibration | str | Path | None = None,
     device: Device | str | Path | None = None,
@@ -213,8 +213,8 @@ def prepared_run(
 
     ValueError if arguments contradict each other.
     """
-    config = given_or_default(recording, config).placed(placement)
-    if placement.states_north and knows_north(config.sensing.heading):
+    config = given_or_default(recording, config).with_georeference(georeference)
+    if georeference.states_north and knows_north(config.sensing.heading):
         raise ValueError(
             f"heading_rad, or turn_rad of origin, states north, which the heading stage "
             f"{type(config.sensing.heading).__name__} knows already: omit it, or set knows_north of the stage to False "
@@ -224,7 +224,7 @@ def prepared_run(
     for fix in fixes:
         check_fix(fix, config.on_plan is not None)
     plan = None if config.on_plan is None else config.on_plan.plan
-    with_location = placement.uses_location(recording, fixes, plan)
+    with_location = georeference.uses_location(recording, fixes, plan)
     notes = tuple(_truth_notes(recording.truth, fixes))
     recording, fixes = one_clock(recording, fixes)
     for known in (None if calibration is None else load_calibration(calibration, config), person):
@@ -236,9 +236,9 @@ def prepared_run(
         config = config.with_weighting(weighting)
     if with_location:
         config = config.in_world_frame()
-    config = with_north(config, recording, placement, with_location)
-    recording = with_north_of_attitude(recording, placement.north)
-    return Run(recording, config, fixes, placement, with_location, notes)
+    config = with_north(config, recording, georeference, with_location)
+    recording = with_north_of_attitude(recording, georeference.north)
+    return Run(recording, config, fixes, georeference, with_location, notes)
 
 
 def _truth_notes(truth: Truth, fixes: Sequence[Fix]) -> Iterator[str]:
@@ -256,7 +256,9 @@ def _truth_notes(truth: Truth, fixes: Sequence[Fix]) -> Iterator[str]:
         near = np.clip(rows[:, 0].searchsorted(given[:, 0] + np.array([[-1e-3], [0.0]])), 0, len(rows) - 1)
         is_true |= (np.abs(rows[near] - given) < 1e-3).all(axis=2).any(axis=0)
         if known is truth.position:
-            is_true |= (np.abs(interpolated(given[:, 0], rows[:, 0], rows[:, 1:]) - given[:, 1:]) < 1e-3).all(axis=1)
+            is_true |= (np.abs(interpolated_rows(given[:, 0], rows[:, 0], rows[:, 1:]) - given[:, 1:]) < 1e-3).all(
+                axis=1
+            )
     if given[is_true, 1:].any():
         yield (
             f"{is_true.sum()} of {how_many(len(given), 'position fix', 'position fixes')} are ground truth of the "
@@ -287,7 +289,7 @@ def outputs(
         )
     barometer, climbs = _climbs(config, recording)
     waiting_climbs = WaitingClimbs(barometer, tuple(climbs))
-    state = add_fixes(config, replace(init(config), waiting_climbs=waiting_climbs), fixes)
+    state = add_fixes(config, replace(init_filter(config), waiting_climbs=waiting_climbs), fixes)
     if (with_location or with_hills) and (location := recording.location) is not None:
         latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
         where = latitude_deg, longitude_deg, accuracy_m
@@ -296,19 +298,19 @@ def outputs(
         elif (origin := origin_of(location)) is not None:
             state = add_terrain_locations(config, state, origin, location.time_s, *where)
     for part in _parts(merge_streams(recording), progress):
-        state, output = update(config, state, part)
+        state, output = update_filter(config, state, part)
         yield state, output
-    yield finish(config, state)
+    yield finish_filter(config, state)
 
 
-def collected(
+def track_of_outputs(
     recording: Recording, config: Config, results: Iterable[tuple[State, Output]], place: Origin | None = None
 ) -> Track:
     """Return the track of a recording from its `outputs`. Only final steps are rows of the track.
 
     `place` is the given origin of the frame of the fixes. Locations define their own.
     """
-    state, whole = init(config), Output()
+    state, whole = init_filter(config), Output()
     for new_state, output in results:
         state = new_state
         whole.extend(output)
@@ -333,7 +335,7 @@ def collected(
     if config.on_plan is not None:
         track = _on_plan(track, config.on_plan.plan, updates)
         origin = config.on_plan.plan.origin if is_on_plan else None
-    start_m = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0)).position_m
+    start_m = frame.world(Pose(np.zeros(2), np.zeros((2, 2)), 0.0, 0)).position_m
     if updates and updates[0].on_plan is not None:  # particles give no position before the first step
         start_m = position_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
     vertices = np.vstack([[start_s, *start_m], np.column_stack([track.time_s, track.position_m])])

@@ -51,7 +51,7 @@ from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.features.barometer import ClimbRate
 from pdr_filter.sensing.front_end import Event
-from pdr_filter.tracking.filtering import finish, init, update
+from pdr_filter.tracking.filtering import finish_filter, init_filter, update_filter
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import (
     CONTEXTS,
@@ -224,15 +224,15 @@ class Said:
 def said_online(walk: Recording, person: str, config: Config) -> Said:
     """Everything that the filter says, samples pushed in blocks of a tenth of a second, and the smoother after it."""
     samples = pdr.merge_streams(walk)
-    state = init(config)
+    state = init_filter(config)
     windows: list[tuple[float, Any]] = []
     updates: list[tuple[float, Any]] = []
     for block in blocks(samples):
-        state, output = update(config, state, block)
+        state, output = update_filter(config, state, block)
         known_s = float(block.time_s[-1])
         windows += [(known_s, w) for w in output.windows]
         updates += [(known_s, u) for u in output.updates if u.is_final]
-    state, output = finish(config, state)
+    state, output = finish_filter(config, state)
     end_s = float(samples.time_s[-1])
     updates += [(end_s, u) for u in output.updates if u.is_final]
     smoothed = pdr.smooth(walk, config=config).track

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.filter.chain.handler import Around, End, Event, FixUse, Handler, Output, Places, Window
-from pdr_filter.filter.fixes.gnss import place_at
+from pdr_filter.filter.chain.handler import Around, End, Event, FixUse, Handler, Locations, Output, Window
+from pdr_filter.filter.fixes.gnss import location_at
 from pdr_filter.filter.height import height_filter
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.height.vertical_modes import N_MODES
@@ -31,12 +31,12 @@ class HeightTrack(Around):
         State of the inner handler.
     height : HeightState
         State of the height filter.
-    places : ndarray, shape (N, 3)
-        Recent accurate locations (`gnss.good_places`), which distinguish hills from storeys.
+    locations : ndarray, shape (N, 3)
+        Recent accurate locations (`gnss.good_locations`), which distinguish hills from storeys.
     """
 
     height: HeightState
-    places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    locations: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
 
 
 def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:
@@ -66,19 +66,19 @@ class WithHeight:
     def on(self, state: HeightTrack, event: Event, known_s: float) -> tuple[HeightTrack, tuple[Output, ...]]:
         """Return the state after an event, and the outputs of the inner handler with heights and floor passages."""
         if isinstance(event, Climb):
-            place = place_at(state.places, event.time_s)
-            height, passages = height_filter.on_pressure(state.height, event, self.log_odds, place)
+            position = location_at(state.locations, event.time_s)
+            height, passages = height_filter.on_pressure(state.height, event, self.log_odds, position)
             return replace_unchecked(state, height=height), passages
-        if isinstance(event, Places):
-            recent = state.places[state.places[:, 0] >= event.since_s]
-            return replace_unchecked(state, places=np.concatenate([recent, event.rows])), ()
+        if isinstance(event, Locations):
+            recent = state.locations[state.locations[:, 0] >= event.since_s]
+            return replace_unchecked(state, locations=np.concatenate([recent, event.rows])), ()
         height, rows = state.height, list[Output]()
         if isinstance(event, Window):
             height = height_filter.on_window(height, event.context, event.height_log_evidence)
         inner, outputs = self.inner.on(state.inner, event, known_s)
         for output in outputs:
             if isinstance(output, StepUpdate):
-                height, row = self._on_row(height, state.places, output, known_s)
+                height, row = self._on_row(height, state.locations, output, known_s)
                 rows += row
             elif isinstance(output, FixUse):
                 rows.append(output._replace(floor=height.known.floors.floor))
@@ -86,12 +86,12 @@ class WithHeight:
             else:
                 rows.append(output)
         if isinstance(event, End):
-            height, passages = height_filter.finish(height)
+            height, passages = height_filter.finish_height(height)
             rows += passages
         return replace_unchecked(state, inner=inner, height=height), tuple(rows)
 
     def _on_row(
-        self, height: HeightState, places: FloatArray, row: StepUpdate, known_s: float
+        self, height: HeightState, locations: FloatArray, row: StepUpdate, known_s: float
     ) -> tuple[HeightState, tuple[Output, ...]]:
         """Return the height after a row, the floor passages that it completes, and the row with height and storey."""
         at_step, passages = height.known, ()
@@ -99,7 +99,7 @@ class WithHeight:
             up_prob, down_prob = self.on_stairs.dot(row.mode_prob).tolist()
             step_s = row.step.time_s
             height, at_step, passages = height_filter.on_step(
-                height, known_s, step_s, up_prob, down_prob, self.log_odds, place_at(places, step_s)
+                height, known_s, step_s, up_prob, down_prob, self.log_odds, location_at(locations, step_s)
             )
         row = replace_unchecked(
             row, height_m=at_step.height_m, height_std_m=at_step.height_std_m, floor=at_step.floors.floor

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, population_without_each, solve_people
 from pdr_filter.offline.calibration.segments import SegmentSums
-from pdr_filter.offline.robust_loss import moments, next_stage, weights
+from pdr_filter.offline.robust_loss import loss_moments, next_stage, weights
 from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 _MAX_ITERATIONS = 500
@@ -143,7 +143,7 @@ def estimate_parameters(
         iteration += 1
         if relinearise is not None and iteration > 1:
             segments.set_regressors(relinearise(task.all_parameters(theta)), prior.mean, task.fixed)
-        ratio, information = moments(stage, mu)
+        ratio, information = loss_moments(stage, mu)
         about, before, old = theta, posterior, variances
         posterior = task.posterior(about, variances, information, iteration == 1)
         theta = posterior.people
@@ -254,7 +254,7 @@ class _Task:
 
         The equations of a person's segments are linearised at this person's row of `about` (S, F), with the F estimated
         parameters. `variances` are the variances of the last iteration. The noise variances are divided by
-        `information`, the information factor of the robust loss (`robust_loss.moments`). The factor is 1 for least
+        `information`, the information factor of the robust loss (`robust_loss.loss_moments`). The factor is 1 for least
         squares. With the factor, the covariances are valid for an M-estimate with this loss. `first` is True in the
         first iteration: the scale error of a recording then multiplies the known distances, and later the predicted
         ones.
@@ -275,7 +275,7 @@ class _Task:
         segment (`misfit`) and w_i its robust weight. h_i is the share of the noise e_i in the variance of the residual.
         phi (h_i u_i^2 + 1 - h_i) is the expectation of e_i^2 given all data, relative to its prior variance, if the
         segment is not an outlier. `ratio` is E w u^2 / E w of the loss for standard normal residuals u
-        (`robust_loss.moments`).
+        (`robust_loss.loss_moments`).
         """
         prior, n_contexts, own = self.prior, len(self.prior.step_std_m), self.segments
         square, share = own.w * own.misfit**2, own.w * (1 - own.noise_share)

@@ -33,7 +33,7 @@ from pdr_filter.values import (
     replace_unchecked,
 )
 from pdr_filter.values.events import Climb
-from pdr_filter.values.mixtures import reweighted
+from pdr_filter.values.mixtures import reweighted_prob
 
 # Probability that the carrying mode does not change from one window to the next: 30 to 60 s between changes, at one
 # window a second.
@@ -47,8 +47,8 @@ _POCKET = CARRYING_MODES.index("pocket")
 class ContextStage(Protocol):
     """Interface of a causal stage that classifies the context and the carrying mode, window by window.
 
-    `config.with_contexts` uses such a stage, and `pdr_filter.testing.check_stage` tests it. Samples are numbered from 0
-    in each segment between gaps. The result must not depend on how samples are cut into blocks.
+    `config.with_contexts` uses such a stage, and `pdr_filter.testing.verify_stage` tests it. Samples are numbered from
+    0 in each segment between gaps. The result must not depend on how samples are cut into blocks.
 
     Examples
     --------
@@ -508,7 +508,7 @@ def with_climbs(
         return list(windows)
     rates_mps, std_mps = np.array([(climb.climb_rate_mps, climb.std_mps) for _, climb in both]).T
     prior = np.array([with_stairs_in_thirds(window.prob, window.stairs_unknown_share, contexts) for window, _ in both])
-    prob = iter(reweighted(prior, climb_log_evidence(rates_mps, std_mps, contexts)))
+    prob = iter(reweighted_prob(prior, climb_log_evidence(rates_mps, std_mps, contexts)))
     return [
         window if climb is None else replace_unchecked(window, prob=next(prob), climb_rate_mps=climb.climb_rate_mps)
         for window, climb in zip(windows, climbs, strict=True)
@@ -563,7 +563,7 @@ def with_cadence(window: WindowContext, frequency_hz: float, contexts: ContextSe
     """
     if window.unknown_share == 0.0:
         return window
-    guess = reweighted(window.training_prior, cadence_log_evidence(frequency_hz, contexts))
+    guess = reweighted_prob(window.training_prior, cadence_log_evidence(frequency_hz, contexts))
     return replace_unchecked(window, prob=window.prob + window.unknown_share * (guess - window.training_prior))
 
 

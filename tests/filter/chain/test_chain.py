@@ -24,7 +24,7 @@ GATE_NIS = MODEL.fix_gate_nis
 class At:
     """State of a handler that stays at a place and knows how well each fix fits it."""
 
-    place_m: FloatArray
+    position_m: FloatArray
     pedestrian: PedestrianState = field(default_factory=lambda: initial_state(MODEL, np.ones(1)))
 
 
@@ -40,7 +40,7 @@ class Stays:
     def on(self, state: At, event: Any, known_s: float) -> tuple[At, tuple[Any, ...]]:
         if not isinstance(event, PositionFix):
             return state, ()
-        away_m = event.position_m - state.place_m
+        away_m = event.position_m - state.position_m
         use = FixUse(event, "used", float(away_m @ np.linalg.inv(event.cov_m2) @ away_m))
         if event.time_s == 0.0:
             return state, (use, Fork(At(self.second_m), self.log_odds, ()))
@@ -60,7 +60,7 @@ def test_the_log_odds_of_two_hypotheses_are_those_of_all_fixes() -> None:
     assert squares.max() < GATE_NIS
     log_odds = prior + 0.5 * (squares[0].sum() - squares[1].sum())
     assert state.rival_log_odds == pytest.approx(-abs(log_odds))
-    assert state.inner.place_m[0] == (3.0 if log_odds > 0.0 else 0.0)
+    assert state.inner.position_m[0] == (3.0 if log_odds > 0.0 else 0.0)
 
 
 def test_a_hypothesis_that_fits_better_becomes_the_track_and_the_other_is_dropped() -> None:
@@ -69,7 +69,7 @@ def test_a_hypothesis_that_fits_better_becomes_the_track_and_the_other_is_droppe
     state = handler.init()
     for time_s in (0.0, 1.0, 2.0):
         state, _ = handler.on(state, PositionFix(time_s, second_m, np.eye(2)), time_s)
-    np.testing.assert_array_equal(state.inner.place_m, second_m)
+    np.testing.assert_array_equal(state.inner.position_m, second_m)
     assert state.rival is None
 
 
@@ -78,7 +78,7 @@ def test_each_hypothesis_has_its_own_path() -> None:
     handler = TwoHypotheses(WithPath(TrackerHandler(tracker)), GATE_NIS)
     state, _ = handler.on(handler.init(), a_step(1.0), 1.0)
     inner = state.inner
-    fork = Fork(inner.inner, -1.0, (lambda path: path.corrected(np.array([5.0, 0.0, 0.0, 0.0]), 1.0),))
+    fork = Fork(inner.inner, -1.0, (lambda path: path.after_correction(np.array([5.0, 0.0, 0.0, 0.0]), 1.0),))
 
     class Forks:
         def init(self) -> Any:
@@ -92,7 +92,7 @@ def test_each_hypothesis_has_its_own_path() -> None:
 
     def east_m(of: PathState) -> float:
         cov = of.pedestrian.estimates.combined[1]
-        return float(of.path.places(cov, np.zeros((2, 2)), np.zeros(2))[1][0, 0])
+        return float(of.path.positions(cov, np.zeros((2, 2)), np.zeros(2))[1][0, 0])
 
     assert east_m(after.rival) - east_m(after.inner) == pytest.approx(5.0)
 

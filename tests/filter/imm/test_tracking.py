@@ -31,7 +31,7 @@ from pdr_filter.filter.pedestrian.pedestrian_state import (
     StepUpdate,
     in_other_frame,
     over_stepless,
-    present_position,
+    reckoned_position,
     with_reopened_rotation,
 )
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
@@ -62,7 +62,7 @@ def tracker(weighting: str) -> Tracker:
 
 
 def position_of(state: State) -> tuple[np.ndarray, np.ndarray]:
-    return present_position(state.pedestrian)
+    return reckoned_position(state.pedestrian)
 
 
 def sure(context: int, prob: float = 1.0) -> np.ndarray:
@@ -640,7 +640,7 @@ def test_rotating_the_frame_rotates_the_shared_errors() -> None:
     known = state.pedestrian
     assert np.linalg.norm(known.estimates.consider_error_m) > 0.1
     turn = Alignment(0.7, 0.0, np.zeros(2), np.zeros(2), 0.0, known.steps.n_final)
-    before, after = present_position(known)[1], present_position(in_other_frame(known, turn))[1]
+    before, after = reckoned_position(known)[1], reckoned_position(in_other_frame(known, turn))[1]
     np.testing.assert_allclose(after, turn.rotation @ before @ turn.rotation.T, atol=1e-9)
 
 
@@ -702,7 +702,7 @@ def test_a_lost_heading_leaves_the_centre_of_its_rotation_and_its_variance_as_th
 
 def first_var_m2(state: PathState) -> np.ndarray:
     x, P = state.pedestrian.estimates.combined
-    return state.path.places(P, np.zeros((2, 2)), x[:2])[2][[0, 2], 0]
+    return state.path.positions(P, np.zeros((2, 2)), x[:2])[2][[0, 2], 0]
 
 
 def position_cov(state: State) -> np.ndarray:
