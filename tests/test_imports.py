@@ -213,6 +213,7 @@ SHARED_NAMES = {
     "nees": "pdr.evaluate.nees computes it, pdr.plot.nees draws it",
     "mix": "of imm, once more with the classes of filterpy",
     "update": "of imm, once more with the classes of filterpy",
+    "update_mode_prob": "of imm, once more with the classes of filterpy",
     "combine": "of the mixtures, once more with the classes of filterpy",
 }
 
