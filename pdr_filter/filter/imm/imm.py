@@ -247,10 +247,27 @@ def update(
 
 
 def update_mode_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-    """Return the posterior mode probabilities (..., M): mu_j proportional to c_j exp(log_likelihood_j).
+    """Return the posterior mode probabilities.
 
-    `prior_prob` (..., M) are the predicted probabilities c_j after the interaction (`mix`), and `log_likelihood`
-    (..., M) is the log evidence of each mode (`posterior_prob`).
+    Parameters
+    ----------
+    prior_prob : (..., M) array
+        Predicted probabilities of the modes c_j, after the interaction (`mix`).
+    log_likelihood : (..., M) array
+        Log evidence of each mode.
+
+    Returns
+    -------
+    (..., M) array
+        Posterior probabilities mu_j, proportional to c_j exp(log_likelihood_j). A mode with prior probability 0 stays
+        at 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pdr_filter.filter.imm.imm import update_mode_prob
+    >>> update_mode_prob(np.array([0.5, 0.5]), np.log([0.9, 0.1])).round(3)
+    array([0.9, 0.1])
     """
     return posterior_prob(prior_prob, log_likelihood)
 
