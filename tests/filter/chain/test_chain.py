@@ -12,6 +12,7 @@ from helpers import a_step
 import pdr_filter as pdr
 from pdr_filter.filter.chain.handler import Around, FixUse, Fork, PathChanges, StepsEnd, TrackerHandler, states_of
 from pdr_filter.filter.chain.two_hypotheses import Hypotheses, TwoHypotheses
+from pdr_filter.filter.chain.with_height import WithHeight
 from pdr_filter.filter.chain.with_path import PathState, WithPath
 from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, initial_state
 from pdr_filter.values import FloatArray, PositionFix
@@ -95,6 +96,15 @@ def test_each_hypothesis_has_its_own_path() -> None:
         return float(of.path.positions(cov, np.zeros((2, 2)), np.zeros(2))[1][0, 0])
 
     assert east_m(after.rival) - east_m(after.inner) == pytest.approx(5.0)
+
+
+def test_the_use_of_a_fix_has_the_storey_before_the_fix() -> None:
+    handler = WithHeight(Stays(np.zeros(2), 0.0), MODEL, start_floor=2)
+    fix = PositionFix(1.0, np.zeros(2), np.eye(2), floor=5)
+    state, (use,) = handler.on(handler.init(), fix, 1.0)
+    assert isinstance(use, FixUse)
+    assert use.floor == 2
+    assert state.height.known.floors.floor == 5
 
 
 def test_a_chain_without_path_or_plan_has_no_state_of_them() -> None:
