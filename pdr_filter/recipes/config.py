@@ -150,7 +150,16 @@ class Config:
         -------
         Config
             Changed copy. This configuration is not modified.
+
+        Raises
+        ------
+        ValueError
+            If `add` is not callable.
         """
+        if not callable(add):
+            raise ValueError(
+                f"add must be a function or class that takes a handler, got {add!r}: give the class itself"
+            )
         return replace(self, handlers=(*self.handlers, add))
 
     @property

@@ -78,6 +78,11 @@ def walked_path(config: Config, state: State) -> WalkedPath:
             "path is not available with a floor plan, because each particle has its own path: draw the positions of "
             "the updates, and smooth the finished walk with pdr_filter.smooth"
         )
+    if not config.keeps_path:
+        raise ValueError(
+            "path is not available, because keeps_path of the configuration is False: use "
+            "dataclasses.replace(config, keeps_path=True)"
+        )
     pedestrian = state.pedestrian
     estimates = pedestrian.estimates
     P, present_m = estimates.combined[1], track_pose(pedestrian).position_m

@@ -125,7 +125,7 @@ def shown(sentence: str) -> str:
 
 
 def odd_tables(tables: Tables, arguments: argparse.Namespace) -> None:
-    """What the reader does with each kind of odd table and what it says."""
+    """Write for each kind of odd table how the reader treats it, and its note."""
     sys.path.insert(0, str(ROOT / "tests" / "data" / "io"))
     from oddities import ODDITIES
 

@@ -41,7 +41,7 @@ class End(NamedTuple):
 
 
 class FixUse(NamedTuple):
-    """What a fix did: its outcome, its normalised innovation squared, and the storey before it."""
+    """Result of a fix: its outcome, its normalised innovation squared, and the storey before it."""
 
     fix: Fix
     outcome: FixOutcome

@@ -308,7 +308,7 @@ class _Task:
             W = np.asarray(np.linalg.inv(between), dtype=float) if len(self.personal) else between
             others = population_without_each(posterior, self.G, self.g, self.personal, W)
         own = self.segments
-        place = np.argsort(own.rows)  # of each segment in the order of people
+        place = np.argsort(own.rows)  # index of each segment in the order of people
         predicted = own.length(theta)
         between[self.alone, self.alone] = np.inf
         n_params = len(self.prior.mean)

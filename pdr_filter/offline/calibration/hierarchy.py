@@ -142,8 +142,8 @@ class _Eliminated:
         """Return the elimination of all people. LinAlgError if a person's own parameters are undetermined."""
         own = G[:, personal][:, :, personal] + W
         shared = np.delete(np.arange(g.shape[1]), personal)
-        cross = np.zeros((*g.shape[:1], len(personal), g.shape[1]))  # of t_s and y
-        rest, rest_vector = np.zeros_like(G), np.zeros_like(g)  # of y alone
+        cross = np.zeros((*g.shape[:1], len(personal), g.shape[1]))  # products of t_s and y
+        rest, rest_vector = np.zeros_like(G), np.zeros_like(g)  # terms of y alone
         cross[:, :, shared] = G[:, personal][:, :, shared]
         cross[:, :, personal] -= W
         rest[:, shared[:, None], shared] = G[:, shared][:, :, shared]

@@ -114,6 +114,14 @@ def test_a_chain_without_path_or_plan_has_no_state_of_them() -> None:
     assert [type(part).__name__ for part in states_of(config.chain.init())][2] == "PathState"
 
 
+def test_a_filter_without_a_path_and_a_handler_that_is_no_function_are_refused_with_a_remedy() -> None:
+    config = pdr.recipes.default()
+    with pytest.raises(ValueError, match="keeps_path of the configuration is False: use"):
+        pdr.OnlineFilter(replace(config, keeps_path=False)).path()
+    with pytest.raises(ValueError, match="takes a handler, got 5: give the class"):
+        config.with_handler(5)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize("weighting", ["imm", "hc"])
 def test_the_end_of_the_steps_makes_all_steps_final(weighting: str) -> None:
     chain = pdr.recipes.default().with_weighting(weighting).chain
