@@ -71,7 +71,7 @@ def walked_path(config: Config, state: State) -> WalkedPath:
     """Return the path of the walk so far: final steps, candidate steps and the present position.
 
     Of a walk of more than 8192 final steps, 8192 rows are kept, the older ones at even intervals. ValueError with a
-    floor plan, because each particle has its own path.
+    floor plan, because each particle has its own path, and without `Config.keeps_path`.
     """
     if config.on_plan is not None:
         raise ValueError(

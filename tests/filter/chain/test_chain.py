@@ -118,7 +118,7 @@ def test_a_filter_without_a_path_and_a_handler_that_is_no_function_are_refused_w
     config = pdr.recipes.default()
     with pytest.raises(ValueError, match="keeps_path of the configuration is False: use"):
         pdr.OnlineFilter(replace(config, keeps_path=False)).path()
-    with pytest.raises(ValueError, match="takes a handler, got 5: give the class"):
+    with pytest.raises(ValueError, match="takes a handler, got 5: give"):
         config.with_handler(5)  # type: ignore[arg-type]
 
 
