@@ -22,7 +22,10 @@ class Window(NamedTuple):
 
 
 class Locations(NamedTuple):
-    """Accurate locations (P, 3) as time, east and north, which tell hills from storeys. Older ones end at `since_s`."""
+    """Accurate locations, which distinguish hills from storeys.
+
+    `rows` (P, 3) are time, east and north. Locations before `since_s` are no longer needed.
+    """
 
     rows: FloatArray
     since_s: float
@@ -107,8 +110,8 @@ class Handler(Protocol[S]):
         """Return the state after an event, and its consequences in order: rows, uses of fixes and floor passages.
 
         `known_s` is the time in s at which the event became known. A handler passes on events and outputs that it does
-        not know. Provisional rows, which apps get for `NewestStep`, must not change its state. `OnlineFilter.now` and
-        `path` show the tracker, without the changes of rows by other handlers than those of the package.
+        not know. It does not change its state for a `NewestStep`, whose rows are provisional. `OnlineFilter.now` and
+        `path` do not include the changes that user-defined handlers make to rows.
         """
         ...
 

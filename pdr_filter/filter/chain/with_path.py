@@ -19,7 +19,7 @@ class PathState(Around):
 
 
 class WithPath:
-    """Handler around a tracker that applies the changes of the path. Whole recordings leave it out."""
+    """Handler around a tracker that applies the changes of the path. It is not used for whole recordings."""
 
     def __init__(self, inner: Handler[Any]) -> None:
         self.inner = inner

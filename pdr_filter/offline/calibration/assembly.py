@@ -61,7 +61,8 @@ def calibration_of(
     )
 
 
-# A recording is named if its step lengths differ from the prior by more of its standard deviations, as in `smooth`.
+# A warning names a recording whose step lengths differ from the prior by more than this number of standard deviations
+# of the prior. `smooth` has the same limit.
 _UNUSUAL_STDS = 2.0
 _CAUSE = "the fixes or known lengths probably have a wrong unit or scale"
 
