@@ -44,6 +44,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.random import Generator, Philox
@@ -139,89 +140,41 @@ _UNEVEN_VAR_M2 = 0.2**2
 
 @dataclass(frozen=True, slots=True)
 class PlanEvent:
-    """Contradiction between the floor plan and the steps.
-
-    Attributes
-    ----------
-    time_s : float
-        Time of the step.
-    what : str
-        "wall", "room" or "outline" if most of the weight has crossed that feature, or "lost" if no particle fits the
-        steps.
-    name : str
-        Name of the room, or an empty string.
-    """
+    """Contradiction between the floor plan and the steps."""
 
     time_s: float
+    # feature that most of the weight has crossed: "wall", "room" or "outline"; "lost" if no particle fits the steps
     what: str
-    name: str
+    name: str  # of the room, or an empty string
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParticleState:
-    """State of the particle filter after one event: a step, a fix, a gap or a change of storey.
+    """State of the particle filter after one event: a step, a fix, a gap or a change of storey."""
 
-    Attributes
-    ----------
-    particles : array (N, 6)
-        Columns as in `maps.particle_motion`: east and north in m, heading offset in rad, log scale, rotation of the
-        track frame in rad, recent crossing cost.
-    weight : array (N,)
-        Weights, which sum to one.
-    parent : array (N,)
-        Index of the ancestor in the previous state. Empty if the particles were newly drawn.
-    reckoned : array (R, 4)
-        Time, east, north and device heading after each of the last R steps. The step lengths are means over the modes,
-        and the steps point in the direction of the device.
-    heading_rad : float
-        Device heading at the last step.
-    turned_rad : float
-        Total rotation of the tracker's frame that the particles already include (see `_turned_rad`).
-    compass : Compass or None
-        Compass density that is already included in the weights.
-    last_fix_s : float
-        Time of the last position fix.
-    last_grid_s : float
-        Time of the last grid fix.
-    lost_log_odds : float
-        Log odds that no particle is at the true position, since the particles were drawn.
-    wrong_log_odds : float
-        Log odds that the start or the plan is wrong, over all sets of particles.
-    n_draws : int
-        Number of random draws so far. The next random numbers depend only on the seed and this number.
-    events : tuple of PlanEvent
-        The latest contradictions between plan and steps.
-    n_contradicted : int
-        Number of steps that contradict the plan.
-    n_lost : int
-        Number of times that the particles were drawn again because none fitted the steps.
-    is_placed : bool
-        True if fixes have placed the track of the tracker on the plan.
-    uses_plan : bool
-        False until most of the weight has been inside since the particles were drawn.
-    off_plan_s : tuple of float
-        Times of the first and the last step off the plan: most of the weight was in walls, holes or outside.
-    n_off_plan : int
-        Number of such steps.
-    """
-
+    # (N, 6) with the columns of `maps.particle_motion`
     particles: FloatArray = field(default_factory=lambda: np.empty((0, N_COLUMNS)))
-    weight: FloatArray = field(default_factory=lambda: np.empty(0))
+    weight: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,), sum is one
+    # (N,) index of the ancestor in the previous state; empty if the particles were newly drawn
     parent: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    # (R, 4) time, east, north and device heading after each of the last R steps; the step lengths are means over the
+    # modes, and the steps point in the direction of the device
     reckoned: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
-    heading_rad: float = 0.0
-    turned_rad: float = 0.0
-    compass: Compass | None = None
+    heading_rad: float = 0.0  # device heading at the last step
+    turned_rad: float = 0.0  # rotation of the tracker's frame that the particles already include (`_turned_rad`)
+    compass: Compass | None = None  # density that is already included in the weights
     last_fix_s: float = -math.inf
     last_grid_s: float = -math.inf
-    lost_log_odds: float = 0.0
-    wrong_log_odds: float = _LEAST_LOST_LOG_ODDS
-    n_draws: int = 0
-    events: tuple[PlanEvent, ...] = ()
-    n_contradicted: int = 0
-    n_lost: int = 0
-    is_placed: bool = False
-    uses_plan: bool = True
+    lost_log_odds: float = 0.0  # that no particle is at the true position, since the particles were drawn
+    wrong_log_odds: float = _LEAST_LOST_LOG_ODDS  # that the start or the plan is wrong, over all sets of particles
+    n_draws: int = 0  # random draws so far; the next random numbers depend only on the seed and this number
+    events: tuple[PlanEvent, ...] = ()  # latest contradictions between plan and steps
+    n_contradicted: int = 0  # steps that contradict the plan
+    n_lost: int = 0  # times that the particles were drawn again because none fitted the steps
+    is_placed: bool = False  # whether fixes have placed the track of the tracker on the plan
+    uses_plan: bool = True  # False until most of the weight has been inside since the particles were drawn
+    # times of the first and the last step after which most of the weight was in walls, holes or outside, and the number
+    # of such steps
     off_plan_s: tuple[float, float] = (math.nan, math.nan)
     n_off_plan: int = 0
 
@@ -229,6 +182,17 @@ class ParticleState:
     def elsewhere(self) -> float:
         """Probability that no particle is at the true position."""
         return 1.0 / (1.0 + math.exp(-max(self.lost_log_odds, self.wrong_log_odds)))
+
+
+class _Context(NamedTuple):
+    """Context of one event: what the methods that handle it need besides the state of the particles."""
+
+    pedestrian: PedestrianState  # state of the tracker after the event
+    model: PedestrianModel
+    ground: Ground | None  # costs of the storey, None if the plan does not have it
+    rng: Generator
+    time_s: float
+    scale_std: float = 0.0  # of the log scale, added because of the uncertainty of the step-length parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,53 +331,45 @@ class ParticleFilter:
     def _after_step(
         self, state: ParticleState, update: StepUpdate, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
-        """Return the state after a step.
+        """Return the state after a step, and count the step if it ends off the plan."""
+        rng, state = self._random(state)
+        now = _Context(pedestrian, model, self.ground(update.floor), rng, update.step.time_s)
+        state = self._with_step(state, update, now)
+        if now.ground is None or len(state.weight) == 0:
+            return state
+        if not now.ground.is_off_plan(state.particles[:, :2], state.weight):
+            return replace(state, uses_plan=True)
+        first_s = state.off_plan_s[0] if state.n_off_plan else now.time_s
+        return replace(state, off_plan_s=(first_s, now.time_s), n_off_plan=state.n_off_plan + 1)
+
+    def _with_step(self, state: ParticleState, update: StepUpdate, now: _Context) -> ParticleState:
+        """Return the state after a step, without the count of steps off the plan.
 
         Each particle takes the step in a mode drawn from the mode probabilities. Its weight is multiplied by the
         likelihood of the walking direction and by the plan's probability of the step.
         """
-        ground = self.ground(update.floor)
-        state = self._with_step(state, update, pedestrian, model, ground)
-        if ground is None or len(state.weight) == 0:
-            return state
-        if not ground.is_off_plan(state.particles[:, :2], state.weight):
-            return replace(state, uses_plan=True)
-        first_s = state.off_plan_s[0] if state.n_off_plan else update.step.time_s
-        return replace(state, off_plan_s=(first_s, update.step.time_s), n_off_plan=state.n_off_plan + 1)
-
-    def _with_step(
-        self,
-        state: ParticleState,
-        update: StepUpdate,
-        pedestrian: PedestrianState,
-        model: PedestrianModel,
-        ground: Ground | None,
-    ) -> ParticleState:
-        """Return the state after a step on a storey, without the count of steps off the plan."""
-        step = update.step
-        rng, state = self._random(state)
+        step, pedestrian, model = update.step, now.pedestrian, now.model
         length_m, _, own_var_m2, parameter_std_m = model.lengths(step)
         mean_m = float(update.mode_prob @ length_m)
         # the error of the step-length parameters is one draw per person, as that of the scale, not one per step
-        scale_std = float(update.mode_prob @ parameter_std_m) / mean_m if mean_m > 0 else 0.0
+        now = now._replace(scale_std=float(update.mode_prob @ parameter_std_m) / mean_m if mean_m > 0 else 0.0)
         is_first = len(state.reckoned) == 0 or update.gap_before_s > 0
         since_s = step.duration_s if is_first else step.time_s - state.reckoned[-1, 0]
-        state = _in_turned_frame(state, pedestrian)
         is_placed = pedestrian.frame.is_joined or pedestrian.frame.rotation is not None
         state = replace(
-            state,
+            _in_turned_frame(state, pedestrian),
             reckoned=extended_path(state.reckoned, step, mean_m),
             heading_rad=step.reference_heading_rad,
             is_placed=is_placed,
         )
         if len(state.weight) == 0:
             if self.start is not None:
-                return self._from_start(state, self.start, pedestrian, model, rng, scale_std)
-            return self._from_tracker(state, pedestrian, ground, rng, scale_std) if is_placed else state
+                return self._from_start(state, self.start, now)
+            return self._from_tracker(state, now) if is_placed else state
         n = len(state.weight)
         x, from_m = state.particles.copy(), state.particles[:, :2]
-        z, prob = rng.standard_normal((4, n)), np.cumsum(update.mode_prob)[:-1]
-        mode = np.searchsorted(prob, rng.random(n), side="right")
+        z, prob = now.rng.standard_normal((4, n)), np.cumsum(update.mode_prob)[:-1]
+        mode = np.searchsorted(prob, now.rng.random(n), side="right")
         log_weight = advance_offsets(x, step, pedestrian, model, since_s, mode, z[0])
         own_std_m = np.sqrt(own_var_m2 + _UNEVEN_VAR_M2)
         scaled_m = np.exp(x[:, SCALE]) * (length_m[mode] + own_std_m[mode] * z[1])
@@ -424,30 +380,28 @@ class ParticleFilter:
         x[:, NORTH] += scaled_m * np.cos(psi)
         extra_var_m2 = own.extra_var_m2 + stepless_var_m2(step.stepless_s)
         if extra_var_m2.any():
-            x[:, :2] += np.sqrt(extra_var_m2)[mode, None] * rng.standard_normal((n, 2))
+            x[:, :2] += np.sqrt(extra_var_m2)[mode, None] * now.rng.standard_normal((n, 2))
         noise = model.noise
         x[:, SCALE] = noise.log_scale_memory * x[:, SCALE] + math.sqrt(noise.log_scale_drift_var) * z[3]
         state, log_compass = _with_compass(state, pedestrian)
         state, _ = _reweighted(replace(state, particles=x, parent=np.arange(n)), log_weight + log_compass)
-        if ground is not None and state.uses_plan:
+        if now.ground is not None and state.uses_plan:
             up, down = model.on_stairs
-            cost, through = ground.costs(from_m, x[:, :2], (up + down)[mode] > 0)
+            cost, through = now.ground.costs(from_m, x[:, :2], (up + down)[mode] > 0)
             x[:, CROSSED] = _THROUGH_MEMORY * x[:, CROSSED] + through
             # particles that pay more for the plan than a random walk on this storey are probably at a wrong position
             log_share = math.log(float(state.weight @ np.exp(-cost)))
-            lost_log_odds = max(state.lost_log_odds - log_share - mean_m * ground.mean_cost_per_m, _LEAST_LOST_LOG_ODDS)
-            state, log_factor = _reweighted(state, ground.choice_cost(from_m, mean_m) - cost)
+            lost_log_odds = state.lost_log_odds - log_share - mean_m * now.ground.mean_cost_per_m
+            state, log_factor = _reweighted(state, now.ground.choice_cost(from_m, mean_m) - cost)
             wrong_log_odds = max(state.wrong_log_odds - log_factor, _LEAST_LOST_LOG_ODDS)
             state = replace(
                 state,
-                lost_log_odds=lost_log_odds,
+                lost_log_odds=max(lost_log_odds, _LEAST_LOST_LOG_ODDS),
                 wrong_log_odds=min(wrong_log_odds, _MOST_LOST_LOG_ODDS),
                 n_contradicted=state.n_contradicted + (log_factor < _CONTRADICTED_LOG_FACTOR),
             )
-            state = self._with_contradiction(state, step.time_s, ground)
-        if state.lost_log_odds > _MOST_LOST_LOG_ODDS or _n_effective(state) < _LEAST_EFFECTIVE:
-            return self._drawn_again(state, pedestrian, model, ground, rng, scale_std, step.time_s)
-        return self._resampled(state, rng, must_count=update.index % _COUNT_STEPS == 0)
+            state = self._with_contradiction(state, step.time_s, now.ground)
+        return self._resampled(state, now, must_count=update.index % _COUNT_STEPS == 0)
 
     def _after_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
         """Return the state after a time without samples.
@@ -483,36 +437,31 @@ class ParticleFilter:
         elif outcome not in ("used", "placed", "turned", "moved"):
             return state
         rng, state = self._random(state)
-        ground = self.ground(floor)
+        now = _Context(pedestrian, model, self.ground(floor), rng, fix.time_s)
         is_turned = outcome == "turned" or (isinstance(fix, HeadingFix) and _turned_rad(pedestrian) != state.turned_rad)
-        state, is_moved = _in_turned_frame(state, pedestrian), outcome == "moved"
-        if self.start is None and (len(state.weight) == 0 or is_moved):
-            return self._from_tracker(state, pedestrian, ground, rng, 0.0)
+        state = _in_turned_frame(state, pedestrian)
+        if self.start is None and (len(state.weight) == 0 or outcome == "moved"):
+            return self._from_tracker(state, now)
         if len(state.weight) == 0:
             return state
         x, at_fix = state.particles, interpolated_rows(fix.time_s, state.reckoned[:, 0], state.reckoned[:, 1:4])
+        position_m = earlier_positions(x, state.reckoned[-1, 1:3] - at_fix[:2])
         if isinstance(fix, HeadingFix):
-            error = wrap_angle(fix.walking_heading_rad - at_fix[2] - x[:, OFFSET])
-            state, _ = _reweighted(state, -0.5 * (error / fix.std_rad) ** 2)
+            error_rad = wrap_angle(fix.walking_heading_rad - at_fix[2] - x[:, OFFSET])
+            log_weight = -0.5 * (error_rad / fix.std_rad) ** 2
         elif isinstance(fix, GridFix):
-            log_likelihood = fix.log_likelihood_at(earlier_positions(x, state.reckoned[-1, 1:3] - at_fix[:2]))
-            state, _ = _reweighted(state, log_likelihood / repetition(fix, state.last_grid_s))
+            log_weight = fix.log_likelihood_at(position_m) / repetition(fix, state.last_grid_s)
             state = replace(state, last_grid_s=fix.time_s)
-        elif not isinstance(fix, PositionFix):
-            position_m = earlier_positions(x, state.reckoned[-1, 1:3] - at_fix[:2])
-            state, _ = _reweighted(state, _log_density(fix, position_m, at_fix[2] + x[:, OFFSET]))
-        else:
-            error = earlier_positions(x, state.reckoned[-1, 1:3] - at_fix[:2]) - fix.position_m
-            cov = repetition(fix, state.last_fix_s) * fix.cov_m2
-            state, _ = _reweighted(state, -0.5 * ((error @ np.linalg.inv(cov)) * error).sum(axis=1))
+        elif isinstance(fix, PositionFix):
+            error_m, cov_m2 = position_m - fix.position_m, repetition(fix, state.last_fix_s) * fix.cov_m2
+            log_weight = -0.5 * ((error_m @ np.linalg.inv(cov_m2)) * error_m).sum(axis=1)
             state = replace(state, last_fix_s=fix.time_s)
-        state = replace(state, parent=np.arange(len(state.weight)))
-        n_effective = _n_effective(state)
-        if is_turned and self.start is None and n_effective < _MIN_SAMPLE_SHARE * len(state.weight):
-            return self._from_tracker(state, pedestrian, ground, rng, 0.0)
-        if n_effective < _LEAST_EFFECTIVE:
-            return self._drawn_again(state, pedestrian, model, ground, rng, 0.0, fix.time_s)
-        return self._resampled(state, rng, must_count=False)
+        else:
+            log_weight = _log_density(fix, position_m, at_fix[2] + x[:, OFFSET])
+        state, _ = _reweighted(replace(state, parent=np.arange(len(x))), log_weight)
+        if is_turned and self.start is None and _n_effective(state) < _MIN_SAMPLE_SHARE * len(x):
+            return self._from_tracker(state, now)
+        return self._resampled(state, now)
 
     def _after_passage(
         self, state: ParticleState, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel
@@ -528,14 +477,10 @@ class ParticleFilter:
         rng, state = self._random(state)
         then_m = interpolated_rows(passage.end_s, state.reckoned[:, 0], state.reckoned[:, 1:3])
         out_m = earlier_positions(state.particles, state.reckoned[-1, 1:3] - then_m)
-        state, _ = _reweighted(state, -ground.lift_costs(out_m))
-        state = replace(state, parent=np.arange(len(state.weight)))
-        if _n_effective(state) < _LEAST_EFFECTIVE:
-            return self._drawn_again(state, pedestrian, model, ground, rng, 0.0, passage.end_s)
-        return self._resampled(state, rng, must_count=False)
+        state, _ = _reweighted(replace(state, parent=np.arange(len(out_m))), -ground.lift_costs(out_m))
+        return self._resampled(state, _Context(pedestrian, model, ground, rng, passage.end_s))
 
-    # --- estimates
-    # -----------------------------------------------------------------------------------------------------
+    # --- estimates ----------------------------------------------------------------------------------------------------
 
     def estimate(self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
         """Return the position estimate of the particles.
@@ -651,128 +596,85 @@ class ParticleFilter:
         numbers = Generator(Philox(key=self.seed, counter=[0, 0, 0, state.n_draws]))
         return numbers, replace(state, n_draws=state.n_draws + 1)
 
-    def _from_tracker(
-        self, state: ParticleState, pedestrian: PedestrianState, ground: Ground | None, rng: Generator, scale_std: float
-    ) -> ParticleState:
+    def _from_tracker(self, state: ParticleState, now: _Context) -> ParticleState:
         """Return the state with particles drawn from the tracker's estimate.
 
         The tracker's estimate is a normal distribution. While the rotation of the track is unknown, the rotations are
-        drawn from the tracker's density over all angles. `scale_std` is added to the uncertainty of the log scale, in
-        quadrature.
+        drawn from the tracker's density over all angles.
         """
-        x, combined = pedestrian.estimates.combined
+        frame, estimates = now.pedestrian.frame, now.pedestrian.estimates
+        x, combined = estimates.combined
         P = combined.copy()
-        P[:2, :2] += pedestrian.estimates.consider_cov_m2
-        P[LOG_SCALE, LOG_SCALE] += scale_std**2
-        rotation = None if pedestrian.frame.is_joined else pedestrian.frame.rotation
+        P[:2, :2] += estimates.consider_cov_m2
+        P[LOG_SCALE, LOG_SCALE] += now.scale_std**2
+        rotation = None if frame.is_joined else frame.rotation
         n = min((2 if rotation is None else 5) * self.n_least, self.n_most)
         particles = np.zeros((n, N_COLUMNS))
         # the small diagonal keeps the Cholesky factorisation valid where a variance is zero
-        particles[:, :4] = x + rng.standard_normal((n, 4)) @ np.linalg.cholesky(P + 1e-12 * np.eye(4)).T
+        particles[:, :4] = x + now.rng.standard_normal((n, 4)) @ np.linalg.cholesky(P + 1e-12 * np.eye(4)).T
         if rotation is not None:
-            rotation = rotation.with_compass(pedestrian.frame.compass)
-            angle_rad = rotation.samples(rng, n)
+            rotation = rotation.with_compass(frame.compass)
+            angle_rad = rotation.samples(now.rng, n)
             from_centre_m = particles[:, :2] - rotation.track_centre_m
             particles[:, :2] = rotated_vectors(from_centre_m, angle_rad) + rotation.world_centre_m
-            particles[:, :2] += math.sqrt(rotation.centre_var_m2) * rng.standard_normal((n, 2))
+            particles[:, :2] += math.sqrt(rotation.centre_var_m2) * now.rng.standard_normal((n, 2))
             particles[:, OFFSET] += angle_rad
             particles[:, TURN] = angle_rad
-        return self._with_particles(state, particles, pedestrian, ground)
+        state = _with_particles(state, particles, now.pedestrian)
+        return state if now.ground is None else _on_ground(state, now.ground, -now.ground.heights(particles[:, :2]))
 
-    def _from_start(
-        self,
-        state: ParticleState,
-        start: Start,
-        pedestrian: PedestrianState,
-        model: PedestrianModel,
-        rng: Generator,
-        scale_std: float,
-    ) -> ParticleState:
+    def _from_start(self, state: ParticleState, start: Start, now: _Context) -> ParticleState:
         """Return the state with particles drawn at the start position or in the start area.
 
         The rotation of the track is uniform over all angles, or follows the heading fixes and the compass received so
         far.
         """
-        n = self.n_most
-        x, P = pedestrian.estimates.combined
+        frame, rng, n = now.pedestrian.frame, now.rng, self.n_most
+        x, P = now.pedestrian.estimates.combined
         particles = np.zeros((n, N_COLUMNS))
         particles[:, :2] = start.draw(rng, n)
-        frame, turn_rad = pedestrian.frame, rng.uniform(-math.pi, math.pi, n)
+        turn_rad = rng.uniform(-math.pi, math.pi, n)
         if frame.north is not None:
             turn_rad = math.sqrt(frame.north.angle_var_rad2) * rng.standard_normal(n)
         particles[:, TURN] = turn_rad
         particles[:, OFFSET] = x[HEADING_OFFSET] + turn_rad
         particles[:, OFFSET] += math.sqrt(P[HEADING_OFFSET, HEADING_OFFSET]) * rng.standard_normal(n)
-        scale_std = math.hypot(scale_std, model.noise.log_scale_std)
-        particles[:, SCALE] = scale_std * rng.standard_normal(n)
-        state = self._with_particles(
-            state, particles, pedestrian, None, _LOST_IN_AREA_LOG_ODDS if len(start.cells) else _LEAST_LOST_LOG_ODDS
-        )
+        particles[:, SCALE] = math.hypot(now.scale_std, now.model.noise.log_scale_std) * rng.standard_normal(n)
+        state = _with_particles(state, particles, now.pedestrian)
         ground = self.ground(start.floor)
-        if ground is not None and len(start.cells) == 0:
-            # A person may start in a room without a door, but not in a wall.
+        if len(start.cells):
+            state = replace(state, lost_log_odds=_LOST_IN_AREA_LOG_ODDS)
+        elif ground is not None:
+            # a person may start in a room without a door, but not in a wall
             is_closed = ground.is_closed(particles[:, :2])
-            state, _ = _reweighted(state, np.where(is_closed, -ground.heights(particles[:, :2]), 0.0))
-            state = replace(state, uses_plan=not ground.is_off_plan(particles[:, :2], state.weight))
-        if pedestrian.frame.north is None and pedestrian.frame.compass is not None:
-            state, log_weight = _with_compass(replace(state, compass=None), pedestrian)
+            state = _on_ground(state, ground, np.where(is_closed, -ground.heights(particles[:, :2]), 0.0))
+        if frame.north is None and frame.compass is not None:
+            state, log_weight = _with_compass(replace(state, compass=None), now.pedestrian)
             state, _ = _reweighted(state, log_weight)
         return state
 
-    def _with_particles(
-        self,
-        state: ParticleState,
-        particles: FloatArray,
-        pedestrian: PedestrianState,
-        ground: Ground | None,
-        lost_log_odds: float = _LEAST_LOST_LOG_ODDS,
-    ) -> ParticleState:
-        """Return the state with new particles of equal weight. Costs of `ground`, if given, then change the weights."""
-        n = len(particles)
-        state = replace(
-            state,
-            particles=particles,
-            weight=np.full(n, 1.0 / n),
-            parent=np.empty(0, dtype=np.int64),
-            turned_rad=_turned_rad(pedestrian),
-            compass=pedestrian.frame.compass,
-            lost_log_odds=lost_log_odds,
-            uses_plan=True,
-        )
-        if ground is None:
-            return state
-        state, _ = _reweighted(state, -ground.heights(particles[:, :2]))
-        return replace(state, uses_plan=not ground.is_off_plan(particles[:, :2], state.weight))
-
-    def _drawn_again(
-        self,
-        state: ParticleState,
-        pedestrian: PedestrianState,
-        model: PedestrianModel,
-        ground: Ground | None,
-        rng: Generator,
-        scale_std: float,
-        time_s: float,
-    ) -> ParticleState:
+    def _drawn_again(self, state: ParticleState, now: _Context) -> ParticleState:
         """Return the state with particles drawn again, after no particle fitted the steps.
 
         The particles come from the tracker if its track is placed on the plan, otherwise from all walkable cells of the
         storey.
         """
-        events = (*state.events, PlanEvent(time_s, "lost", ""))[-_MAX_EVENTS:]
-        state = replace(state, events=events, n_lost=state.n_lost + 1)
-        if pedestrian.frame.is_joined or pedestrian.frame.rotation is not None or ground is None:
-            return self._from_tracker(state, pedestrian, ground, rng, scale_std)
-        return self._from_start(state, anywhere_on(ground.storey), pedestrian, model, rng, scale_std)
+        events = (*state.events, PlanEvent(now.time_s, "lost", ""))[-_MAX_EVENTS:]
+        state, frame = replace(state, events=events, n_lost=state.n_lost + 1), now.pedestrian.frame
+        if frame.is_joined or frame.rotation is not None or now.ground is None:
+            return self._from_tracker(state, now)
+        return self._from_start(state, anywhere_on(now.ground.storey), now)
 
-    def _resampled(self, state: ParticleState, rng: Generator, must_count: bool) -> ParticleState:
+    def _resampled(self, state: ParticleState, now: _Context, must_count: bool = False) -> ParticleState:
         """Return the state resampled to the number of particles needed, or unchanged if resampling is not necessary.
 
-        Resampling takes place if the effective sample size is too small, or if less than half of the particles are
-        needed. It is systematic (low variance): a single random number draws all particles, and a particle of weight w
-        is copied w n times, rounded up or down. `must_count` checks the number needed even if the effective sample size
-        is sufficient.
+        If no particle fits the steps, all are drawn again. Resampling takes place if the effective sample size is too
+        small, or if less than half of the particles are needed. It is systematic (low variance): a single random number
+        draws all particles, and a particle of weight w is copied w n times, rounded up or down. `must_count` checks the
+        number needed even if the effective sample size is sufficient.
         """
+        if state.lost_log_odds > _MOST_LOST_LOG_ODDS or _n_effective(state) < _LEAST_EFFECTIVE:
+            return self._drawn_again(state, now)
         n = len(state.weight)
         too_few = _n_effective(state) < _RESAMPLE_SHARE * n
         if not (too_few or must_count):
@@ -783,9 +685,9 @@ class ParticleFilter:
         if not (too_few or needed < 0.5 * n):
             return state
         total = np.cumsum(state.weight)
-        chosen = np.searchsorted(total, total[-1] * (np.arange(needed) + rng.random()) / needed)
+        chosen = np.searchsorted(total, total[-1] * (np.arange(needed) + now.rng.random()) / needed)
         particles = state.particles[np.minimum(chosen, n - 1)]
-        particles[:, SCALE] += _SCALE_JITTER * rng.standard_normal(needed)
+        particles[:, SCALE] += _SCALE_JITTER * now.rng.standard_normal(needed)
         parent = state.parent[chosen] if len(state.parent) else state.parent
         return replace(state, particles=particles, weight=np.full(needed, 1.0 / needed), parent=parent)
 
@@ -802,6 +704,27 @@ class ParticleFilter:
         particles[:, CROSSED] = 0.0
         events = (*state.events, PlanEvent(time_s, what, name))[-_MAX_EVENTS:]
         return replace(state, particles=particles, events=events)
+
+
+def _with_particles(state: ParticleState, particles: FloatArray, pedestrian: PedestrianState) -> ParticleState:
+    """Return the state with new particles of equal weight."""
+    n = len(particles)
+    return replace(
+        state,
+        particles=particles,
+        weight=np.full(n, 1.0 / n),
+        parent=np.empty(0, dtype=np.int64),
+        turned_rad=_turned_rad(pedestrian),
+        compass=pedestrian.frame.compass,
+        lost_log_odds=_LEAST_LOST_LOG_ODDS,
+        uses_plan=True,
+    )
+
+
+def _on_ground(state: ParticleState, ground: Ground, log_weight: FloatArray) -> ParticleState:
+    """Return the state of new particles with log weights (N,). The plan is used if most of their weight is inside."""
+    state, _ = _reweighted(state, log_weight)
+    return replace(state, uses_plan=not ground.is_off_plan(state.particles[:, :2], state.weight))
 
 
 def _turned_rad(pedestrian: PedestrianState) -> float:

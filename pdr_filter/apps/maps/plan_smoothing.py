@@ -59,25 +59,13 @@ _LOST_PROB = 0.99
 _UNKNOWN_NUMBER, _UNKNOWN_SHARE = 20, 0.5
 
 
-class _Reckoned(NamedTuple):
-    """Dead-reckoned position (2,) in m after a step, and its covariance (2, 2) in m^2."""
-
-    position_m: FloatArray
-    cov_m2: FloatArray
-
-
 class _Event(NamedTuple):
-    """State of the particles after one event: a step, a fix, a gap or a change of storey.
-
-    `reckoned` is the dead-reckoned position after a step, and None for other events. `length_m` is the length of the
-    step for a scale of one, mean over the modes. `is_restart` is True if the particles do not descend from those before
-    the event.
-    """
+    """State of the particles after one event: a step, a fix, a gap or a change of storey."""
 
     state: ParticleState
-    reckoned: _Reckoned | None
-    length_m: float
-    is_restart: bool
+    reckoned: tuple[FloatArray, FloatArray] | None  # dead-reckoned position (2,) and covariance (2, 2) after a step
+    length_m: float  # length of the step for a scale of one, mean over the modes
+    is_restart: bool  # True if the particles do not descend from those before the event
 
 
 class _Recorder:
@@ -100,28 +88,15 @@ class _Recorder:
         self, state: ParticleState, event: PlanEvent, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
         after = self._filter.on(state, event, pedestrian, model)
+        reckoned, length_m = None, 0.0
         if isinstance(event, StepUpdate):
+            reckoned = event.position_m, event.position_cov_m2
             length_m = float(event.mode_prob @ model.lengths(event.step).length_m)
-            reckoned = _Reckoned(event.position_m, event.position_cov_m2)
-            return self._recorded(state, after, reckoned=reckoned, length_m=length_m)
-        return self._recorded(state, after, is_moved=isinstance(event, FixUse) and event.outcome == "moved")
-
-    def _recorded(
-        self,
-        before: ParticleState,
-        after: ParticleState,
-        reckoned: _Reckoned | None = None,
-        length_m: float = 0.0,
-        is_moved: bool = False,
-    ) -> ParticleState:
-        """Append the state after an event to `events`, and return this state.
-
-        Each step is recorded, other events only if they changed the weights of the particles. `is_moved` is True if a
-        fix shifted the track.
-        """
-        if after.weight is not before.weight or reckoned is not None:
-            is_new = is_moved or after.n_lost > before.n_lost
-            self.events.append(_Event(after, reckoned, length_m, is_restart=is_new and len(before.weight) > 0))
+        # each step is recorded, other events only if they changed the weights
+        if after.weight is not state.weight or reckoned is not None:
+            is_moved = isinstance(event, FixUse) and event.outcome == "moved"
+            is_new = is_moved or after.n_lost > state.n_lost
+            self.events.append(_Event(after, reckoned, length_m, is_restart=is_new and len(state.weight) > 0))
         return after
 
 
@@ -172,14 +147,11 @@ def smooth_on_plan(
         raise ValueError(
             "the position of the walk on the plan is unknown: give fixes, or start, such as the name of an area"
         )
-    events = recorder.events
     floors, rows = iter(track.floor[::-1].tolist()), list[_Row]()
-    for ancestors in _ancestors(events):
-        state, reckoned = ancestors.event.state, ancestors.event.reckoned
-        if reckoned is not None:
-            rows.append(
-                _row(ancestors, online.alternative(state, reckoned, ancestors.elsewhere), online.ground(next(floors)))
-            )
+    for ancestors in _ancestors(recorder.events):
+        if (reckoned := ancestors.event.reckoned) is not None:
+            alternative = online.alternative(ancestors.event.state, reckoned, ancestors.elsewhere)
+            rows.append(_row(ancestors, alternative, online.ground(next(floors))))
     return _with_rows(track, rows[::-1], online.plan.origin)
 
 
