@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from pdr_filter.apps.cli import console
-from pdr_filter.apps.cli.console import escape
 from pdr_filter.apps.cli.options import (
     AnchorsFile,
     Files,
@@ -25,6 +24,7 @@ from pdr_filter.apps.cli.options import (
     RangesFile,
     Scheduler,
     ranges_of,
+    wifi_fixes,
 )
 from pdr_filter.values.sanitise import file_name
 
@@ -141,8 +141,7 @@ def calibrate_command(
             result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
         n_rejected = len(result.distrusted)
         if n_rejected == len(result.segments):
-            for line in result.report().split("\n"):
-                console.print_line(line)
+            console.print_lines(result.report())
             console.say_error(
                 "nothing was written, because every segment contradicts the detected steps: see the report"
             )
@@ -159,10 +158,9 @@ def calibrate_command(
             # standard deviations have four decimals in LaTeX, so that covariances need eight
             digits, caption = 8 if stem.name == "covariance" else 4, f"{stem.name.capitalize()} of the calibration."
             written += pdr.evaluate.write_tables(rows, stem, digits, caption, _fitted(rows, result.contexts))
-    for line in result.report().split("\n"):
-        console.print_line(line)
+    console.print_lines(result.report())
     for path in written:
-        console.stderr().print(f"written: {escape(str(path))}")
+        console.say(f"written: {path}")
     console.say_replaced(before)
 
 
@@ -266,8 +264,7 @@ def smooth_command(
         if truth_as_fixes:
             position_fixes += waypoint_fixes(recording, fix_std_m)
         if radio is not None:
-            mapped = pdr.RadioMap.load(radio)
-            position_fixes += [*mapped.fixes(recording), *(mapped.grids(recording) if georeference.plan else [])]
+            position_fixes += wifi_fixes(pdr.RadioMap.load(radio), recording, georeference.plan is not None)
         position_fixes += ranges_of(ranges, anchors, where.get("origin"))
         options: dict[str, Any] = {**known, **where}
         if person is not None:
@@ -283,7 +280,7 @@ def smooth_command(
             if track.origin is not None:
                 console.write_map(track, out / f"{name}.geojson")
     if marked.names:
-        console.stderr().print(f"marks used: {escape(', '.join(str(marked.folder / n) for n in marked.names))}")
+        console.say(f"marks used: {', '.join(str(marked.folder / n) for n in marked.names)}")
     console.print_tracks([track])
     typer.echo(
         f"{len(result.observations)} observations, {len(result.rejected)} not used; "

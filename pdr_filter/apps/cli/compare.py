@@ -7,6 +7,7 @@ lengths, weighted with the context probabilities. IMM is the interacting multipl
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -38,39 +39,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Compared:
-    """Tracks of one recording by weighting or recipe. The last track is the baseline of the comparison.
-
-    Attributes
-    ----------
-    recording : Recording
-        Recording that was tracked.
-    tracks : dict of str to Track
-        Track of each weighting or recipe.
-    rmse_m : dict of str to float
-        Position RMSE of each track; empty without --truth.
-    errors : Table
-        Errors of the tracks, from `evaluate.comparison_table`.
-    in_contexts : Table or None
-        Errors by context, from `evaluate.context_errors`; None without context labels.
-    by_contexts : Table or None
-        Errors of the distance that are due to contexts, from `evaluate.weighting_errors`; None without labels of steps,
-        and for recipes.
-    """
+    """Tracks of one recording by weighting or recipe. The last track is the baseline of the comparison."""
 
     recording: Recording
-    tracks: dict[str, Track]
-    rmse_m: dict[str, float]
-    errors: Table
-    in_contexts: Table | None
-    by_contexts: Table | None
-
-    def summary(self) -> dict[str, Any]:
-        """Return the results of all tracks as JSON values: the name of the recording, and a summary for each track."""
-        rows = [
-            {"track": name, **track.summary(), **({"rmse_m": self.rmse_m[name]} if name in self.rmse_m else {})}
-            for name, track in self.tracks.items()
-        ]
-        return {"name": self.recording.name, "tracks": rows}
+    tracks: dict[str, Track]  # by weighting or recipe
+    rmse_m: dict[str, float]  # position error of each track, empty without --truth
+    tables: dict[str, Table]  # errors of the tracks, by context, and of the distance that are due to contexts
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,14 +100,14 @@ class Setting:
             "person": self.person,
             "fixes": () if self.fixes is None else fixes_of_file(self.fixes, self.fix_std_m),
         }
-        first, *others = self.recipe or ["default"]
-        if not others:
-            return pdr.evaluate.weighting_tracks(recording, self.config(recording, first), progress, **options)
+        names = self.recipe or ["default"]
+        if len(names) == 1:
+            return pdr.evaluate.weighting_tracks(recording, self.config(recording, names[0]), progress, **options)
         tracks: dict[str, Track] = {}
-        for i, name in enumerate(self.recipe or ()):
+        for i, name in enumerate(names):
 
             def show(fraction: float, i: int = i) -> None:
-                progress((i + fraction) / (1 + len(others)))
+                progress((i + fraction) / len(names))
 
             tracks[name] = pdr.track(recording, self.config(recording, name), progress=show, **options)
         return tracks
@@ -146,11 +120,11 @@ class Setting:
         import pdr_filter as pdr
 
         names = self.recipe or ["default"]
-        try:
-            config = self.config(recording, names[0])
-            return None if len(names) > 1 else pdr.evaluate.weighting_errors(recording, config)
-        except ValueError:
+        if len(names) > 1:
             return None
+        with suppress(ValueError):
+            return pdr.evaluate.weighting_errors(recording, self.config(recording, names[0]))
+        return None
 
 
 def compare_command(
@@ -193,12 +167,13 @@ def compare_command(
         recording = source.read(file)
         tracks = setting.tracks(recording, where, progress)
         errors = pdr.evaluate.comparison_table(recording, tracks)
-        labels = recording.truth.labels
-        in_contexts = None if labels is None or not len(labels) else pdr.evaluate.context_errors(recording, tracks)
+        tables = {"recordings": errors}
+        if recording.truth.labels is not None and len(recording.truth.labels):
+            tables["contexts"] = pdr.evaluate.context_errors(recording, tracks)
+            if out is not None and (by_contexts := setting.by_contexts(recording)) is not None:
+                tables["weightings"] = by_contexts
         is_known = truth and bool(np.isfinite(errors.rmse_m).all())
         rmse_m = dict(zip(tracks, errors.rmse_m.tolist(), strict=True)) if is_known else {}
-        by_contexts = None if out is None or in_contexts is None else setting.by_contexts(recording)
-        found = Compared(recording, tracks, rmse_m, errors, in_contexts, by_contexts)
         if truth and not is_known:
             without.append(recording.name)
         if out is not None:
@@ -208,8 +183,12 @@ def compare_command(
                 replaced.append(path)
             write_report(named, path, recording)
         if as_json:
-            console.print_json(found.summary())
-        return found
+            of_tracks = [
+                {"track": name, **track.summary(), **({"rmse_m": rmse_m[name]} if rmse_m else {})}
+                for name, track in tracks.items()
+            ]
+            console.print_json({"name": recording.name, "tracks": of_tracks})
+        return Compared(recording, tracks, rmse_m, tables)
 
     with console.one_line_errors():
         files = console.recording_paths(files)
@@ -271,11 +250,11 @@ def _study(compared: Sequence[Compared]) -> Table | None:
     import pdr_filter as pdr
     from pdr_filter.evaluate.comparison import MEASURES
 
-    if not any(np.isfinite(found.errors[name]).any() for found in compared for name in MEASURES):
+    errors = [found.tables["recordings"] for found in compared]
+    if not any(np.isfinite(rows[name]).any() for rows in errors for name in MEASURES):
         return None
-    # recordings without a name of the person count as different persons
     people = [found.recording.subject.id or f"recording {k}" for k, found in enumerate(compared)]
-    return pdr.evaluate.study_table([found.errors for found in compared], people)
+    return pdr.evaluate.study_table(errors, people)
 
 
 def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
@@ -285,18 +264,13 @@ def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
     from pdr_filter.evaluate import study_rows, write_tables
     from pdr_filter.values import table
 
-    def joined(parts: Sequence[tuple[str, Table]]) -> Table:
-        names = parts[0][1].dtype.names or ()
-        columns = {name: np.concatenate([part[name] for _, part in parts]) for name in names}
-        return table({"recording": np.concatenate([np.full(len(part), of) for of, part in parts]), **columns})
-
-    tables = {"study": study, "recordings": joined([(found.recording.name, found.errors) for found in compared])}
-    labelled = [(found.recording.name, found.in_contexts) for found in compared if found.in_contexts is not None]
-    if labelled:
-        tables["contexts"] = joined(labelled)
-    weighted = [(found.recording.name, found.by_contexts) for found in compared if found.by_contexts is not None]
-    if weighted:
-        tables["weightings"] = joined(weighted)
+    tables = {"study": study}
+    for name in ("recordings", "contexts", "weightings"):
+        parts = [(found.recording.name, found.tables[name]) for found in compared if name in found.tables]
+        if parts:
+            columns = {"recording": np.concatenate([np.full(len(rows), of) for of, rows in parts])}
+            columns |= {c: np.concatenate([rows[c] for _, rows in parts]) for c in parts[0][1].dtype.names or ()}
+            tables[name] = table(columns)
     before = console.existing(*(out / f"{name}{suffix}" for name in tables for suffix in (".csv", ".tex")))
     for name, rows in tables.items():
         write_tables(rows, out / name, 2, _CAPTIONS[name], study_rows(study) if name == "study" else None)

@@ -64,6 +64,11 @@ def message(error: Exception) -> str:
     return "\n".join(lines) or type(error).__name__
 
 
+def say(text: object) -> None:
+    """Print a message on stderr, without markup and control characters of names in it."""
+    stderr().print(escape(text))
+
+
 def say_error(text: str) -> None:
     """Print an error message on stderr."""
     stderr().print(f"[bold red]error:[/] {escape(text)}")
@@ -77,29 +82,25 @@ def existing(*paths: Path | None) -> list[Path]:
 def say_replaced(paths: Sequence[Path]) -> None:
     """Print the files that existed before and were replaced."""
     if paths:
-        stderr().print(f"replaced existing files: {escape(', '.join(map(str, paths)))}")
+        say(f"replaced existing files: {', '.join(map(str, paths))}")
 
 
 def say_unused_fixes(paths: Sequence[Path]) -> None:
     """Print files `fixes.csv` that lie beside recordings and are not used, with the place where they are."""
     for path in paths:
-        stderr().print(
-            f"{escape(str(path))} is not used: known positions of walk.zip are read from walk.zip.marks/fixes.csv"
-        )
+        say(f"{path} is not used: known positions of walk.zip are read from walk.zip.marks/fixes.csv")
 
 
 def say_without_truth(names: Sequence[str]) -> None:
     """Print the recordings for which no error can be computed."""
     if names:
-        stderr().print(
-            f"no position error, because the file has no true positions or waypoints: {escape(', '.join(names))}"
-        )
+        say(f"no position error, because the file has no true positions or waypoints: {', '.join(names)}")
 
 
 def say_written(folder: Path | None) -> None:
     """Print the folder to which files were written, unless it is None."""
     if folder is not None:
-        stderr().print(f"files written to {escape(str(folder))}")
+        say(f"files written to {folder}")
 
 
 @contextmanager
@@ -173,10 +174,10 @@ def each_file(
             except KeyboardInterrupt:
                 for reason in failed.values():
                     say_error(reason)
-                left = f"{escape(str(file))}" + (f" and {n} more" if (n := len(files) - i - 1) else "")
-                stderr().print(
+                more = f" and {n} more" if (n := len(files) - i - 1) else ""
+                say(
                     f"stopped: {len(results)} of {len(files)} done, with complete output files; to continue, run the "
-                    f"command on the remaining files: {left}"
+                    f"command on the remaining files: {file}{more}"
                 )
                 raise typer.Exit(STOPPED) from None
             except (ValueError, OSError) as error:
@@ -197,7 +198,7 @@ def exit_if_failed(failed: Mapping[Path, str], n_files: int) -> None:
         return
     if n_files == 1:
         raise typer.Exit(UNUSABLE)
-    stderr().print(f"{len(failed)} of {n_files} files failed: {escape(', '.join(map(str, failed)))}")
+    say(f"{len(failed)} of {n_files} files failed: {', '.join(map(str, failed))}")
     raise typer.Exit(UNUSABLE if len(failed) == n_files else SOME_FAILED)
 
 
@@ -226,6 +227,12 @@ def print_line(text: str) -> None:
     """Print a line on stdout. It is wrapped between words on a terminal only, so that scripts can parse the output."""
     stdout = Console(highlight=False)
     stdout.print(markup.escape(printable(text)), soft_wrap=not stdout.is_terminal)
+
+
+def print_lines(text: str) -> None:
+    """Print the lines of a report on stdout."""
+    for line in text.split("\n"):
+        print_line(line)
 
 
 def new_table(*columns: str, n_keys: int = 1) -> Table:
@@ -328,10 +335,9 @@ def estimates(
     progress: Callable[[float], None] | None,
     **options: Any,
 ) -> tuple[Track, ...]:
-    """Return the smoothed track, followed by the online track if `with_both` is true.
+    """Return the smoothed track, followed by the online track if `with_both`, or the online track alone if `online`.
 
-    With `online`, return the online track alone. `options` are passed to `pdr_filter.track` and `pdr_filter.smooth`.
-    ValueError for `online` with `loop`.
+    `options` are passed to `pdr_filter.track` and `pdr_filter.smooth`. ValueError for `online` with `loop`.
     """
     import pdr_filter as pdr
 
@@ -360,9 +366,10 @@ def write_track(result: Track, folder: Path, name: str) -> None:
     result.plot(folder / f"{name}.png")
 
 
-def modified_ns(folder: Path, name: str) -> dict[Path, int]:
-    """Return the existing files NAME.* in a folder with their modification times in nanoseconds."""
-    return {path: path.stat().st_mtime_ns for path in folder.glob(f"{glob_escape(name)}.*") if path.is_file()}
+def modified_ns(folder: Path, name: str | None = None) -> dict[Path, int]:
+    """Return the existing files NAME.* in a folder, or all its files, with their modification times in nanoseconds."""
+    pattern = "*" if name is None else f"{glob_escape(name)}.*"
+    return {path: path.stat().st_mtime_ns for path in folder.glob(pattern) if path.is_file()}
 
 
 def overwritten(before: Mapping[Path, int]) -> list[Path]:

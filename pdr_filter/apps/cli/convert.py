@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pdr_filter.apps.cli import console
+from pdr_filter.apps.cli.options import Platform
 from pdr_filter.values.sanitise import file_name, printable, printable_lines
-
-
-class PlatformOption(StrEnum):
-    """Platform of the phone, which decides the sign of the acceleration."""
-
-    IOS = "ios"
-    ANDROID = "android"
 
 
 def convert_command(
@@ -24,13 +17,7 @@ def convert_command(
     mapping: Annotated[
         Path | None, typer.Option("--map", help="TOML file with the column mapping. Default: the mapping is guessed.")
     ] = None,
-    platform: Annotated[
-        PlatformOption | None,
-        typer.Option(
-            help="Platform of the phone, which decides the sign of the acceleration. Needed only when it cannot be "
-            "detected."
-        ),
-    ] = None,
+    platform: Platform = None,
     out: Annotated[Path | None, typer.Option(help="Output file. Default: NAME_recording.zip next to FILE.")] = None,
 ) -> None:
     """Convert a file to a recording, and show the column mapping with its reasons.
@@ -50,19 +37,17 @@ def convert_command(
     with console.one_line_errors():
         if mapping is not None and platform is not None:
             raise ValueError(
-                f"--platform {platform.value} and --map {mapping} both set the sign "
-                "of the acceleration: omit --platform"
+                f"--platform {platform} and --map {mapping} both set the sign of the acceleration: omit --platform"
             )
         text = ""
-        of_platform = None if platform is None else platform.value
         file = only_recording_in(file)
         if mapping is not None:
             recording = read_mapped(file, read_mapping(mapping))
         elif detect(file) == "table":
-            found = read_guessed(file, of_platform)
+            found = read_guessed(file, platform)
             recording, text = found.recording, found.guess.mapping.toml()
         else:
-            recording = read(file, platform=of_platform)
+            recording = read(file, platform=platform)
         to = out or outside(file.absolute())[0].with_name(f"{file_name(recording.name)}_recording.zip")
         mapping_path = to.with_suffix(".toml") if to.suffix else to.with_name(f"{to.name}.toml")
         for path in (to, *([mapping_path] if text else [])):
@@ -77,4 +62,4 @@ def convert_command(
         if text:
             written.append(write_text(mapping_path, text))
     for path in written:
-        console.stderr().print(f"written: {console.escape(str(path))}")
+        console.say(f"written: {path}")

@@ -7,10 +7,9 @@ import socket
 import sys
 import tempfile
 import uuid
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,22 +17,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pdr_filter.apps.cli import console
-from pdr_filter.apps.cli.options import Height
+from pdr_filter.apps.cli.options import Height, Platform, Tiles
 
 if TYPE_CHECKING:
     from pdr_filter.apps.live.hub import Live
+    from pdr_filter.apps.workbench.hub import Workbench
     from pdr_filter.values.recording import Recording
 
 
 # Interval at which the server is checked for shutdown.
 _POLL_S = 0.1
-
-
-class Platform(StrEnum):
-    """Platform of a phone, which decides the sign of the acceleration."""
-
-    IOS = "ios"
-    ANDROID = "android"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,23 +61,48 @@ class Address:
 
         return lan_address() if self.host in ("0.0.0.0", "::") else self.host
 
-    def address(self, port: int) -> str:
+    @property
+    def is_open(self) -> bool:
+        """True if other machines can reach the server."""
+        from pdr_filter.apps.live.access import is_loopback
+
+        return not is_loopback(self.host)
+
+    def url(self, port: int) -> str:
         """URL of the server without a path."""
         host = f"[{self.name}]" if ":" in self.name else self.name
         return f"http{'s' * self.https}://{host}:{port}"
+
+    def token_in(self, folder: Path | None) -> str:
+        """Return the token, by default the one that is stored in a folder. It is empty without --token on loopback."""
+        from pdr_filter.apps.live.access import made_token
+
+        return (self.token or made_token(folder)) if self.is_open or self.token else ""
+
+    def server(self, application: Any, folder: Path) -> Any:
+        """Return the server of an application. A folder holds the certificate for --https."""
+        import uvicorn
+
+        from pdr_filter.apps.live.certificate import certificate
+
+        return uvicorn.Server(
+            uvicorn.Config(
+                application,
+                ssl_certfile=certificate(folder / "certificate", self.name) if self.https else None,
+                log_level="warning",
+                access_log=False,
+                ws_max_size=4 * 1024**2,
+                timeout_graceful_shutdown=2,
+                lifespan="off",
+            )
+        )
 
 
 @dataclass(frozen=True, slots=True)
 class Phones:
     """Options for phones and pedestrians."""
 
-    platform: Annotated[
-        Platform | None,
-        typer.Option(
-            help="Platform of the phones, which decides the sign of the acceleration. Needed only when it cannot be "
-            "detected."
-        ),
-    ] = None
+    platform: Platform = None
     height_m: Height = None
     recipe: Annotated[str, typer.Option(help="Name of a recipe, or module:function for a recipe of your own.")] = (
         "default"
@@ -140,11 +158,8 @@ class Sources:
         """Return a coroutine for each source, which fetches its samples and passes them to the server `shared`."""
         from pdr_filter.apps.live import sources
 
-        def say(text: str) -> None:
-            console.say_error(text)
-
         def take(name: str) -> sources.Taker:
-            return sources.told(shared.take, name, say)
+            return sources.told(shared.take, name, console.say_error)
 
         session = uuid.uuid4().hex[:8]
         made: list[tuple[str, Callable[[], Coroutine[Any, Any, None]]]] = [
@@ -153,7 +168,7 @@ class Sources:
             *(("--mqtt", sources.Mqtt(at, take("--mqtt")).run) for at in self.mqtt or ()),  # `at` may have a password
         ]
         replay = [] if walk is None else [sources.replay(walk, self.speed, take(f"--replay {walk.name}"))]
-        return [*(sources.again(name, source, say) for name, source in made), *replay]
+        return [*(sources.again(name, source, console.say_error) for name, source in made), *replay]
 
 
 def live_command(
@@ -163,7 +178,7 @@ def live_command(
     record: Annotated[
         Path | None, typer.Option(help="Folder for recordings. A restarted server resumes the walks in it.")
     ] = None,
-    tiles: Annotated[str, typer.Option(metavar="URL", help="URL of map tiles, which contains {z}, {x} and {y}.")] = "",
+    tiles: Tiles = "",
 ) -> None:
     """Track phones in real time. A web page shows the position of each phone with its uncertainty.
 
@@ -171,45 +186,27 @@ def live_command(
     """
     with console.one_line_errors(), ExitStack() as opened:
         try:
-            import uvicorn
+            import uvicorn  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
-            from pdr_filter.apps.live.certificate import certificate
             from pdr_filter.apps.live.hub import Live
             from pdr_filter.apps.live.server import live_application
         except ImportError as error:
             raise ValueError(
                 f'the packages of the live server are not installed ({error}): pip install "pdr_filter[live]"'
             ) from None
-        from pdr_filter.apps.live.access import is_loopback, made_token
         from pdr_filter.apps.live.settings import Settings
 
         phones.check()
         walk = sources.walk()  # before the server starts, because a bad file must end the command
-        is_open = not is_loopback(address.host)
-        token = (address.token or made_token(record)) if is_open or address.token else ""
-        platform = "" if phones.platform is None else phones.platform.value
-        settings = Settings(phones.recipe, phones.height_m, platform, phones.max_devices)
+        token = address.token_in(record)
+        settings = Settings(phones.recipe, phones.height_m, phones.platform or "", phones.max_devices)
         folder = record or Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="pdr_filter_live_")))
         folder.mkdir(parents=True, exist_ok=True)
         shared = Live(settings, folder, phones.workers, phones.scheduler or "")
-        certified: dict[str, Any] = {}
-        if address.https:
-            certified["ssl_certfile"] = certificate(folder / "certificate", address.name)
-        config = uvicorn.Config(
-            live_application(shared, token, tiles),
-            **certified,
-            log_level="warning",
-            access_log=False,
-            ws_max_size=4 * 1024**2,
-            timeout_graceful_shutdown=2,
-            lifespan="off",
-        )
-
-        def say(port: int) -> None:
-            _print_addresses(address, port, token)
-
+        server = address.server(live_application(shared, token, tiles), folder)
         listening = opened.enter_context(bound_socket(address.host, address.port))
-        asyncio.run(_run(shared, uvicorn.Server(config), listening, partial(sources.tasks, walk), say))
+        say = partial(_print_addresses, address, listening.getsockname()[1], token)
+        asyncio.run(run_server(server, listening, [shared], partial(sources.tasks, walk, shared), say))
 
 
 def bound_socket(host: str, port: int) -> socket.socket:
@@ -226,42 +223,41 @@ def bound_socket(host: str, port: int) -> socket.socket:
     return made
 
 
-async def _run(
-    shared: Live,
+async def run_server(
     server: Any,
     listening: socket.socket,
-    tasks: Callable[[Live], list[Coroutine[Any, Any, None]]],
-    say: Callable[[int], None],
+    parts: Sequence[Live | Workbench],
+    sources: Callable[[], list[Coroutine[Any, Any, None]]],
+    say: Callable[[], None],
 ) -> None:
-    """Start the workers, serve, and stop the workers at the end."""
+    """Start the workers of all parts, serve until Ctrl+C, and stop the workers.
+
+    `say` is called, and the sources start, when the server accepts connections.
+    """
     try:
-        await shared.start()
-        await serve_page(server, listening, [*tasks(shared), until_exit(server, shared.broadcast.end)], say)
+        for part in parts:
+            await part.start()
+        serving = asyncio.create_task(server.serve([listening]))
+        while not (server.started or serving.done()):
+            await asyncio.sleep(0.02)
+        say()
+        ends = [_end_events(server, part) for part in parts]
+        tasks = [*map(asyncio.create_task, ends), *(asyncio.create_task(_run_source(source)) for source in sources())]
+        try:
+            await serving
+        finally:
+            for task in tasks:
+                task.cancel()
     finally:
-        await shared.stop()
+        for part in parts:
+            await part.stop()
 
 
-async def until_exit(server: Any, end: Callable[[], None]) -> None:
-    """Call a function when the server shuts down, to close event streams: the server waits for open connections."""
+async def _end_events(server: Any, part: Live | Workbench) -> None:
+    """Close the event streams of a part when the server shuts down, because the server waits for open connections."""
     while not server.should_exit:
         await asyncio.sleep(_POLL_S)
-    end()
-
-
-async def serve_page(
-    server: Any, listening: socket.socket, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]
-) -> None:
-    """Serve until Ctrl+C. Sources start when the server accepts connections."""
-    serving = asyncio.create_task(server.serve([listening]))
-    while not (server.started or serving.done()):
-        await asyncio.sleep(0.02)
-    say(listening.getsockname()[1])
-    fetching = [asyncio.create_task(_run_source(source)) for source in sources]
-    try:
-        await serving
-    finally:
-        for task in fetching:
-            task.cancel()
+    part.broadcast.end()
 
 
 async def _run_source(source: Coroutine[Any, Any, None]) -> None:
@@ -276,12 +272,11 @@ def _print_addresses(address: Address, port: int, token: str) -> None:
     """Print the URLs of the server, and a QR code for phones if there is a token."""
     import segno
 
-    root, query = address.address(port), f"?token={token}" if token else ""
-    out = console.stderr()
-    out.print(f"page         {root}/{query}")
-    out.print(f"phones send  {root}/data{query}")
+    root, query = address.url(port), f"?token={token}" if token else ""
+    console.say(f"page         {root}/{query}")
+    console.say(f"phones send  {root}/data{query}")
     if address.https:
-        out.print(f"browsers     {root}/phone{query}")
+        console.say(f"browsers     {root}/phone{query}")
     if token:
         segno.make(f"{root}/{'phone' * address.https}{query}", micro=False).terminal(sys.stderr, compact=True)
-    out.print("Ctrl+C stops the server.")
+    console.say("Ctrl+C stops the server.")

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pdr_filter.apps.cli import console
-from pdr_filter.apps.cli.console import escape
 from pdr_filter.apps.cli.options import Scheduler, origin_deg
 
 if TYPE_CHECKING:
@@ -99,12 +98,11 @@ def _write(found: WalkMap, out: Path, times: bool) -> None:
     found.write_report(report)
     for group in groups:
         found.radio(group).save(out / f"radio_{group}")
-    for group in groups:
         found.write_plan(out / f"plan_{group}.geojson", group)
-    console.stderr().print(f"written: {escape(str(out))}")
+    console.say(f"written: {out}")
     console.say_replaced(before)
     if removed:
-        console.stderr().print(f"removed files of an earlier map: {escape(', '.join(map(str, removed)))}")
+        console.say(f"removed files of an earlier map: {', '.join(map(str, removed))}")
 
 
 def _files_of_groups(out: Path) -> set[Path]:

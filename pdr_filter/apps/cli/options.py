@@ -16,6 +16,7 @@ from pdr_filter.values.georeference import Georeference, GnssUse, NorthUse, text
 from pdr_filter.values.recording import check_height
 
 if TYPE_CHECKING:
+    from pdr_filter.apps.maps.radio.radio_map import RadioMap
     from pdr_filter.recipes.config import Config
     from pdr_filter.values.recording import Recording
 
@@ -58,8 +59,9 @@ AnchorsFile = Annotated[
     Path | None,
     typer.Option("--anchors", help="Positions of the anchors of --ranges: GeoJSON points, each with a name."),
 ]
+Classifier = Literal["blend", "rvm", "forest", "boosted"]
 ClassifierName = Annotated[
-    Literal["blend", "rvm", "forest", "boosted"] | None,
+    Classifier | None,
     typer.Option(
         metavar="NAME",
         help="Classifier of the contexts in the recipe default: relevance vector machines (rvm), extremely randomised "
@@ -77,6 +79,14 @@ FixesFile = Annotated[
         "heading_std_deg."
     ),
 ]
+Platform = Annotated[
+    Literal["ios", "android"] | None,
+    typer.Option(
+        help="Platform of the phone, which decides the sign of the acceleration. Needed only when it cannot be "
+        "detected."
+    ),
+]
+Tiles = Annotated[str, typer.Option(metavar="URL", help="URL of map tiles, which contains {z}, {x} and {y}.")]
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
 Height = Annotated[
     float | None,
@@ -176,10 +186,7 @@ def _place(start: str | None) -> Any:
 
 
 def context_changes(
-    classifier: Literal["blend", "rvm", "forest", "boosted"] | None,
-    model: Path | None,
-    transitions: Path | None,
-    recipe: str,
+    classifier: Classifier | None, model: Path | None, transitions: Path | None, recipe: str
 ) -> Callable[[Config], Config]:
     """Return a function that puts --classifier, --model and --transitions into a configuration of a recipe.
 
@@ -207,6 +214,11 @@ def context_changes(
         return config if probable is None else recipes.with_transitions(config, probable)
 
     return changed
+
+
+def wifi_fixes(radio: RadioMap, recording: Recording, with_grids: bool) -> list[Any]:
+    """Return the position fixes of a recording on a radio map, and also its grids for a particle filter on a plan."""
+    return [*radio.fixes(recording), *(radio.grids(recording) if with_grids else [])]
 
 
 def ranges_of(ranges: Path | None, anchors: Path | None, origin: tuple[float, float] | None) -> list[Any]:

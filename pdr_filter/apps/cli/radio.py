@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from pdr_filter.apps.cli import console
-from pdr_filter.apps.cli.console import escape
 from pdr_filter.apps.cli.options import Files, Format
 
 
@@ -27,5 +26,5 @@ def radio_command(
         before = console.existing(out, out.with_suffix(".npz"))
         written = fitted.save(out)
     typer.echo(f"{fitted!r} of {len(fitted.card['walks'])} walks in {len(found)} recordings")
-    console.stderr().print(f"written: {escape(str(written))}")
+    console.say(f"written: {written}")
     console.say_replaced(before)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Callable
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -19,20 +18,11 @@ if TYPE_CHECKING:
     from pdr_filter.values.recording import Recording
 
 
-class CarryingMode(StrEnum):
-    """Carrying mode of the simulated phone."""
-
-    TEXTING = "texting"
-    POCKET = "pocket"
-    SWINGING = "swinging"
-    CALLING = "calling"
-
-
 def simulate_command(
     out: Annotated[Path, typer.Option(help="Output: a zip file, or a folder if the name has no suffix.")],
     seed: Annotated[int, typer.Option(min=0, help="Random seed. The same seed gives the same walk.")] = 0,
     carrying_mode: Annotated[
-        CarryingMode | None,
+        Literal["texting", "pocket", "swinging", "calling"] | None,
         typer.Option(
             metavar="MODE",
             help="Simulate a walk around a block with the phone in this carrying mode: texting, pocket, swinging or "
@@ -45,7 +35,7 @@ def simulate_command(
     from pdr_filter.data.io.files.own_format import write_recording
 
     with console.one_line_errors():
-        walk = pdr.simulate.demo_walk(seed) if carrying_mode is None else _block_walk(carrying_mode.value, seed)
+        walk = pdr.simulate.demo_walk(seed) if carrying_mode is None else _block_walk(carrying_mode, seed)
         before = console.existing(out)
         path = write_recording(walk, out)
     typer.echo(path)

@@ -29,6 +29,7 @@ from pdr_filter.apps.cli.options import (
     TransitionsFile,
     context_changes,
     ranges_of,
+    wifi_fixes,
 )
 from pdr_filter.values.sanitise import file_name
 
@@ -236,9 +237,7 @@ def track_command(
             config = config.in_world_frame()
         device = method.device if method.device is not None and method.device.exists() else None
         person = read_person(method.person) if method.person is not None and method.person.exists() else None
-        heard = (
-            [] if radio is None else [*radio.fixes(recording), *(radio.grids(recording) if georeference.plan else [])]
-        )
+        heard = [] if radio is None else wifi_fixes(radio, recording, georeference.plan is not None)
         tracks = console.estimates(
             recording,
             method.online,
@@ -267,11 +266,9 @@ def track_command(
     tracks, failed = console.each_file(files, track_one, as_json)
     console.say_replaced(replaced)
     if tracks and method.person is not None and not method.person.exists():
-        console.stderr().print(
-            console.escape(
-                f"{method.person} was not written, because the fixes of the walk do not determine the step length to "
-                f"{MAX_SESSION_STD:.0%}: track a walk of ten minutes outdoors, or give known positions"
-            )
+        console.say(
+            f"{method.person} was not written, because the fixes of the walk do not determine the step length to "
+            f"{MAX_SESSION_STD:.0%}: track a walk of ten minutes outdoors, or give known positions"
         )
     if output.out is not None and files != given and listed:
         with console.one_line_errors():
@@ -337,10 +334,7 @@ def _track_many(
         except RuntimeError as error:  # the cluster does not respond
             raise ValueError(console.message(error)) from error
         except KeyboardInterrupt:
-            console.stderr().print(
-                f"stopped: finished recordings are in {console.escape(str(table))}; "
-                "run the same command again to resume"
-            )
+            console.say(f"stopped: finished recordings are in {table}; run the same command again to resume")
             raise typer.Exit(console.STOPPED) from None
     failed = {Path(row.path): row.reason for row in rows if row.failed}
     for path, reason in failed.items():

@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from pdr_filter.apps.cli import console
-from pdr_filter.apps.cli.console import escape
-
-
-class Classifier(StrEnum):
-    """Values of the option `--classifier`: the classifiers of `fit_contexts` that can be chosen by name."""
-
-    RVM = "rvm"
-    FOREST = "forest"
-    BLEND = "blend"
-    BOOSTED = "boosted"
+from pdr_filter.apps.cli.options import Classifier
 
 
 @dataclass(frozen=True)
@@ -33,7 +23,7 @@ class Fitting:
             help="Relevance vector machine (rvm), random forest (forest), the mean of relevance vector machines and "
             "extremely randomised trees (blend), or of logistic regression and boosted trees (boosted).",
         ),
-    ] = Classifier.RVM
+    ] = "rvm"
     carrying_modes: Annotated[
         bool, typer.Option("--carrying-modes", help="Learn the carrying mode of the phone instead of the context.")
     ] = False
@@ -63,7 +53,7 @@ def train_command(
             "give either FOLDER, or --sequences FOLDER for transitions only: exactly one of the two is needed"
         )
         raise typer.Exit(console.UNUSABLE)
-    before = {path: path.stat().st_mtime_ns for path in out.glob("*") if path.is_file()}
+    before = console.modified_ns(out)
     if folder is not None:
         _fit(folder, out, how)
     elif sequences is not None:
@@ -84,16 +74,15 @@ def _fit(folder: Path, out: Path, how: Fitting) -> None:
         ]
         model = pdr.fit_contexts(
             recordings,
-            how.classifier.value,
+            how.classifier,
             head="carrying_mode" if how.carrying_modes else "context",
             people=people,
             name=how.name,
             progress=show,
         )
         path = model.save(out)
-    for line in model.report().split("\n"):
-        console.print_line(line)
-    console.stderr().print(f"written: {escape(str(path))}")
+    console.print_lines(model.report())
+    console.say(f"written: {path}")
 
 
 def _person_of(path: Path, folder: Path) -> str:
@@ -117,4 +106,4 @@ def _estimate_transitions(sequences: Path, out: Path) -> None:
         )
     typer.echo(out / "transitions.json")
     for what in ("transition_prob", "exponents"):
-        console.stderr().print(f"{what}: {escape(card[what])}")
+        console.say(f"{what}: {card[what]}")

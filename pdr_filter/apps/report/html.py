@@ -11,18 +11,16 @@ import base64
 import hashlib
 import math
 from collections.abc import Sequence
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan, plan_of
 from pdr_filter.apps.report import palette
 from pdr_filter.apps.report.page_data import track_data
+from pdr_filter.apps.report.templates import read_asset, template
 from pdr_filter.data.io.describe import ReadingReport, reading_report
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.values import TrackRows, how_many
@@ -31,6 +29,7 @@ from pdr_filter.values.safe_files import write_text
 
 # A context that never exceeds this probability is invisible in the chart, and is not listed.
 _VISIBLE_PROB = 0.01
+_PACKAGE = "pdr_filter.apps.report"
 _SCRIPTS = ("assets/uPlot.iife.min.js", "assets/leaflet.js", "page/plane_map.js", "page/map.js", "page/report.js")
 _STYLES = ("assets/uPlot.min.css", "assets/leaflet.css", "page/plane_map.css", "page/report.css")
 _SMOOTHED_OR_ONLINE = (
@@ -142,7 +141,7 @@ def html_report(
         for track, colour in zip(every, colours, strict=True)
     ]
     scripts = [_script(name) for name in _SCRIPTS]
-    return _template().render(
+    return template(_PACKAGE, "page/report.html").render(
         title=_title(every, recording),
         tracks=[
             _texts(track) | {"name": name, "colour": colour}
@@ -151,54 +150,27 @@ def html_report(
         reading=None if recording is None else _reading(recording, reading_report(recording), set(every[0].notes)),
         estimates=_SMOOTHED_OR_ONLINE if len({track.estimate for track in every}) > 1 else "",
         data={"tracks": data},
-        style=Markup("\n".join(map(_asset, _STYLES))),
+        style=Markup("\n".join(read_asset(_PACKAGE, name) for name in _STYLES)),
         scripts=[Markup(script) for script in scripts],
         script_hashes=[_hash(script) for script in scripts],
     )
 
 
-# --- the template ----------------------------------------------------------------------------------------------------
-
-
-@cache
-def _template() -> jinja2.Template:
-    environment = jinja2.Environment(
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=_printable,
-    )
-    environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    return environment.from_string(_asset("page/report.html"))
-
-
-def _asset(name: str) -> str:
-    return resources.files("pdr_filter.apps.report").joinpath(name).read_text(encoding="utf-8")
+# --- scripts ---------------------------------------------------------------------------------------------------------
 
 
 def _script(name: str) -> str:
     """Return a script. A vendored library is preceded by its licence text, as the licence requires."""
     folder, file = name.split("/")
     if folder == "page":
-        return _asset(name)
-    licence = _asset(f"assets/{file.partition('.')[0]}.LICENSE.txt")
-    return f"/*\n{licence}*/\n{_asset(name)}"
+        return read_asset(_PACKAGE, name)
+    licence = read_asset(_PACKAGE, f"assets/{file.partition('.')[0]}.LICENSE.txt")
+    return f"/*\n{licence}*/\n{read_asset(_PACKAGE, name)}"
 
 
 def _hash(script: str) -> str:
     """Return the hash of a script in the format of a content security policy."""
     return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"
-
-
-def _printable(value: Any) -> Any:
-    """Return a text with control characters, also those that change its direction, replaced by a replacement character.
-
-    Values that are not text, and markup, are returned unchanged.
-    """
-    if not isinstance(value, str) or isinstance(value, Markup):
-        return value
-    return "".join(c if c in "\t\n" or (c.isprintable() and not "\ud800" <= c <= "\udfff") else "�" for c in value)
 
 
 # --- texts -----------------------------------------------------------------------------------------------------------

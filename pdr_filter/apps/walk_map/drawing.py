@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import html
 import json
 from collections.abc import Sequence
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
+from pdr_filter.apps.report.templates import template
 from pdr_filter.apps.walk_map.mapped_walk import MappedWalk
 from pdr_filter.values import FloatArray
 from pdr_filter.values.uncertainty import worst_std_m
@@ -84,46 +85,32 @@ def map_report(
 
     `apart` has the name and the reason of each walk that was not joined. `notes` are the warnings, at the top.
     """
-    parts: list[str] = []
+    drawings: list[dict[str, Any]] = []
     for group in sorted({w.group for w in walks}):
         own = [w for w in walks if w.group == group]
         for floor in sorted({int(f) for w in own for f in np.unique(w.floor)}):
-            parts.append(f"<h2>Group {group}, storey {floor}</h2>{_drawing(own, floor)}")
-    rows = "".join(
-        f"<tr><td>{html.escape(w.name)}</td><td>{w.group}</td><td>{len(w.position_m) - 1}</td>"
-        f"<td>{float(np.median(worst_std_m(w.position_cov_m2))):.1f} m</td></tr>"
-        for w in walks
-    )
-    names = "".join(f"<li>{html.escape(name)}: {html.escape(why)}</li>" for name, why in apart)
-    addresses = ", ".join(int(b).to_bytes(6, "big").hex(":") for b in moved)
-    moved_text = f"<h2>Moved access points</h2><p>{addresses}</p>" if moved else ""
-    return (
-        '<!doctype html><html lang="en"><meta charset="utf-8"><title>Map of walks</title><style>'
-        "body{font-family:sans-serif;max-width:960px;margin:2em auto}svg{border:1px solid #ccc;width:100%}"
-        "td,th{padding:2px 12px;text-align:left}</style>"
-        f"<h1>Map of {len(walks)} walks, {len(apart)} apart</h1>"
-        f"{''.join(f'<p>{html.escape(note)}</p>' for note in notes)}{''.join(parts)}"
-        f"<h2>Walks</h2><table><tr><th>name<th>group<th>steps<th>standard deviation</tr>{rows}</table>"
-        f"<h2>Apart</h2><ul>{names or '<li>none</li>'}</ul>{moved_text}</html>\n"
+            drawings.append({"group": group, "floor": floor, **_drawing(own, floor)})
+    return template("pdr_filter.apps.walk_map", "page/map.html").render(
+        walks=[(w.name, w.group, len(w.position_m) - 1, np.median(worst_std_m(w.position_cov_m2))) for w in walks],
+        drawings=drawings,
+        apart=apart,
+        moved=[int(b).to_bytes(6, "big").hex(":") for b in moved],
+        notes=notes,
     )
 
 
-def _drawing(walks: Sequence[MappedWalk], floor: int) -> str:
-    """Return the paths of a storey as SVG, north up, with a bar of ten metres."""
+def _drawing(walks: Sequence[MappedWalk], floor: int) -> dict[str, Any]:
+    """Return the size of the picture of a storey and its paths: points in pixels, colour and name, north up.
+
+    `scale` is in pixels per metre.
+    """
     paths = [w.position_m[w.floor == floor] for w in walks]
     at_m = np.concatenate(paths)
     low, high = at_m.min(axis=0) - 5.0, at_m.max(axis=0) + 5.0
     scale = _WIDTH_PX / float(high[0] - low[0])
-    height = scale * float(high[1] - low[1])
-    lines: list[str] = []
-    for k, path in enumerate(paths):
-        if len(path):
-            points = " ".join(f"{scale * (e - low[0]):.1f},{height - scale * (n - low[1]):.1f}" for e, n in path)
-            colour = _COLOURS[k % len(_COLOURS)]
-            title = f"<title>{html.escape(walks[k].name)}</title>"
-            lines.append(
-                f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2">{title}</polyline>'
-            )
-    bar = f'<path d="M10 {height - 10:.0f}h{10 * scale:.0f}" stroke="#000" stroke-width="3"/>'
-    text = f'<text x="10" y="{height - 16:.0f}" font-size="14">10 m</text>'
-    return f'<svg viewBox="0 0 {_WIDTH_PX} {height:.0f}">{"".join(lines)}{bar}{text}</svg>'
+    lines: list[tuple[str, str, str]] = []
+    for walk, path_m, colour in zip(walks, paths, cycle(_COLOURS)):
+        if len(path_m):
+            pixels = scale * np.abs(path_m - (low[0], high[1]))  # from the north-west corner
+            lines.append((" ".join(f"{x:.1f},{y:.1f}" for x, y in pixels), colour, walk.name))
+    return {"width": _WIDTH_PX, "height": scale * float(high[1] - low[1]), "scale": scale, "lines": lines}
