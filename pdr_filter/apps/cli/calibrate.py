@@ -9,23 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from pdr_filter.apps.cli import console
-from pdr_filter.apps.cli.options import (
-    AnchorsFile,
-    Files,
-    FixesFile,
-    Folder,
-    Format,
-    GeoreferenceOptions,
-    Height,
-    Loop,
-    PersonFile,
-    RadioFile,
-    RangesFile,
-    Scheduler,
-    ranges_of,
-    wifi_fixes,
-)
+from pdr_filter.apps.cli import console, options
 from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
@@ -65,7 +49,7 @@ class Estimation:
 
 
 def calibrate_command(
-    files: Files,
+    files: options.Files,
     out: Annotated[Path, typer.Option(help="Output file NAME.json. NAME.npz is written next to it.")],
     how: Estimation,
     figure: Annotated[Path | None, typer.Option(help="Also draw the calibration, as PNG, PDF or SVG.")] = None,
@@ -75,7 +59,7 @@ def calibrate_command(
     jobs: Annotated[
         int | None, typer.Option(min=1, help="Number of processes that process recordings in parallel.")
     ] = None,
-    scheduler: Scheduler = None,
+    scheduler: options.Scheduler = None,
     resume: Annotated[
         Path | None, typer.Option(help="Folder for intermediate results, from which an interrupted run resumes.")
     ] = None,
@@ -109,7 +93,7 @@ def calibrate_command(
     with console.one_line_errors(), console.progress("calibrating") as show:
         if figure is not None:
             check_picture(figure)
-        options: Any = {
+        arguments: Any = {
             "model": how.model,
             "loss": how.loss,
             "prior_std": how.prior,
@@ -126,19 +110,19 @@ def calibrate_command(
             if smooth:
                 marked = [read_marks(file) for file in paths]
                 recordings = [m.recording(recording) for m, recording in zip(marked, recordings, strict=True)]
-                options["smooth"] = True
-                options["fixes"] = [m.arguments(r)["fixes"] for m, r in zip(marked, recordings, strict=True)]
-                options["loop_closures"] = [m.all_closures(r) for m, r in zip(marked, recordings, strict=True)]
+                arguments["smooth"] = True
+                arguments["fixes"] = [m.arguments(r)["fixes"] for m, r in zip(marked, recordings, strict=True)]
+                arguments["loop_closures"] = [m.all_closures(r) for m, r in zip(marked, recordings, strict=True)]
             if distance is not None:
                 recordings = [recording.of_distance(distance, steps) for recording in recordings]
             config = None if how.recipe == "default" else _config_of_all(how.recipe, recordings)
-            result = pdr.calibrate(recordings, config=config, **options)
+            result = pdr.calibrate(recordings, config=config, **arguments)
         elif distance is not None or smooth or how.recipe != "default":
             raise ValueError(
                 "--distance, --smooth and --recipe are for one process: leave out --jobs, --scheduler and --resume"
             )
         else:
-            result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
+            result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **arguments)
         n_rejected = len(result.distrusted)
         if n_rejected == len(result.segments):
             console.print_lines(result.report())
@@ -193,8 +177,8 @@ def _fitted(rows: Table, contexts: Sequence[str]) -> Table:
 
 def smooth_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
-    georeference: GeoreferenceOptions,
-    fixes: FixesFile = None,
+    georeference: options.GeoreferenceOptions,
+    fixes: options.FixesFile = None,
     fix_std_m: Annotated[
         float,
         typer.Option("--fix-std", min=0.01, help="Standard deviation in m of waypoints, and of fixes without std_m."),
@@ -209,12 +193,12 @@ def smooth_command(
     wifi_loops: Annotated[
         bool, typer.Option("--wifi-loops", help="Detect loop closures from similar Wi-Fi scans of the recording.")
     ] = False,
-    radio: RadioFile = None,
-    ranges: RangesFile = None,
-    anchors: AnchorsFile = None,
-    person: PersonFile = None,
-    height_m: Height = None,
-    loop: Loop = False,
+    radio: options.RadioFile = None,
+    ranges: options.RangesFile = None,
+    anchors: options.AnchorsFile = None,
+    person: options.PersonFile = None,
+    height_m: options.Height = None,
+    loop: options.Loop = False,
     truth_as_fixes: Annotated[
         bool,
         typer.Option(
@@ -224,8 +208,8 @@ def smooth_command(
         ),
     ] = False,
     no_marks: Annotated[bool, typer.Option("--no-marks", help="Do not use the marks of the recording.")] = False,
-    out: Folder = None,
-    file_format: Format = None,
+    out: options.Folder = None,
+    file_format: options.Format = None,
 ) -> None:
     """Smooth a whole recording with fixes and loop closures.
 
@@ -264,14 +248,14 @@ def smooth_command(
         if truth_as_fixes:
             position_fixes += waypoint_fixes(recording, fix_std_m)
         if radio is not None:
-            position_fixes += wifi_fixes(pdr.RadioMap.load(radio), recording, georeference.plan is not None)
-        position_fixes += ranges_of(ranges, anchors, where.get("origin"))
-        options: dict[str, Any] = {**known, **where}
+            position_fixes += options.wifi_fixes(pdr.RadioMap.load(radio), recording, georeference.plan is not None)
+        position_fixes += options.ranges_of(ranges, anchors, where.get("origin"))
+        arguments: dict[str, Any] = {**known, **where}
         if person is not None:
-            options["person"] = person
+            arguments["person"] = person
         if loop:
-            options["loop"] = True
-        result = pdr.smooth(recording, position_fixes, loop_closures=closed, **options)
+            arguments["loop"] = True
+        result = pdr.smooth(recording, position_fixes, loop_closures=closed, **arguments)
         track = result.track
         if out is not None:
             name = file_name(track.name)

@@ -14,20 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pdr_filter.apps.cli import console
+from pdr_filter.apps.cli import console, options
 from pdr_filter.apps.cli.console import escape
-from pdr_filter.apps.cli.options import (
-    AsJson,
-    ClassifierName,
-    Files,
-    FixesFile,
-    GeoreferenceOptions,
-    ModelFile,
-    PersonFile,
-    Source,
-    TransitionsFile,
-    context_changes,
-)
 from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
@@ -58,11 +46,11 @@ class Setting:
             "weightings."
         ),
     ] = None
-    classifier: ClassifierName = None
-    model: ModelFile = None
-    transitions: TransitionsFile = None
-    person: PersonFile = None
-    fixes: FixesFile = None
+    classifier: options.ClassifierName = None
+    model: options.ModelFile = None
+    transitions: options.TransitionsFile = None
+    person: options.PersonFile = None
+    fixes: options.FixesFile = None
     fix_std_m: Annotated[
         float, typer.Option("--fix-std", min=0.01, help="Standard deviation in m of fixes without std_m.")
     ] = 1.0
@@ -80,7 +68,7 @@ class Setting:
         """Return the configuration of a recipe with the given models."""
         import pdr_filter as pdr
 
-        changed = context_changes(self.classifier, self.model, self.transitions, name)
+        changed = options.context_changes(self.classifier, self.model, self.transitions, name)
         config = changed(pdr.recipes.for_recording(name, recording))
         return config if self.fixes is None else config.in_world_frame()
 
@@ -89,12 +77,12 @@ class Setting:
     ) -> dict[str, Track]:
         """Return the track of each weighting, or of each recipe if there are several.
 
-        `where` are the arguments of `GeoreferenceOptions`. The recording's own locations are used only on request.
+        `where` are the arguments of the georeference. The recording's own locations are used only on request.
         """
         import pdr_filter as pdr
         from pdr_filter.data.io.fix_files import fixes_of_file
 
-        options: dict[str, Any] = {
+        arguments: dict[str, Any] = {
             **where,
             "gnss": where["gnss"] or "off",
             "person": self.person,
@@ -102,14 +90,14 @@ class Setting:
         }
         names = self.recipe or ["default"]
         if len(names) == 1:
-            return pdr.evaluate.weighting_tracks(recording, self.config(recording, names[0]), progress, **options)
+            return pdr.evaluate.weighting_tracks(recording, self.config(recording, names[0]), progress, **arguments)
         tracks: dict[str, Track] = {}
         for i, name in enumerate(names):
 
             def show(fraction: float, i: int = i) -> None:
                 progress((i + fraction) / len(names))
 
-            tracks[name] = pdr.track(recording, self.config(recording, name), progress=show, **options)
+            tracks[name] = pdr.track(recording, self.config(recording, name), progress=show, **arguments)
         return tracks
 
     def by_contexts(self, recording: Recording) -> Table | None:
@@ -128,10 +116,10 @@ class Setting:
 
 
 def compare_command(
-    files: Files,
+    files: options.Files,
     setting: Setting,
-    georeference: GeoreferenceOptions,
-    source: Source,
+    georeference: options.GeoreferenceOptions,
+    source: options.Source,
     truth: Annotated[
         bool,
         typer.Option(
@@ -144,7 +132,7 @@ def compare_command(
         Path | None,
         typer.Option(help="Folder for NAME.compare.html, which shows all tracks, and for tables (CSV, LaTeX)."),
     ] = None,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Compare the weightings HC, WC and IMM on recordings, or several recipes.
 

@@ -28,30 +28,16 @@ _BAR_CELLS = 30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Demo:
-    """Result of the demonstration.
-
-    Attributes
-    ----------
-    recording : Recording
-        Recording that was tracked.
-    track : Track
-        Smoothed track, or the online track with --online.
-    is_simulated : bool
-        Whether the recording is the simulated walk.
-    report, picture, geojson, csv : Path
-        Files that were written.
-    replaced : tuple of Path
-        Files that existed before and were overwritten.
-    """
+    """Recording, its track (smoothed, or online with --online), and the files that the demonstration has written."""
 
     recording: Recording
     track: Track
-    is_simulated: bool
+    is_simulated: bool  # whether the recording is the simulated walk
     report: Path
     picture: Path
     geojson: Path
     csv: Path
-    replaced: tuple[Path, ...] = ()
+    replaced: tuple[Path, ...] = ()  # files that existed before
 
     def print(self, console: Console, said: set[str] | None = None) -> None:
         """Print the summary. Notes in the set `said` are skipped as already printed; printed notes are added to it."""

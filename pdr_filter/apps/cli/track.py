@@ -9,28 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from pdr_filter.apps.cli import console
+from pdr_filter.apps.cli import console, options
 from pdr_filter.apps.cli.index_page import write_index
-from pdr_filter.apps.cli.options import (
-    AnchorsFile,
-    AsJson,
-    ClassifierName,
-    Files,
-    Folder,
-    GeoreferenceOptions,
-    Loop,
-    ModelFile,
-    Online,
-    PersonFile,
-    RadioFile,
-    RangesFile,
-    Scheduler,
-    Source,
-    TransitionsFile,
-    context_changes,
-    ranges_of,
-    wifi_fixes,
-)
 from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
@@ -53,21 +33,21 @@ class Method:
             "(imm). Default: the weighting of the recipe."
         ),
     ] = None
-    classifier: ClassifierName = None
-    model: ModelFile = None
-    transitions: TransitionsFile = None
+    classifier: options.ClassifierName = None
+    model: options.ModelFile = None
+    transitions: options.TransitionsFile = None
     device: Annotated[
         Path | None,
         typer.Option(
             help="File with the gyroscope bias of the phone. It is read if it exists, and updated after the walk."
         ),
     ] = None
-    person: PersonFile = None
-    radio: RadioFile = None
-    ranges: RangesFile = None
-    anchors: AnchorsFile = None
-    online: Online = False
-    loop: Loop = False
+    person: options.PersonFile = None
+    radio: options.RadioFile = None
+    ranges: options.RangesFile = None
+    anchors: options.AnchorsFile = None
+    online: options.Online = False
+    loop: options.Loop = False
 
     def changes(self) -> Callable[[Config], Config]:
         """Return a function that puts --classifier, --model and --transitions into a configuration.
@@ -77,14 +57,14 @@ class Method:
         from pdr_filter import recipes
 
         recipes.check_name(self.recipe)
-        return context_changes(self.classifier, self.model, self.transitions, self.recipe)
+        return options.context_changes(self.classifier, self.model, self.transitions, self.recipe)
 
 
 @dataclass(frozen=True, slots=True)
 class OutputOptions:
     """Options for the files that are written."""
 
-    out: Folder = None
+    out: options.Folder = None
     export: Annotated[
         list[str] | None,
         typer.Option(
@@ -175,7 +155,7 @@ class WorkerOptions:
         int | None,
         typer.Option(min=1, help="Number of processes. Writes one table, from which an interrupted run resumes."),
     ] = None
-    scheduler: Scheduler = None
+    scheduler: options.Scheduler = None
 
     def make_one_table(self) -> bool:
         """Return True if the results are written to one table."""
@@ -183,13 +163,13 @@ class WorkerOptions:
 
 
 def track_command(
-    files: Files,
+    files: options.Files,
     method: Method,
-    georeference: GeoreferenceOptions,
-    source: Source,
+    georeference: options.GeoreferenceOptions,
+    source: options.Source,
     output: OutputOptions,
     workers: WorkerOptions,
-    as_json: AsJson = False,
+    as_json: options.AsJson = False,
 ) -> None:
     """Track recordings, and show steps, distance, end point and contexts of each.
 
@@ -221,7 +201,7 @@ def track_command(
         changes = method.changes()
         where = georeference.arguments()
         radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
-        ranges = ranges_of(method.ranges, method.anchors, where.get("origin"))
+        ranges = options.ranges_of(method.ranges, method.anchors, where.get("origin"))
         if ranges and len(files) > 1:
             raise ValueError(
                 f"--ranges are measured in one recording, got {len(files)} recordings: track them one by one"
@@ -237,7 +217,7 @@ def track_command(
             config = config.in_world_frame()
         device = method.device if method.device is not None and method.device.exists() else None
         person = read_person(method.person) if method.person is not None and method.person.exists() else None
-        heard = [] if radio is None else wifi_fixes(radio, recording, georeference.plan is not None)
+        heard = [] if radio is None else options.wifi_fixes(radio, recording, georeference.plan is not None)
         tracks = console.estimates(
             recording,
             method.online,
@@ -279,7 +259,9 @@ def track_command(
     console.exit_if_failed(failed, len(files))
 
 
-def _check_one_table(method: Method, georeference: GeoreferenceOptions, output: OutputOptions, as_json: bool) -> None:
+def _check_one_table(
+    method: Method, georeference: options.GeoreferenceOptions, output: OutputOptions, as_json: bool
+) -> None:
     """Raise ValueError for options of a single recording if many recordings are written to one table."""
     single_options = {
         "--classifier": method.classifier,
@@ -304,8 +286,8 @@ def _check_one_table(method: Method, georeference: GeoreferenceOptions, output: 
 def _track_many(
     files: Sequence[Path],
     method: Method,
-    georeference: GeoreferenceOptions,
-    source: Source,
+    georeference: options.GeoreferenceOptions,
+    source: options.Source,
     table: Path,
     workers: WorkerOptions,
 ) -> None:

@@ -32,9 +32,10 @@ Answers, by HTTP status:
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -59,6 +60,9 @@ N_VALUES: Mapping[str, int] = {
 _LARGEST = 1e6
 _MAX_MESSAGES = 1000  # in one body
 _MAX_NUMBER = 2**53
+
+
+T = TypeVar("T")
 
 
 class MessageError(ValueError):
@@ -115,9 +119,7 @@ def parse(body: bytes, device: str = "", session: str = "", platform: str = "") 
     known = {"device": device, "session": session, "platform": platform}
     messages: list[Message] = []
     for item in items:
-        if not isinstance(item, dict):
-            raise MessageError(f"a message must be a JSON object, got {printable(item)[:40]!r}: see docs/live.md")
-        message = _message(cast("dict[str, Any]", item), known)
+        message = _message(_checked(item, dict, "a message must be a JSON object"), known)
         if message is not None:
             # line ends in JSON are white space, and the journal needs a line for each message
             is_alone = len(items) == 1 and json.detect_encoding(body) == "utf-8"
@@ -134,10 +136,8 @@ def _items(body: bytes) -> list[Any]:
 
     MessageError if the body is not JSON or has more than 1000 items.
     """
-    try:
+    with _refusing("not JSON ({}); send what docs/live.md describes"):
         content: Any = json.loads(body)
-    except (ValueError, RecursionError) as error:
-        raise MessageError(f"not JSON ({printable(error)[:80]}); send what docs/live.md describes") from None
     items: list[Any] = cast("list[Any]", content) if isinstance(content, list) else [content]
     if len(items) > _MAX_MESSAGES:
         raise MessageError(f"{len(items)} messages in one body, more than {_MAX_MESSAGES}; send them as they come")
@@ -171,13 +171,27 @@ def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | Non
         is_end = item.get("end") is True
         return Message(device, session, _whole(item, "number"), platform, _own_rows(item["samples"]), is_end=is_end)
     if "fix" in item:
-        fix: Any = item["fix"]
-        if not isinstance(fix, dict):
-            raise MessageError(f"a fix must be a JSON object, got {printable(fix)[:40]!r}: see docs/live.md")
-        return Message(device, session, None, platform, fix=cast("dict[str, Any]", fix))
+        fix = _checked(item["fix"], dict, "a fix must be a JSON object")
+        return Message(device, session, None, platform, fix=fix)
     if {"type", "timestamp", "values"} <= item.keys():
         return Message(device, session, None, "android", _sensor_server_rows(item))
     return None
+
+
+@contextmanager
+def _refusing(words: str) -> Generator[None]:
+    """Turn errors about the content of a message into a MessageError. `words` has {} in place of the reason."""
+    try:
+        yield
+    except (ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+        raise MessageError(words.format(printable(error)[:60])) from None
+
+
+def _checked(value: Any, kind: type[T], words: str) -> T:
+    """Return a part of a message. MessageError that begins with `words` if it is of another kind."""
+    if not isinstance(value, kind):
+        raise MessageError(f"{words}, got {printable(value)[:40]!r}: see docs/live.md")
+    return value
 
 
 # --- Sensor Logger ----------------------------------------------------------------------------------------------------
@@ -202,22 +216,16 @@ def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
 
     MessageError if the payload is no array, or if a sample lacks its name, time or values.
     """
-    if not isinstance(payload, list):
-        raise MessageError(f"payload must be an array of samples, got {printable(payload)[:40]!r}: see docs/live.md")
     times: dict[str, list[Any]] = {}
     values: dict[str, list[list[Any]]] = {}
-    try:
-        for item in cast("list[dict[str, Any]]", payload):
+    items = _checked(payload, list, "payload must be an array of samples")
+    with _refusing("a sample of the payload must have a name, a time and an object of values ({}): see docs/live.md"):
+        for item in items:
             name = item["name"].lower()
             if name in _SENSOR_LOGGER:
                 held = item["values"]
                 times.setdefault(name, []).append(item["time"])
                 values.setdefault(name, []).append([held.get(key) for key in _SENSOR_LOGGER[name][1]])
-    except (KeyError, TypeError, AttributeError) as error:
-        raise MessageError(
-            f"a sample of the payload must have a name, a time and an object of values ({printable(error)[:60]}): see "
-            "docs/live.md"
-        ) from None
     return {_SENSOR_LOGGER[name][0]: _plausible(_payload_times(times[name]), _floats(values[name])) for name in times}
 
 
@@ -247,12 +255,8 @@ def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
             f"{item['type']}: values are {printable(values)[:40]!r}, but must be {N_VALUES[sensor]} numbers: send the "
             "event as Android delivers it"
         )
-    try:
+    with _refusing("timestamp must be whole nanoseconds ({}): send the event as Android delivers it"):
         time_ns = np.array([int(item["timestamp"])], dtype=np.int64)
-    except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(
-            f"timestamp must be whole nanoseconds ({printable(error)[:60]}): send the event as Android delivers it"
-        ) from None
     return {sensor: _plausible(time_ns, _floats([cast("list[Any]", values)[: N_VALUES[sensor]]]))}
 
 
@@ -264,10 +268,8 @@ def _own_rows(samples: Any) -> dict[str, SensorRows]:
 
     `samples` has rows [time_s, value, ...] by sensor. MessageError for an unknown sensor or rows of another length.
     """
-    if not isinstance(samples, dict):
-        raise MessageError(f"samples must be an object of sensors, got {printable(samples)[:40]!r}: see docs/live.md")
     found: dict[str, SensorRows] = {}
-    for name, rows in cast("dict[str, Any]", samples).items():
+    for name, rows in _checked(samples, dict, "samples must be an object of sensors").items():
         if name not in N_VALUES:
             raise MessageError(f"unknown sensor {printable(name)[:40]!r}; known are {', '.join(N_VALUES)}")
         table = _floats(rows)
@@ -301,18 +303,14 @@ def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
     gravity. As the app writes it (phyphox-android, RemoteServer.java, handleConfig): inputs with their source, and
     outputs as objects of one name each. An input over Bluetooth has no outputs.
     """
-    try:
+    found: dict[str, tuple[str, ...]] = {}
+    with _refusing("/config is not that of phyphox ({}): check the address, and update phyphox"):
         inputs: list[dict[str, Any]] = json.loads(config)["inputs"]
-        found: dict[str, tuple[str, ...]] = {}
         for given in inputs:
             sensor, keys = _PHYPHOX.get(given["source"], ("", ()))
             places = {key: str(name) for output in given.get("outputs", ()) for key, name in output.items()}
             if sensor and {"t", *keys} <= places.keys():
                 found[sensor] = tuple(places[key] for key in ("t", *keys))
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise MessageError(
-            f"/config is not that of phyphox ({printable(error)[:60]}): check the address, and update phyphox"
-        ) from None
     if FORCE not in found and not {LINEAR, GRAVITY} <= found.keys():
         raise MessageError(
             f"this experiment of phyphox has no acceleration with g (found: {', '.join(found) or 'nothing'}); open one "
@@ -327,20 +325,14 @@ def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[
     `buffers` are the names from `phyphox_buffers`. MessageError if the answer does not have the form that phyphox
     sends.
     """
-    try:
+    with _refusing("/get is not that of phyphox ({}): check the address, and update phyphox"):
         content: dict[str, Any] = json.loads(answer)["buffer"]
         columns = {name: [_floats(content[buffer]["buffer"]) for buffer in buffers[name]] for name in buffers}
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        raise MessageError(
-            f"/get is not that of phyphox ({printable(error)[:60]}): check the address, and update phyphox"
-        ) from None
+        for name, lists in columns.items():
+            if any(column.ndim != 1 for column in lists):
+                raise ValueError(f"a buffer of {name} is not a list of numbers")
     found: dict[str, SensorRows] = {}
     for name, lists in columns.items():
-        if any(column.ndim != 1 for column in lists):
-            raise MessageError(
-                f"/get is not that of phyphox (a buffer of {name} is not a list of numbers): check the address, and "
-                "update phyphox"
-            )
         n = min(map(len, lists))  # one may have grown while they were read
         if n:
             time_s, *values = (column[:n] for column in lists)
@@ -361,16 +353,11 @@ def _payload_times(times: Sequence[Any]) -> IntArray:
     Sensor Logger sends whole nanoseconds. Programs that imitate it send milliseconds or floats. Only floats can be
     seconds, because whole seconds are too coarse for samples.
     """
-    try:
+    with _refusing("the time of a sample cannot be used ({}): send nanoseconds since 1970 as a whole number"):
         found = np.array(times)
         if found.dtype.kind != "f" or not np.isfinite(found).all():
             found = np.array([int(t) for t in times], dtype=np.int64)
         return _nanoseconds(found, _unit_ns(found, is_seconds=found.dtype.kind == "f") or 1)
-    except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(
-            f"the time of a sample cannot be used ({printable(error)[:60]}): send nanoseconds since 1970 as a whole "
-            "number"
-        ) from None
 
 
 def _own_times(time: FloatArray) -> IntArray | FloatArray:
@@ -402,13 +389,8 @@ def _nanoseconds(time: Any, unit_ns: int) -> IntArray:
 
 
 def _floats(values: Any) -> FloatArray:
-    try:
+    with _refusing("values must be numbers, equally many in each sample ({}): send null for an unknown one"):
         return np.array(values, dtype=np.float64)  # null becomes NaN
-    except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(
-            f"values must be numbers, equally many in each sample ({printable(error)[:60]}): send null for an unknown "
-            "one"
-        ) from None
 
 
 def _plausible(time: Any, values: FloatArray) -> SensorRows:
