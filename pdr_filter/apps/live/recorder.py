@@ -11,8 +11,10 @@ dies. After a power failure the last seconds may be missing, because nothing wai
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
+import zipfile
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -161,6 +163,15 @@ def exported_files(folder: Path) -> dict[str, Path]:
     if not names and journal is not None:
         return {"messages.json": journal}
     return {name: folder / name for name in names}
+
+
+def zip_bytes(files: Mapping[str, Path]) -> bytes:
+    """Return a zip file with some files, by their names in it."""
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w", compression=zipfile.ZIP_DEFLATED) as archive:
+        for name, path in sorted(files.items()):
+            archive.write(path, name)
+    return content.getvalue()
 
 
 def _journal(number: int) -> str:

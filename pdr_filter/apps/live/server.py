@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import io
 import json
 import uuid
-import zipfile
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
@@ -25,7 +23,10 @@ from pdr_filter.apps.live.certificate import NAMES
 from pdr_filter.apps.live.geojson import geojson
 from pdr_filter.apps.live.hub import Live
 from pdr_filter.apps.live.parts import Answer
-from pdr_filter.apps.live.recorder import exported_files
+from pdr_filter.apps.live.recorder import exported_files, zip_bytes
+
+if TYPE_CHECKING:
+    from pdr_filter.apps.workbench.hub import Workbench
 
 PAGE = Path(__file__).parent / "page"
 # uPlot and the map, which reports hold, too.
@@ -64,11 +65,7 @@ class Site:
 
     async def asset(self, request: Request) -> Response:
         """Serve scripts and styles of the pages."""
-        name = request.path_params["name"]
-        path = next((p for folder in (PAGE, *_SHARED) if (p := folder / name).is_file()), None)
-        if path is None or path.suffix not in (".js", ".css", ".txt"):
-            return PlainTextResponse("not found", 404)
-        return FileResponse(path, headers=page_headers(self.tiles))
+        return asset_of(request, (PAGE, *_SHARED), self.tiles)
 
     async def authority(self, _: Request) -> Response:
         """Serve the certificate of the authority."""
@@ -127,19 +124,12 @@ class Site:
         key = request.path_params["id"]
         if key not in self.live.sessions:  # otherwise a name from outside would become a path
             return JSONResponse({"error": "no such session"}, 404)
-        content = await asyncio.to_thread(_zipped, self.live.folder / key)
+        content = await asyncio.to_thread(zip_bytes, exported_files(self.live.folder / key))
         return Response(content, media_type="application/zip", headers=attachment(f"{key}.zip"))
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""
-        if self.live.broadcast.is_full:
-            return JSONResponse({"error": "too many read already"}, 503)
-
-        async def lines() -> AsyncIterator[str]:
-            async for text in self.live.events():
-                yield f"data: {text}\n\n" if text else ": still here\n\n"
-
-        return StreamingResponse(lines(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        return event_stream(self.live)
 
     async def events_socket(self, socket: WebSocket) -> None:
         """Send events over WebSocket."""
@@ -225,6 +215,27 @@ async def body_of(request: Request, most: int = MAX_BODY_BYTES) -> bytes | None:
     return bytes(body)
 
 
+def asset_of(request: Request, folders: Iterable[Path], tiles: str) -> Response:
+    """Return the script or style that a request names, from the first of some folders that has it."""
+    name = request.path_params["name"]
+    path = next((p for folder in folders for p in folder.iterdir() if p.name == name), None)
+    if path is None or path.suffix not in (".js", ".css", ".txt"):
+        return PlainTextResponse("not found", 404)
+    return FileResponse(path, headers=page_headers(tiles))
+
+
+def event_stream(of: Live | Workbench) -> Response:
+    """Return a response with the events of a server as server-sent events."""
+    if of.broadcast.is_full:
+        return JSONResponse({"error": "too many pages are open; close one"}, 503)
+
+    async def lines() -> AsyncIterator[str]:
+        async for text in of.events():
+            yield f"data: {text}\n\n" if text else ": still here\n\n"
+
+    return StreamingResponse(lines(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+
+
 def _json(answer: Answer) -> Response:
     headers = {"Retry-After": "2"} if answer.status in (429, 503) else None
     return JSONResponse(answer.content, answer.status, headers=headers)
@@ -252,12 +263,3 @@ def page_headers(tiles: str) -> dict[str, str]:
         f"default-src 'self'; img-src {image_sources(tiles)}; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
     )
     return {"Content-Security-Policy": policy, "Cache-Control": "no-cache", "Referrer-Policy": "no-referrer"}
-
-
-def _zipped(folder: Path) -> bytes:
-    """Return a zip file with the files of a recording that are on the disk."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", compression=zipfile.ZIP_DEFLATED) as archive:
-        for name, path in exported_files(folder).items():
-            archive.write(path, name)
-    return content.getvalue()

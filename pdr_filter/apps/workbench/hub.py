@@ -16,7 +16,7 @@ from typing import Any
 from pdr_filter.apps.batch.worker_process import LostError, WorkerProcess
 from pdr_filter.apps.live.broadcast import Broadcast
 from pdr_filter.apps.workbench.walks import HIDDEN, Walk, Walks
-from pdr_filter.apps.workbench.worker import Request, make_worker, progress_of
+from pdr_filter.apps.workbench.worker import make_worker, progress_of
 from pdr_filter.values.safe_files import write_text
 
 # Between two searches for new recordings.
@@ -41,10 +41,11 @@ class _Process:
         self._process = WorkerProcess(make_worker, str(cache), n_threads=1)
         self._thread = ThreadPoolExecutor(1)
 
-    async def ask(self, request: Request) -> Any:
-        """Return the answer of the worker process to a request. FailedError with the reason if it fails."""
+    async def ask(self, method: str, *arguments: Any) -> Any:
+        """Return the result of a method of `worker.Worker`. FailedError with the reason if it fails."""
+        request, loop = (method, arguments), asyncio.get_running_loop()
         try:
-            answer = await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, request)
+            answer = await loop.run_in_executor(self._thread, self._process.ask, request)
         except LostError as error:
             raise FailedError(
                 f"{error}: the file is too large or damaged, or the workbench was closed; give a smaller file, or "
@@ -115,11 +116,8 @@ class Workbench:
             self._scanned_s = time.monotonic()
 
     async def quick(self, method: str, *arguments: Any) -> Any:
-        """Return the answer of the worker process that is reserved for requests of open pages.
-
-        `method` is the name of a method of `worker.Worker`. FailedError if the method fails.
-        """
-        return await self._quick.ask(Request(method, arguments))
+        """Return the result of a method of `worker.Worker` in the process that is reserved for open pages."""
+        return await self._quick.ask(method, *arguments)
 
     async def show(self, walk: Walk) -> dict[str, Any]:
         """Process a walk with its present marks in the worker process of open pages, and return its summary.
@@ -141,7 +139,7 @@ class Workbench:
             walk.state = "working"
             self.tell(walk.event())
             try:
-                walk.summary = await process.ask(Request("walk", (str(walk.path),)))
+                walk.summary = await process.ask("walk", str(walk.path))
                 walk.state, walk.reason = "done", ""
             except FailedError as error:
                 walk.state, walk.reason = "failed", str(error).replace(f"{self.folder}/", "")

@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -65,19 +66,16 @@ class Plans:
 
         Features in degrees become metres in the frame of the picture. ValueError if the plan does not exist.
         """
-        path = self.path(name)
-        if path is None:
-            raise ValueError(f"there is no floor plan {name[:80]!r}: it was deleted or renamed; load the page again")
+        path = self._existing(name)
         content = read_json(path, limits.MAX_PLAN_BYTES)
         properties = content.get("properties") or {}
         features = [_plain(feature) for feature in content.get("features", [])]
         reference = properties.get("georeference")
         storeys = properties.get("storeys") or {}
+        if not reference and features:
+            reference = _reference_of(np.concatenate([_points(f["geometry"]["coordinates"]) for f in features]))
         if reference:
             features = _moved(features, PictureGeoreference.of(reference).to_metres, _DIGITS_M)
-        elif features and _is_in_degrees(features):  # drawn elsewhere
-            reference, to_metres = _elsewhere(features)
-            features = _moved(features, to_metres, _DIGITS_M)
         for feature in features:
             storeys.setdefault(str(feature["properties"].get("floor") or 0), {})
         return {
@@ -95,9 +93,7 @@ class Plans:
         ConflictError if the plan has another version. ValueError if it does not exist, or if a feature cannot be
         stored. A plan that `FloorPlan.read` rejects is saved, too. The result then has the error message as `reason`.
         """
-        path = self.path(name)
-        if path is None:
-            raise ValueError(f"there is no floor plan {name[:80]!r}: it was deleted or renamed; load the page again")
+        path = self._existing(name)
         features = [_plain(feature) for feature in content["features"]]
         reference = content.get("georeference")
         properties = {"storeys": dict(content["storeys"]), "georeference": reference}
@@ -110,31 +106,30 @@ class Plans:
             self._write(path, plan)
         return self.load(name)
 
+    def _existing(self, name: str) -> Path:
+        path = self.path(name)
+        if path is None:
+            raise ValueError(f"there is no floor plan {name[:80]!r}: it was deleted or renamed; load the page again")
+        return path
+
     def _checked(self, path: Path, features: list[dict[str, Any]]) -> dict[str, Any]:
         """Return the `problems` of a drawn plan, and as `reason` the error message of `FloorPlan.read`.
 
         The message is empty if the plan is valid or has no features.
         """
-        if not features:
-            return {"problems": [], "reason": ""}
-        try:
-            problems = problems_of(features)
-            FloorPlan.read(path)
-        except ValueError as error:
-            return {"problems": problems_or_none(features), "reason": str(error).replace(f"{path}: ", "")}
-        return {"problems": problems, "reason": ""}
+        found: dict[str, Any] = {"problems": [], "reason": ""}
+        if features:
+            with suppress(Exception):  # whatever a damaged geometry provokes; `FloorPlan.read` gives the reason
+                found["problems"] = problems_of(features)
+            try:
+                FloorPlan.read(path)
+            except ValueError as error:
+                found["reason"] = str(error).replace(f"{path}: ", "")
+        return found
 
     def _write(self, path: Path, content: Mapping[str, Any]) -> None:
         with whole_file(path) as file:
             file.write((json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
-
-
-def problems_or_none(features: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return `problems_of` the features; none if a geometry cannot be read."""
-    try:
-        return problems_of(features)
-    except Exception:  # whatever a damaged geometry provokes; `FloorPlan.read` gives the reason
-        return []
 
 
 class PictureGeoreference:
@@ -180,23 +175,18 @@ class PictureGeoreference:
         return self.origin.east_north_m(coordinates[:, 1], coordinates[:, 0]) @ self.rotation + self.zero_m
 
 
-def _elsewhere(features: list[dict[str, Any]]) -> tuple[dict[str, Any], Any]:
-    """Return the georeference of a drawn plan with coordinates in longitude and latitude, and its transform to metres.
+def _reference_of(points: FloatArray) -> dict[str, Any] | None:
+    """Return the georeference of a plan with the corners `points` (N, 2), or None if they are no degrees.
 
-    Such a plan comes from a program other than the workbench, so no georeference is stored with it. The georeference
-    maps the south-west and the north-east corner of the plan, with north up.
+    A plan from a program other than the workbench has no georeference stored with it. The georeference maps the
+    south-west and the north-east corner of a plan in longitude and latitude, with north up.
     """
-    points = np.concatenate([_points(feature["geometry"]["coordinates"]) for feature in features])
     low, high = points.min(axis=0), points.max(axis=0)
+    if float((high - low).max()) > 0.05 or (np.abs(points) > [180.0, 90.0]).any():
+        return None
     origin = Origin(float(low[1]), float(low[0]))
     east_m, north_m = origin.east_north_m(float(high[1]), float(high[0])).tolist()
-    corners = [[0.0, 0.0, origin.latitude_deg, origin.longitude_deg], [east_m, north_m, float(high[1]), float(high[0])]]
-    return {"points": corners}, PictureGeoreference.of({"points": corners}).to_metres
-
-
-def _is_in_degrees(features: list[dict[str, Any]]) -> bool:
-    points = np.concatenate([_points(feature["geometry"]["coordinates"]) for feature in features])
-    return float(np.ptp(points, axis=0).max()) <= 0.05 and bool((np.abs(points) <= [180.0, 90.0]).all())
+    return {"points": [[0.0, 0.0, low[1], low[0]], [east_m, north_m, high[1], high[0]]]}
 
 
 def _points(coordinates: Any) -> FloatArray:

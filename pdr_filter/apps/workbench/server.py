@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import html
 import json
 import re
 import secrets
 import shutil
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -17,11 +18,20 @@ from urllib.parse import quote
 import segno
 from starlette.applications import Starlette
 from starlette.requests import ClientDisconnect, Request
-from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 
 from pdr_filter.apps.live.hub import Live
-from pdr_filter.apps.live.server import AccessMiddleware, Site, attachment, body_of, image_sources, page_headers
+from pdr_filter.apps.live.server import (
+    AccessMiddleware,
+    Site,
+    asset_of,
+    attachment,
+    body_of,
+    event_stream,
+    image_sources,
+    page_headers,
+)
 from pdr_filter.apps.workbench.hub import FailedError, Workbench
 from pdr_filter.apps.workbench.pictures import MAX_PICTURE_BYTES
 from pdr_filter.apps.workbench.plans import Plans
@@ -94,8 +104,9 @@ class WorkbenchSite:
             ("/plans/{name}/{floor:int}/rectify", self.rectify),
         ]
         return [
-            *(Route(path, _answering(handler)) for path, handler in get),
-            *(Route(path, _answering(handler), methods=["POST"]) for path, handler in post),
+            Route(path, _answering(handler), methods=[method])
+            for method, handlers in (("GET", get), ("POST", post))
+            for path, handler in handlers
         ]
 
     # --- pages ---
@@ -108,29 +119,18 @@ class WorkbenchSite:
         elif kind == "plan":
             self._plan(request)
         content = (PAGE / f"{kind}.html").read_text(encoding="utf-8")
-        filled = _TEXT.sub(lambda found: _escaped(self.texts[found[1]]), content)
+        filled = _TEXT.sub(lambda found: html.escape(self.texts[found[1]]), content)
         about = {"texts": self.texts, "tiles": self.tiles, "recipes": list(RECIPES), "exports": list(EXPORTS)}
         data = json.dumps(about).replace("<", "\\u003c")
         return HTMLResponse(filled.replace("[[about]]", data), headers=page_headers(self.tiles))
 
     async def asset(self, request: Request) -> Response:
         """Serve scripts and styles of the pages."""
-        name = request.path_params["name"]
-        path = next((p for folder in (PAGE, *_SHARED) for p in folder.iterdir() if p.name == name), None)
-        if path is None or path.suffix not in (".js", ".css", ".txt"):
-            return PlainTextResponse("not found", 404)
-        return FileResponse(path, headers=page_headers(self.tiles))
+        return asset_of(request, (PAGE, *_SHARED), self.tiles)
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""
-        if self.workbench.broadcast.is_full:
-            return JSONResponse({"error": "too many pages are open; close one"}, 503)
-
-        async def lines() -> AsyncIterator[str]:
-            async for text in self.workbench.events():
-                yield f"data: {text}\n\n" if text else ": still here\n\n"
-
-        return StreamingResponse(lines(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+        return event_stream(self.workbench)
 
     # --- walks ---
 
@@ -151,8 +151,7 @@ class WorkbenchSite:
 
     async def walk(self, request: Request) -> Response:
         """Return the marks of a walk, and its summary if the walk has been processed."""
-        walk = self._walk(request)
-        return JSONResponse(self._state(walk))
+        return JSONResponse(self._state(self._walk(request)))
 
     async def report(self, request: Request) -> Response:
         """Serve the report of a walk, computed with its present marks."""
@@ -450,7 +449,3 @@ def _unused(folder: Path, stem: str) -> Path:
         n += 1
         path = folder / f"{stem}_{n}"
     return path
-
-
-def _escaped(text: str) -> str:
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace('"', "&quot;")

@@ -7,12 +7,10 @@ cache under the checksum of all that they depend on: the recording, its marks, i
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import tempfile
 import time
-import zipfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.apps.batch.worker_process import reason_of
+from pdr_filter.apps.live.recorder import zip_bytes
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.maps.marks import NAMES, checksum_of, mark_files, marks_folder, marks_in, version_of
 from pdr_filter.apps.report.html import html_report
@@ -51,28 +50,20 @@ EXPORTS: dict[str, str] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
-    """Request to a worker process: the name of a method of `Worker` and its arguments."""
-
-    method: str
-    arguments: tuple[Any, ...] = ()
-
-
-def make_worker(cache: str) -> Callable[[Request], Any]:
+def make_worker(cache: str) -> Callable[[tuple[str, Sequence[Any]]], Any]:
     """Return the function that answers requests; it is called in the worker process.
 
-    The answer to a request that fails is {"error": reason}, with "errno" for an OSError.
+    A request is the name of a method of `Worker` and its arguments. The answer to a request that fails is
+    {"error": reason}, with "errno" for an OSError.
     """
     worker = Worker(Path(cache))
 
-    def answer(request: Request) -> Any:
+    def answer(request: tuple[str, Sequence[Any]]) -> Any:
+        method, arguments = request
         try:
-            return getattr(worker, request.method)(*request.arguments)
-        except OSError as error:
-            return {"error": reason_of(error), "errno": error.errno}
+            return getattr(worker, method)(*arguments)
         except Exception as error:  # whatever a damaged file provokes
-            return {"error": reason_of(error)}
+            return {"error": reason_of(error), "errno": error.errno if isinstance(error, OSError) else None}
 
     return answer
 
@@ -323,12 +314,6 @@ def _zipped(recording: Path) -> bytes:
     """Return the bytes of a zip file with the files of a recording, without hidden ones, and its marks."""
     path, _ = outside(recording)
     folder = marks_folder(recording)
-    members: Mapping[str, Path] = {p.name: p for p in [path] if p.is_file()} | {
-        str(p.relative_to(path)): p for p in path.rglob("*") if p.is_file() and not p.name.startswith(".")
-    }
-    marks = {name: folder / name for name in NAMES if (folder / name).exists()}
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", compression=zipfile.ZIP_DEFLATED) as archive:
-        for name, file in sorted({**members, **marks}.items()):
-            archive.write(file, name)
-    return content.getvalue()
+    inside = [p for p in path.rglob("*") if p.is_file() and not p.name.startswith(".")]
+    members = {path.name: path} if path.is_file() else {str(p.relative_to(path)): p for p in inside}
+    return zip_bytes(members | {name: folder / name for name in NAMES if (folder / name).exists()})
