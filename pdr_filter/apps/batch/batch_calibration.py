@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from math import inf
@@ -140,7 +141,8 @@ def calibrate(
         known_format(file_format)
     check_subject(subject, each_a_person)
     files = recordings_of(paths)
-    every = {pair: None for form in forms_of(priors, model, prior_std).values() for pair in models_in(form)}
+    forms = forms_of(priors, model, prior_std).values()
+    every = {(context, prior.model): None for form in forms for context, prior in form.items()}
     sums = tuple(every) if all(is_linear(m) for _, m in every) else None
     reduce = partial(
         read_segments,
@@ -152,7 +154,8 @@ def calibrate(
         measure=measure,
     )
     kept = None if resume is None else _Kept(Path(resume), repr(sorted(reduce.keywords.items())))
-    found: dict[int, Reduced] = {} if kept is None else kept.all_of(files)
+    known = {} if kept is None else {i: kept.get(file) for i, file in enumerate(files)}
+    found = {i: value for i, value in known.items() if value is not None}
     todo = [i for i in range(len(files)) if i not in found]
     for k, result in each(reduce, [files[i] for i in todo], jobs=jobs, scheduler=scheduler):
         i = todo[k]
@@ -172,11 +175,6 @@ def calibrate(
     return calibrate_segments(
         segments, priors, model=model, prior_std=prior_std, loss=loss, notes=(*name_notes, *notes)
     )
-
-
-def models_in(priors: Mapping[str, StepLengthPrior]) -> list[tuple[str, StepLengthModel]]:
-    """Return pairs of context name and step-length model, taken from the priors by context name."""
-    return [(context, prior.model) for context, prior in priors.items()]
 
 
 def read_segments(
@@ -206,17 +204,12 @@ class _Kept:
     folder: Path
     options: str
 
-    def all_of(self, files: list[str]) -> dict[int, Reduced]:
-        """Return the reduced recordings in the folder by index into `files`. Unreadable files are ignored."""
-        found: dict[int, Reduced] = {}
-        for i, file in enumerate(files):
-            try:
-                value = from_bytes(self._path(file).read_bytes())
-            except (OSError, ValueError):
-                continue
-            if isinstance(value, Reduced):
-                found[i] = value
-        return found
+    def get(self, file: str) -> Reduced | None:
+        """Return the reduced recording of a file, or None if it is missing or unreadable."""
+        with suppress(OSError, ValueError):
+            if isinstance(value := from_bytes(self._path(file).read_bytes()), Reduced):
+                return value
+        return None
 
     def keep(self, file: str, result: Reduced) -> None:
         """Write a reduced recording atomically."""

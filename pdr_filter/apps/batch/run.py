@@ -97,8 +97,20 @@ def track(
     >>> row.name, row.failed
     ('simulated_walk', False)
     """
-    options = _options(recipe, weighting, file_format, height_m, calibration, gnss)
+    # options that would fail for every recording fail here
+    check_name(recipe)
+    if weighting is not None and weighting not in WEIGHTINGS:
+        raise ValueError(f'weighting must be "imm", "wc" or "hc", got {weighting!r}')
+    if file_format:
+        known_format(file_format)
+    if height_m is not None:
+        check_height(height_m)
+    check_gnss(gnss)
+    if calibration is not None:
+        read_person(calibration)
     table, parquet = tables(out)
+    where = "" if calibration is None else str(Path(calibration).resolve())
+    options = Task("", recipe, weighting or "", file_format or "", height_m, where, gnss or "")
     tasks = [replace(options, path=path) for path in recordings_of(paths) if path != str(table.resolve())]
     for task in tasks:
         if "\n" in task.path or "\r" in task.path:
@@ -143,26 +155,3 @@ def track_one(task: Task) -> Row:
     except Exception as error:  # an error of one file must not end the batch
         return failed_row(task, reason_of(error))
     return row_of(task, result)
-
-
-def _options(
-    recipe: str,
-    weighting: str | None,
-    file_format: str | None,
-    height_m: float | None,
-    calibration: str | Path | None,
-    gnss: str | None,
-) -> Task:
-    """Return a task with the given options and an empty path. ValueError for options that fail for every recording."""
-    check_name(recipe)
-    if weighting is not None and weighting not in WEIGHTINGS:
-        raise ValueError(f'weighting must be "imm", "wc" or "hc", got {weighting!r}')
-    if file_format:
-        known_format(file_format)
-    if height_m is not None:
-        check_height(height_m)
-    check_gnss(gnss)
-    if calibration is not None:
-        read_person(calibration)
-    where = "" if calibration is None else str(Path(calibration).resolve())
-    return Task("", recipe, weighting or "", file_format or "", height_m, where, gnss or "")

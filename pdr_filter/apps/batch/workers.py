@@ -17,6 +17,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _CONNECT_S = 20.0
+_CAUSE_OF_DEATH = "the recording may be too large for the memory, or may crash a library"
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +136,7 @@ def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iter
             try:
                 yield i, workers[0].ask(items[i])
             except LostError as error:
-                yield i, Failure(f"its {error}: the recording may be too large for the memory, or may crash a library")
+                yield i, Failure(f"its {error}: {_CAUSE_OF_DEATH}")
     finally:
         todo.clear()
         for worker in workers:
@@ -158,13 +159,7 @@ def _on_cluster(work: Callable[[T], R], items: Sequence[T], scheduler: str) -> I
                 yield i, result
             elif isinstance(error := _exception(result), KilledWorker):
                 # Dask raises this after four workers in a row have died with this item
-                yield (
-                    i,
-                    Failure(
-                        "its worker processes died: the recording may be too large for "
-                        "the memory, or may crash a library"
-                    ),
-                )
+                yield i, Failure(f"its worker processes died: {_CAUSE_OF_DEATH}")
             else:  # not caused by the recording: the scheduler has died, or the workers lack this package
                 raise RuntimeError(f"the cluster at {scheduler} failed ({future.status}): {error!r}; check its workers")
             futures[i] = None  # release the result on the cluster

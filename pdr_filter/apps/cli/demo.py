@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -18,7 +19,6 @@ from pdr_filter.apps.report.palette import context_colours
 from pdr_filter.data.io.formats import read
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import FloatArray
 from pdr_filter.values.georeference import GnssUse
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.sanitise import file_name
@@ -93,7 +93,8 @@ def run_demo(
     name = unique_name(file_name(result.name), set() if written is None else written)
     before = modified_ns(out_dir, name)
     picture = out_dir / f"{name}.png"
-    plot.track(result, picture, _true_path(recording) if is_simulated else None)
+    position: Any = recording.truth.position
+    plot.track(result, picture, np.column_stack([position.east_m, position.north_m]) if is_simulated else None)
     done = Demo(
         recording=recording,
         track=result,
@@ -111,13 +112,6 @@ def _georeferenced(result: Track) -> str:
     if result.origin is None:
         return "shape only, because the position on Earth is unknown"
     return "georeferenced by the locations in the recording"
-
-
-def _true_path(recording: Recording) -> FloatArray:
-    position = recording.truth.position
-    if position is None:
-        raise ValueError(f"{recording.name} has no true positions: use a simulated recording")
-    return np.column_stack([position.east_m, position.north_m])
 
 
 def _facts(demo: Demo) -> Table:
@@ -138,16 +132,13 @@ def _facts(demo: Demo) -> Table:
 def _true_facts(recording: Recording, result: Track) -> tuple[str, str, str]:
     """Return three texts: the true number of steps, the true distance, and the error of the end of the track.
 
-    The error is after rigid alignment, as in the report. ValueError for a recording without true steps and segments.
+    The error is after rigid alignment, as in the report. The recording is simulated, and has a complete truth.
     """
-    truth = recording.truth
-    if truth.steps is None or truth.segments is None:
-        raise ValueError(f"{recording.name} has no true steps and segments: use a simulated recording")
+    truth: Any = recording.truth
     end_error_m = track_data(result, recording, None, 1)["from_truth"][-1]
-    distance_m = float(truth.segments.distance_m.sum())
     return (
         f"(truth: {len(truth.steps)})",
-        f"(truth: {distance_m:.1f} m)",
+        f"(truth: {truth.segments.distance_m.sum():.1f} m)",
         f"(error {end_error_m:.1f} m after rigid alignment)",
     )
 

@@ -103,7 +103,9 @@ class Marks:
             origin = origin or plan.origin
             if self.walk.get("keep_on_plan"):
                 found["plan"] = plan
-        if with_own and self.fixes and origin is not None and origin == _first_location(recording):
+        location = recording.location
+        # the locations are fixes in the frame of the first of them
+        if with_own and self.fixes and location is not None and origin == origin_of(location):
             found["gnss"] = "filter"
         elif origin is not None:
             found["origin"] = origin
@@ -168,8 +170,7 @@ def marks_in(folder: Path) -> Marks:
 
     ValueError names the file and the remedy. A save that was interrupted is completed first.
     """
-    if (folder / _UNFINISHED).exists():
-        _finish(folder)
+    _finish(folder)
     found = [name for name in NAMES if (folder / name).exists()]
     walk = read_json(folder / WALK, limits.MAX_SMALL_BYTES) if WALK in found else {}
     _check_walk(walk, folder / WALK)
@@ -188,8 +189,7 @@ def mark_files(folder: Path) -> dict[str, bytes]:
 
     Marks are positions, loop closures and the person that a user has set for a walk. An interrupted save is completed.
     """
-    if (folder / _UNFINISHED).exists():
-        _finish(folder)
+    _finish(folder)
     return {n: read_small(folder / n, limits.MAX_WHOLE_BYTES) for n in NAMES if (folder / n).exists()}
 
 
@@ -234,6 +234,8 @@ def write_mark_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 def _finish(folder: Path) -> None:
     """Complete an interrupted save: write the files of marks in `_UNFINISHED`, and delete all other files of marks."""
+    if not (folder / _UNFINISHED).exists():
+        return
     new = read_json(folder / _UNFINISHED, 4 * limits.MAX_WHOLE_BYTES)
     for name in NAMES:
         if name not in new:
@@ -279,11 +281,6 @@ def unused_fixes(recordings: Collection[Path]) -> list[Path]:
         path if path.is_dir() else path.parent for path in recordings if path.is_dir() or path.stem == path.parent.name
     }
     return [folder / FIXES for folder in sorted(folders - used) if (folder / FIXES).is_file()]
-
-
-def _first_location(recording: Recording) -> Origin | None:
-    """Return the origin of the frame in which the locations of a recording are fixes, or None without locations."""
-    return None if recording.location is None else origin_of(recording.location)
 
 
 def _check_walk(walk: Any, path: Path) -> None:

@@ -62,13 +62,11 @@ def start_distribution(plan: Storeys, start: PositionFix | str) -> Start:
             )
         return Start(floor, start.position_m, start.cov_m2, np.empty((0, 2), dtype=np.int64))
     if start == ANYWHERE:
-        if len(plan.storeys) > 1 and plan.storey(0) is None:
+        storey = plan.storeys[0] if len(plan.storeys) == 1 else plan.storey(0)
+        if storey is None:
             raise ValueError(
                 'start="anywhere" means storey 0, which the plan does not have: give a position or the name of an area'
             )
-        storey = plan.storeys[0] if len(plan.storeys) == 1 else plan.storey(0)
-        if storey is None:
-            raise ValueError(f"the plan {plan.name!r} has no storey: draw the outline of one")
         return anywhere_on(storey)
     found = [(s, f) for s in plan.storeys for f in s.features if f.name == start and f.is_area]
     if not found:
@@ -78,12 +76,8 @@ def start_distribution(plan: Storeys, start: PositionFix | str) -> Start:
             f'start must be a PositionFix, "anywhere" or the name of an area, got {start!r}; the plan has {some}'
         )
     storey = found[0][0]
-    inside = np.zeros(storey.cells.shape, dtype=bool)
-    for s, feature in found:
-        if s is storey:
-            inside |= feature.contains(storey.middles_m)
-    where = inside & (storey.cells <= ROOM)
-    return _start_in(storey, where, start)
+    inside = [feature.contains(storey.middles_m) for s, feature in found if s is storey]
+    return _start_in(storey, np.any(inside, axis=0) & (storey.cells <= ROOM), start)
 
 
 def anywhere_on(storey: Storey) -> Start:

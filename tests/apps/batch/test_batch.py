@@ -307,7 +307,7 @@ def test_a_calibration_of_many_has_the_bits_of_one_by_one_and_names_what_it_left
 
 def test_what_is_sent_for_a_calibration_is_sums_whatever_the_number_of_steps(cohort: Path) -> None:
     path = str(cohort / f"walk_{N - 1}.zip")
-    models = tuple(calibration.models_in(DEFAULT_PRIORS))
+    models = tuple((context, prior.model) for context, prior in DEFAULT_PRIORS.items())
     sums, steps = (calibration.read_segments(path, m) for m in (models, None))
     assert len(sums.segments) == 1
     assert len(pickle.dumps(sums)) < 3000 < len(pickle.dumps(steps))

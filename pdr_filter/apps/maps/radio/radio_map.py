@@ -338,8 +338,9 @@ class RadioMap:
     def _fields(self) -> tuple[tuple[float, Field], ...]:
         """Pairs of a storey number, ascending (NaN if unknown), and the field fitted to the scans of this storey."""
         heard = fingerprints(self.point, self.access_point, self.rssi_dbm, (len(self.floor), len(self.bssid)))
-        floors = np.unique(self.floor)
-        return tuple((float(f), Field.of(self.position_m[on := _on_floor(self.floor, f)], heard[on])) for f in floors)
+        floors, number = np.unique(self.floor, return_inverse=True)
+        scans = [(float(floor), number == k) for k, floor in enumerate(floors)]
+        return tuple((floor, Field.of(self.position_m[on], heard[on])) for floor, on in scans)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -368,11 +369,6 @@ def _wifi_of(recording: Recording) -> Wifi:
             f"{recording.name or 'the recording'} has no Wi-Fi: record it too, or do not use a radio map"
         )
     return recording.wifi
-
-
-def _on_floor(floor: FloatArray, of: float) -> Any:
-    """Return a mask of the scans on a storey, which may be NaN."""
-    return np.isnan(floor) if np.isnan(of) else floor == of
 
 
 def _between_waypoints(recording: Recording) -> tuple[Track, float]:
