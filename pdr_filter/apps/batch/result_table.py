@@ -23,27 +23,9 @@ _DONE, _FAILED = "done", "failed"
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Recording with the options of its track, which together identify a row of the table.
+    """Recording with the options of its track, which together identify a row of the table (see `Row`)."""
 
-    Attributes
-    ----------
-    path : str
-        Absolute path of the recording. Files are compared by path, not by content.
-    recipe : str
-        Name of the recipe.
-    weighting : str
-        Weighting, or "" for the weighting of the recipe.
-    file_format : str
-        Format of the file, or "" if it is detected from the content.
-    height_m : float or None
-        Height of the person in m, or None for the height in the recording.
-    calibration : str
-        Absolute path of a calibration or person file, or "" for none.
-    gnss : str
-        Use of locations, or "" for the default of `pdr_filter.track`.
-    """
-
-    path: str
+    path: str  # files are compared by path, not by content
     recipe: str = "default"
     weighting: str = ""
     file_format: str = ""

@@ -57,17 +57,7 @@ class Response:
 
 
 class Part:
-    """Share of the devices that one worker serves, with the sessions of these devices.
-
-    Parameters
-    ----------
-    settings : Settings
-        How phones are tracked.
-    folder : Path
-        Recordings of all sessions, of every part.
-    part, n_parts : int
-        Number of this part, and how many there are.
-    """
+    """Part number `part` of `n_parts` of the devices, with their sessions. `folder` has the sessions of all parts."""
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
         from pdr_filter.apps.live.sessions import Sessions  # here, because the server must not load the filter

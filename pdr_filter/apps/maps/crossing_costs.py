@@ -99,15 +99,7 @@ class Terrain:
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """Cost fields of one storey.
-
-    Attributes
-    ----------
-    storey : Storey
-        Storey with its cells.
-    terrain : Terrain
-        Costs of crossing.
-    """
+    """Cost fields of one storey."""
 
     storey: Storey
     terrain: Terrain
@@ -115,8 +107,6 @@ class Ground:
     @cached_property
     def height(self) -> _Field:
         """Cost of being in each cell of the storey, as a flattened array (n_rows n_columns,).
-
-        A cost is a negative log probability (`Terrain`).
 
         A step pays for an increase of this field. A decrease is free, so leaving a room costs nothing.
         """

@@ -6,31 +6,27 @@ states of the tracker's modes. It also holds the rotation from the frame of the 
 walls, rooms and outlines that it crossed recently.
 
 Prediction: each step moves a particle according to `filter.imm.motion_model`, in a mode drawn from the tracker's mode
-probabilities. The walking direction estimated from the strides is used in closed form: given the particle, a Kalman
-update of its heading offset, as in a Rao-Blackwellised filter.
+probabilities. The walking direction estimated from the strides is used in closed form, as in a Rao-Blackwellised
+filter.
 
 Weights: a step has a likelihood on the plan (`Terrain`), and so have the fixes that the tracker used. The likelihood of
-a step is divided by its mean over all directions, because the pedestrian chooses one of the free directions. In a
-corridor few directions are free, so a step along the corridor increases the weight more than a step in a hall. Without
+a step is divided by its mean over all directions, because the pedestrian chooses one of the free directions. Without
 this division, noise would pull the particles out of corridors, because noisy steps hit corridor walls more often than
 the walls of a hall.
 
 Initialisation: particles are drawn at the given start, or from the tracker's estimate. They are drawn again at each fix
 while the rotation of the track is still unknown, and when no particle fits the steps any more. The tracker itself does
-not use the plan. A wrong plan therefore cannot lead the track away permanently.
-
-Walks off the plan: if most particles are drawn in a wall, in a hole or outside the outline, the plan is not used until
-most of them are inside. Otherwise the particles that leave the hole first would win, whatever their direction.
+not use the plan, so that a wrong plan cannot lead the track away permanently. If most particles are drawn off the plan,
+it is not used until most of them are inside. Otherwise the particles that leave the hole first would win.
 
 Lost walks: from an unknown start, the particles may be too few to cover all positions, and the true position can be
 lost. The remaining particles then pay more for the plan than a random walk would. That excess is accumulated in
-`ParticleState.lost_log_odds`, the log odds that no particle is at the true position.
+`ParticleState.lost_log_odds`.
 
-Wrong starts and wrong plans: particles drawn again find some way through any building. The mean weight of a step is
-its Bayes factor of the plan against free ground, where every direction is free. `ParticleState.wrong_log_odds`
-accumulates these factors over all sets of particles. A walk on the right plan gains evidence in its corridors. A walk
-with a wrong start loses it at each wall that its particles do not avoid, because the drift that leads around the wall
-is improbable. The covariance includes the position of `ParticleFilter.alternative` with the probability of both.
+Wrong starts and wrong plans: the mean weight of a step is its Bayes factor of the plan against free ground, where every
+direction is free. `ParticleState.wrong_log_odds` accumulates these factors over all sets of particles. A walk on the
+right plan gains evidence in its corridors. A walk with a wrong start loses it at each wall that its particles do not
+avoid, because the drift that leads around the wall is improbable.
 
 References
 ----------

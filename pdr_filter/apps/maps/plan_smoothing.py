@@ -156,18 +156,12 @@ def smooth_on_plan(
 
 
 class _Ancestors(NamedTuple):
-    """Ancestors of the N final particles after one event.
-
-    `particles` (N, 6) are the states of the ancestors. The columns are those of `maps.particle_motion`: east and north
-    in m, heading offset in rad, log of the step scale, rotation of the track frame in rad, and recent crossing cost.
-    `weight` (N,) are the weights of the paths from the ancestors to the final particles. `elsewhere` is the probability
-    that no final particle is at the true position.
-    """
+    """Ancestors of the N final particles after one event."""
 
     event: _Event
-    particles: FloatArray
-    weight: FloatArray
-    elsewhere: float
+    particles: FloatArray  # (N, 6) states of the ancestors
+    weight: FloatArray  # (N,) of the paths from the ancestors to the final particles
+    elsewhere: float  # probability that no final particle is at the true position
 
 
 def _ancestors(events: Sequence[_Event]) -> Iterator[_Ancestors]:

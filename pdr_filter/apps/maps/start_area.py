@@ -15,24 +15,12 @@ ANYWHERE = "anywhere"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Start:
-    """Distribution of the start: a normal distribution, or a uniform one over cells.
-
-    Attributes
-    ----------
-    floor : int
-        Storey of the start.
-    position_m : array (2,)
-        Mean position, or the south-west corner of the grid.
-    cov_m2 : array (2, 2)
-        Covariance of the position.
-    cells : array (K, 2)
-        Column and row of each start cell. Empty for a start position.
-    """
+    """Distribution of the start: a normal distribution, or a uniform one over cells."""
 
     floor: int
-    position_m: FloatArray
-    cov_m2: FloatArray
-    cells: IntArray
+    position_m: FloatArray  # (2,) mean, or the south-west corner of the grid
+    cov_m2: FloatArray  # (2, 2)
+    cells: IntArray  # (K, 2) column and row of each start cell, empty for a start position
 
     def draw(self, rng: Generator, n: int) -> FloatArray:
         """Return `n` positions (n, 2) drawn from the distribution."""

@@ -21,23 +21,11 @@ MARGIN_M = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Feature:
-    """One shape of a floor plan.
+    """One shape of a floor plan."""
 
-    Attributes
-    ----------
-    kind : str
-        "floor", "wall", "room", "door", "stairs" or "lift".
-    name : str
-        Name, or an empty string.
-    lines : tuple of array (N, 2)
-        East and north in m: the rings of an area, or the lines of a wall.
-    is_area : bool
-        True for a polygon.
-    """
-
-    kind: str
-    name: str
-    lines: tuple[FloatArray, ...]
+    kind: str  # "floor", "wall", "room", "door", "stairs" or "lift"
+    name: str  # or an empty string
+    lines: tuple[FloatArray, ...]  # (N, 2) east and north in m: the rings of an area, or the lines of a wall
     is_area: bool
 
     def contains(self, position_m: FloatArray) -> BoolArray:
@@ -57,24 +45,12 @@ class Feature:
 
 @dataclass(frozen=True, eq=False)
 class Storey:
-    """One storey of a floor plan: its shapes and its grid of cells.
+    """One storey of a floor plan: its shapes and its grid of cells."""
 
-    Attributes
-    ----------
-    floor : int
-        Number of the storey, 0 for the ground floor.
-    features : tuple of Feature
-        Shapes as drawn.
-    south_west_m : array (2,)
-        South-west corner of the first cell, east and north.
-    cells : array (rows, columns) of uint8
-        Kind of each cell: FREE, STAIRS, LIFT, ROOM, WALL or OUTSIDE. Rows run north and columns east.
-    """
-
-    floor: int
-    features: tuple[Feature, ...]
-    south_west_m: FloatArray
-    cells: NDArray[np.uint8]
+    floor: int  # 0 for the ground floor
+    features: tuple[Feature, ...]  # shapes as drawn
+    south_west_m: FloatArray  # (2,) corner of the first cell
+    cells: NDArray[np.uint8]  # kind of each cell, such as FREE; rows run north and columns east
 
     @property
     def has_stairs(self) -> bool:

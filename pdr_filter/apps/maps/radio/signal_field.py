@@ -59,30 +59,14 @@ def kernel(a_m: FloatArray, b_m: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Field:
-    """Fingerprint predicted at each cell of a storey.
+    """Fingerprint predicted at each cell of a storey."""
 
-    Attributes
-    ----------
-    cell_m : array (G, 2)
-        Centres of the cells: first from south to north, then from west to east.
-    shape : tuple of int
-        Number of columns to the east and of rows to the north.
-    weight : array (N, G)
-        Weight of each mapped scan in the prediction at each cell: m(x) = weight[:, x] @ heard.
-    variance : array (G,)
-        Predicted variance v.
-    norm2 : array (G,)
-        Squared length of the predicted fingerprint, |m|^2.
-    heard : sparse array (N, A)
-        Fingerprints of the mapped scans.
-    """
-
-    cell_m: FloatArray
-    shape: tuple[int, int]
-    weight: FloatArray
-    variance: FloatArray
-    norm2: FloatArray
-    heard: Any
+    cell_m: FloatArray  # (G, 2) centres of the cells, first from south to north, then from west to east
+    shape: tuple[int, int]  # number of columns to the east and of rows to the north
+    weight: FloatArray  # (N, G) of each mapped scan in the prediction at each cell: m(x) = weight[:, x] @ heard
+    variance: FloatArray  # (G,) predicted variance v
+    norm2: FloatArray  # (G,) squared length of the predicted fingerprint, |m|^2
+    heard: Any  # (N, A) sparse fingerprints of the mapped scans
 
     @classmethod
     def of(cls, position_m: FloatArray, heard: csr_matrix) -> Field:
