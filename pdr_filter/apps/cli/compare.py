@@ -101,10 +101,7 @@ class Setting:
         return tracks
 
     def by_contexts(self, recording: Recording) -> Table | None:
-        """Return the errors of the weightings that are due to contexts, or None if no context of a step is known.
-
-        They need no known length, and have the step lengths of the recipe.
-        """
+        """Return the errors of the weightings that are due to contexts, or None if no context of a step is known."""
         import pdr_filter as pdr
 
         names = self.recipe or ["default"]
@@ -229,10 +226,7 @@ def _print(compared: Sequence[Compared]) -> None:
 
 
 def _study(compared: Sequence[Compared]) -> Table | None:
-    """Return a table of mean errors over persons (`evaluate.study_table`), or None if no recording has ground truth.
-
-    Each recording without a name of its person counts as another person.
-    """
+    """Return a table of mean errors over persons (`evaluate.study_table`), or None if no recording has ground truth."""
     import numpy as np
 
     import pdr_filter as pdr

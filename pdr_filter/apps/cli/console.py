@@ -115,10 +115,7 @@ def one_line_errors() -> Generator[None]:
 
 @contextmanager
 def progress(what: str) -> Generator[Callable[..., None]]:
-    """Show a progress bar on stderr if it is a terminal.
-
-    Yield a function that takes the fraction done, and optionally a new description.
-    """
+    """Show a progress bar on stderr if it is a terminal; yield a function of the fraction done and a description."""
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
@@ -208,10 +205,7 @@ def print_json(value: Mapping[str, Any]) -> None:
 
 
 def print_notes(tracks: Sequence[Track]) -> None:
-    """Print the notes of tracks, one line each. Notes that differ only in their numbers are printed once.
-
-    Such a line states the number of tracks, and has the numbers of the first track.
-    """
+    """Print the notes of tracks, one line each. Notes that differ only in their numbers are printed once."""
     alike: dict[str, dict[int, str]] = {}
     for i, track in enumerate(tracks):
         for note in track.notes:

@@ -130,10 +130,7 @@ def _facts(demo: Demo) -> Table:
 
 
 def _true_facts(recording: Recording, result: Track) -> tuple[str, str, str]:
-    """Return three texts: the true number of steps, the true distance, and the error of the end of the track.
-
-    The error is after rigid alignment, as in the report. The recording is simulated, and has a complete truth.
-    """
+    """Return the true number of steps, the true distance, and the error of the end after rigid alignment, as texts."""
     truth: Any = recording.truth
     end_error_m = track_data(result, recording, None, 1)["from_truth"][-1]
     return (

@@ -16,11 +16,7 @@ if TYPE_CHECKING:
 
 
 def write_index(tracks: Mapping[str, Track], failed: Mapping[Path, str], path: Path) -> Path:
-    """Write the index page and return its path.
-
-    `tracks` has the tracks by the names of their files without suffix. `failed` has the reason for each recording that
-    could not be tracked.
-    """
+    """Write the index page of tracks, by the names of their files, and of recordings that failed, with reasons."""
     from pdr_filter.apps.report.templates import template
     from pdr_filter.values import how_many
 

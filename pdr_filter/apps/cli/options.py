@@ -133,10 +133,7 @@ class GeoreferenceOptions:
         return {f"--{f.name}": value for f in fields(self) if (value := getattr(self, f.name)) is not None}
 
     def arguments(self) -> dict[str, Any]:
-        """Return the keyword arguments for `pdr_filter.track` and `pdr_filter.smooth`.
-
-        ValueError for invalid options.
-        """
+        """Return the keyword arguments for `pdr_filter.track` and `pdr_filter.smooth`."""
         georeference = Georeference(
             gnss=self.gnss,
             origin=origin_deg(self.origin),
@@ -233,10 +230,7 @@ def ranges_of(ranges: Path | None, anchors: Path | None, origin: tuple[float, fl
 
 
 def origin_deg(text: str | None) -> tuple[float, float] | None:
-    """Parse LAT,LON. Return latitude and longitude in degrees, or None if the option is not given.
-
-    ValueError for another text or coordinates out of range.
-    """
+    """Parse LAT,LON. Return latitude and longitude in degrees, or None if the option is not given."""
     from pdr_filter.values.origin import check_coordinates
 
     if text is None:
@@ -250,10 +244,7 @@ def origin_deg(text: str | None) -> tuple[float, float] | None:
 
 
 def _heading_rad(text: str | None) -> float | None:
-    """Parse a heading in degrees. Return it in radians, or None if the option is not given.
-
-    ValueError for another text or more than 360 degrees.
-    """
+    """Parse a heading in degrees. Return it in radians, or None if the option is not given."""
     if text is None:
         return None
     try:

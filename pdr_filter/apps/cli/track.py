@@ -50,10 +50,7 @@ class Method:
     loop: options.Loop = False
 
     def changes(self) -> Callable[[Config], Config]:
-        """Return a function that puts --classifier, --model and --transitions into a configuration.
-
-        ValueError or OSError for a recipe, file or combination that cannot be used, before any recording is read.
-        """
+        """Return a function that puts the given models into a configuration (`options.context_changes`)."""
         from pdr_filter import recipes
 
         recipes.check_name(self.recipe)

@@ -86,10 +86,7 @@ def _fit(folder: Path, out: Path, how: Fitting) -> None:
 
 
 def _person_of(path: Path, folder: Path) -> str:
-    """Return the name of the subfolder of `folder` that contains a recording, also in deeper folders.
-
-    It is "unnamed" for a recording directly in `folder`.
-    """
+    """Return the name of the subfolder of `folder` that contains a recording, or "unnamed" directly in `folder`."""
     parts = path.resolve().relative_to(folder.resolve()).parts
     return parts[0] if len(parts) > 1 else "unnamed"
 

@@ -346,10 +346,7 @@ def _appended(time_s: FloatArray, values: FloatArray, rows: Samples | None) -> t
 
 
 def seconds(rows: SensorRows, zero_ns: int) -> FloatArray:
-    """Return the times of a sensor in seconds.
-
-    Nanoseconds are counted from `zero_ns`, as when the files of the same apps are read. Times in seconds are unchanged.
-    """
+    """Return the times of a sensor in seconds. Nanoseconds are counted from `zero_ns`."""
     if rows.time.dtype.kind == "f":
         return rows.time.astype(np.float64)
     return (rows.time - zero_ns).astype(np.float64) * 1e-9  # the difference is exact in int64
@@ -373,10 +370,7 @@ def _moving(message: Message) -> Iterator[SensorRows]:
 
 
 def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> Kind | str:
-    """Return the properties of a session, or the reason why they are not known yet.
-
-    SessionError if they can never be known.
-    """
+    """Return the properties of a session, or why they are not known yet. SessionError if they can never be known."""
     moving = [rows for m in messages for rows in _moving(m) if len(rows.time)]
     sensors = ", ".join(sorted({name for m in messages for name in m.rows})) or "no sensor"
     if not moving:

@@ -82,13 +82,10 @@ class Broadcast:
 
 
 class Reader:
-    """Bounded queue of events for one page or client.
-
-    `is_stale` is True if the client was too slow. It then needs the present state.
-    """
+    """Bounded queue of events for one page or client."""
 
     def __init__(self) -> None:
-        self.is_stale = True
+        self.is_stale = True  # the client was too slow, and needs the present state
         self._waiting: deque[str] = deque()
         self._filled = asyncio.Event()
 

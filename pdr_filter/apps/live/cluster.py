@@ -25,10 +25,7 @@ _LOOK_S = 0.5
 
 
 class DaskCluster:
-    """Dask cluster whose workers run the filters.
-
-    The caller must trust it, because its workers run code that the server sends.
-    """
+    """Dask cluster whose workers run the filters. The caller must trust it: its workers run code of the server."""
 
     def __init__(self, scheduler: str, settings: Settings, folder: Path) -> None:
         self._scheduler, self._settings, self._folder = scheduler, settings, folder.resolve()

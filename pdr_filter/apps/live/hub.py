@@ -62,9 +62,7 @@ class Live:
     async def take(self, body: bytes, device: str = "", session: str = "", platform: str = "") -> Answer:
         """Pass the messages in the body of a request to the worker of their device, and return its answer.
 
-        `device`, `session` and `platform` are used for messages that do not contain them. The status is 413 for a body
-        that is too long, and 400 for one that is not understood or is of several devices. It is 429 if the device sends
-        too much.
+        `device`, `session` and `platform` are used for messages that do not contain them.
         """
         if len(body) > MAX_BODY_BYTES:
             return Answer(413, {"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"})
@@ -81,10 +79,7 @@ class Live:
         return await self.workers.take(MessageBatch(name, messages, time.time()))
 
     def _shown(self, text: str) -> None:
-        """Pass an event of a worker, as JSON text, on to all pages and clients.
-
-        The last `session` event of each session is kept in `sessions`, until the session is gone.
-        """
+        """Pass an event of a worker on to all pages and clients. The last `session` event of each session is kept."""
         head = json.loads(text[: text.index(",")] + "}")["event"]
         if head in ("session", "gone"):
             event = json.loads(text)

@@ -132,10 +132,7 @@ _ONE_LINE = bytes.maketrans(b"\r\n", b"  ")
 
 
 def _items(body: bytes) -> list[Any]:
-    """Return the items of the JSON array in a body, or a single other value as a list.
-
-    MessageError if the body is not JSON or has more than 1000 items.
-    """
+    """Return the items of the JSON array in a body, or a single other value as a list."""
     with _refusing("not JSON ({}); send what docs/live.md describes"):
         content: Any = json.loads(body)
     items: list[Any] = cast("list[Any]", content) if isinstance(content, list) else [content]
@@ -145,10 +142,7 @@ def _items(body: bytes) -> list[Any]:
 
 
 def to_json(message: Message) -> bytes:
-    """Return the body of a message in the package's own layout, as `parse` reads it.
-
-    The times keep their unit (seconds, or nanoseconds since 1970). A fix of the message is not written.
-    """
+    """Return the body of a message in the package's own layout, as `parse` reads it, without its fix."""
     samples = {name: np.column_stack([rows.time, rows.values]).tolist() for name, rows in message.rows.items()}
     content = {"device": message.device, "session": message.session, "platform": message.platform, "samples": samples}
     numbered = {} if message.number is None else {"number": message.number}
@@ -156,11 +150,7 @@ def to_json(message: Message) -> bytes:
 
 
 def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | None:
-    """Return the message in a JSON object, or None if the object is of no known layout.
-
-    `known` has the device, session and platform for an object that does not state them. MessageError for invalid
-    contents.
-    """
+    """Return the message in a JSON object, or None if the object is of no known layout."""
     if "payload" in item:
         device, session = _text(item, "deviceId", known["device"]), _text(item, "sessionId", known["session"])
         rows = _sensor_logger_rows(item["payload"])
@@ -212,10 +202,7 @@ _SENSOR_LOGGER: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 def _sensor_logger_rows(payload: Any) -> dict[str, SensorRows]:
-    """Return the samples in a payload of Sensor Logger by sensor. Sensors that are not used are left out.
-
-    MessageError if the payload is no array, or if a sample lacks its name, time or values.
-    """
+    """Return the samples in a payload of Sensor Logger by sensor. Sensors that are not used are left out."""
     times: dict[str, list[Any]] = {}
     values: dict[str, list[list[Any]]] = {}
     items = _checked(payload, list, "payload must be an array of samples")
@@ -242,10 +229,7 @@ ANDROID_SENSORS: Mapping[str, str] = {
 
 
 def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
-    """Return the sample of an Android sensor event by sensor. Nothing is returned for a sensor that is not used.
-
-    SensorServer passes the event on unchanged. MessageError for invalid contents.
-    """
+    """Return the sample of an Android sensor event by sensor. Nothing is returned for a sensor that is not used."""
     sensor = ANDROID_SENSORS.get(str(item["type"]))
     if sensor is None:
         return {}
@@ -264,10 +248,7 @@ def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, SensorRows]:
 
 
 def _own_rows(samples: Any) -> dict[str, SensorRows]:
-    """Return the samples of a message in the package's own layout by sensor.
-
-    `samples` has rows [time_s, value, ...] by sensor. MessageError for an unknown sensor or rows of another length.
-    """
+    """Return the samples of a message in the package's own layout: rows [time, value, ...] by sensor."""
     found: dict[str, SensorRows] = {}
     for name, rows in _checked(samples, dict, "samples must be an object of sensors").items():
         if name not in N_VALUES:
@@ -299,9 +280,8 @@ _PHYPHOX: Mapping[str, tuple[str, tuple[str, ...]]] = {
 def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
     """Names of the buffers of each sensor, time first, from what phyphox answers at /config.
 
-    MessageError if the answer does not have the form that phyphox sends, or if the experiment has no acceleration with
-    gravity. As the app writes it (phyphox-android, RemoteServer.java, handleConfig): inputs with their source, and
-    outputs as objects of one name each. An input over Bluetooth has no outputs.
+    As the app writes it (phyphox-android, RemoteServer.java, handleConfig): inputs with their source, and outputs as
+    objects of one name each. An input over Bluetooth has no outputs.
     """
     found: dict[str, tuple[str, ...]] = {}
     with _refusing("/config is not that of phyphox ({}): check the address, and update phyphox"):
@@ -320,11 +300,7 @@ def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
 
 
 def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[str, SensorRows]:
-    """Return the samples of each sensor in the answer of phyphox at /get, with times in s of the experiment.
-
-    `buffers` are the names from `phyphox_buffers`. MessageError if the answer does not have the form that phyphox
-    sends.
-    """
+    """Return the samples of each sensor in the answer of phyphox at /get, with times in s of the experiment."""
     with _refusing("/get is not that of phyphox ({}): check the address, and update phyphox"):
         content: dict[str, Any] = json.loads(answer)["buffer"]
         columns = {name: [_floats(content[buffer]["buffer"]) for buffer in buffers[name]] for name in buffers}
@@ -402,10 +378,7 @@ def _plausible(time: Any, values: FloatArray) -> SensorRows:
 
 
 def _text(item: Mapping[str, Any], key: str, otherwise: str) -> str:
-    """Return the text or integer at a key of a message as a short text that is safe to display.
-
-    `otherwise` replaces a missing or empty value.
-    """
+    """Return the text or integer at a key of a message, or `otherwise`, as a short text that is safe to display."""
     value: Any = item.get(key)
     return printable(value if isinstance(value, str | int) and value != "" else otherwise)[: limits.MAX_NAME_CHARS]
 

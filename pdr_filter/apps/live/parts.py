@@ -47,13 +47,10 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """Response of a part to one request: the answer for the sender, and the events for the open web pages.
-
-    The events are JSON texts, for all changes since the previous response.
-    """
+    """Response of a part to one request: the answer for the sender, and the events for the open web pages."""
 
     answer: Answer
-    events: list[str]
+    events: list[str]  # JSON texts, for all changes since the previous response
 
 
 class Part:
@@ -128,8 +125,5 @@ def _refusal(error: Exception) -> Answer:
 def answers_of_part(
     settings: Settings, folder: Path, part: int, n_parts: int
 ) -> Callable[[Sequence[Request]], list[Response]]:
-    """Load one part of the devices, and return the function that answers requests for this part.
-
-    A worker process calls this function once when it starts. The returned function is `Part.answer`.
-    """
+    """Load one part of the devices, and return its `Part.answer`. A worker process calls it once when it starts."""
     return Part(settings, folder, part, n_parts).answer

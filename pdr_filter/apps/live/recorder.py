@@ -45,10 +45,7 @@ class Recorder:
         folder.mkdir(parents=True, exist_ok=True)
 
     def describe(self, meta: Mapping[str, Any], config: bytes) -> None:
-        """Write the properties of the session (`meta`) and the bytes of its configuration.
-
-        Sessions with the same configuration share one file of it.
-        """
+        """Write the properties of the session, and its configuration to a file that all sessions with it share."""
         replace_file(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
         shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
         if not shared.exists():
@@ -154,10 +151,7 @@ class Recorder:
 
 
 def exported_files(folder: Path) -> dict[str, Path]:
-    """Return the files of a recording for users, by name.
-
-    They are metadata, samples, steps, fixes, ranges and the device, or the messages of a session that was not tracked.
-    """
+    """Return the files of a recording for users, or the messages of a session that was not tracked, by name."""
     names = [name for name in (*FILES, STEPS, FIXES, RANGES, DEVICE) if (folder / name).exists()]
     journal = next(folder.glob("journal_*"), None)
     if not names and journal is not None:

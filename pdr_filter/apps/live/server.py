@@ -185,10 +185,7 @@ class AccessMiddleware:
         return 401, "wrong token, or none; use the whole address that the server printed"
 
     def _with_cookie(self, asked: HTTPConnection, send: Send) -> Send:
-        """Return `send`, extended to set a cookie with the token if the address of an HTTP request has it.
-
-        A page that was opened with the token can then load the rest without it.
-        """
+        """Return `send`, extended to set a cookie with the token if the address of an HTTP request has it."""
         if not self.token or "token" not in asked.query_params or asked.scope["type"] != "http":
             return send
         secure = "; Secure" if asked.url.scheme == "https" else ""

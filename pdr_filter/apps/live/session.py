@@ -76,10 +76,7 @@ def plain_config_bytes(settings: Settings) -> bytes:
 
 
 def session_id(device: str, session: str) -> str:
-    """Return a session's name for addresses and folders.
-
-    It consists of letters of the device name and a checksum, so that no two sessions share a name.
-    """
+    """Return a session's name for addresses and folders: letters of the device name and a checksum."""
     letters = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in file_name(device))[:40]
     return f"{letters}-{hashlib.sha256(json.dumps([device, session]).encode()).hexdigest()[:12]}"
 
@@ -163,10 +160,7 @@ class DeviceSession:
         return self._ready_s >= wait_s or time.monotonic() - self._advanced_at >= 2 * wait_s
 
     def advance(self) -> list[Event]:
-        """Filter the samples of all messages that `take` received, and return the events.
-
-        Afterwards `refused` may hold the reason why the session cannot be tracked.
-        """
+        """Filter the samples of all messages that `take` received, and return the events. May set `refused`."""
         ready, self._ready, self._ready_s, self._advanced_at = self._ready, [], 0.0, time.monotonic()
         if self.refused:
             return []
@@ -211,10 +205,7 @@ class DeviceSession:
         return [*events, *self._outcomes(), *self._turned(), *self._corrected(), *self._now()]
 
     def _begun(self, samples: assembly.Streams) -> Config:
-        """Return the configuration for the sensors in the first samples, and write it and metadata to the recording.
-
-        ValueError if unit and sign of the acceleration are unknown.
-        """
+        """Return the configuration for the sensors in the first samples, and write it and metadata to the recording."""
         kind = self.assembly.kind
         if kind is None:
             raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
@@ -243,10 +234,7 @@ class DeviceSession:
         return config.with_device(Device.load(path)) if path.exists() else config
 
     def _keep_device(self) -> None:
-        """Write the gyroscope bias of the phone for its next session, if this session has taught at least half of it.
-
-        The bias counts as half taught if its variance, summed over the axes, is half of that of an unknown phone.
-        """
+        """Write the gyroscope bias of the phone for its next session, if this session has taught at least half."""
         if self.online is None:
             return
         plain, learnt = plain_config(self.settings).sensing, self.online.device
@@ -399,10 +387,7 @@ class DeviceSession:
         return [self.track()]
 
     def _corrected(self, is_due: bool = False) -> list[Event]:
-        """Return a list with a `path` event if later samples and fixes moved the drawn path by more than a metre.
-
-        The list is empty otherwise, and within two seconds of the last check unless `is_due`.
-        """
+        """Return a list with a `path` event if later samples and fixes moved the drawn path by more than a metre."""
         if self.online is None or (time.monotonic() - self._drawn_at < _CORRECTED_S and not is_due):
             return []
         self._drawn_at = time.monotonic()
@@ -421,18 +406,12 @@ class DeviceSession:
         return {"event": "path", "id": self.id, "path": self._drawn}
 
     def track(self) -> Event:
-        """Return the event with the session and its path.
-
-        The path has time, east, north and covariance (ee, en, nn) after each step.
-        """
+        """Return the event with the session and its path: time, east, north, covariance (ee, en, nn) of each step."""
         silent_s = time.monotonic() - self.seen_at
         return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path}
 
     def rest(self) -> list[Event]:
-        """Return a list with a `now` event for the last samples if they came too soon after the previous event.
-
-        The list is empty if there are no such samples.
-        """
+        """Return a `now` event for the last samples if they came too soon after the previous event."""
         return self._now(is_due=True, is_live=False) if self._is_untold else []
 
     def snapshot(self) -> list[Event]:
@@ -490,10 +469,7 @@ class DeviceSession:
 
 
 def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]:
-    """Push samples of all sensors to a filter and return its updates.
-
-    Long stretches, such as those after an outage, are pushed in parts.
-    """
+    """Push samples of all sensors to a filter, long stretches in parts, and return its updates."""
     begin_s = min(float(stream.time_s[0]) for stream in samples.values())
     parts = {name: np.floor((stream.time_s - begin_s) / _PART_S) for name, stream in samples.items()}
     updates: list[StepUpdate] = []

@@ -65,10 +65,7 @@ def told(take: Taker, name: str, say: Callable[[str], None]) -> Taker:
 
 
 async def replay(recording: Recording, speed: float, take: Taker) -> None:
-    """Send the samples of a recording as messages, in real time or `speed` times faster.
-
-    It returns when the recording ends or the server refuses a message.
-    """
+    """Send the samples of a recording as messages, in real time or `speed` times faster."""
     streams = {name: samples for name, samples in recording.streams.items() if name in N_VALUES and name != "attitude"}
     time_s = recording.accelerometer.time_s
     # In recorded order: what a recording's clock did is replayed too. Other sensors go with the samples of their time.
@@ -93,10 +90,7 @@ async def replay(recording: Recording, speed: float, take: Taker) -> None:
 
 
 async def again(name: str, source: Callable[[], Awaitable[None]], say: Callable[[str], None]) -> None:
-    """Run a source for ever, and restart it 2 s after its connection breaks.
-
-    Each new reason is passed to `say`, after the name of the source.
-    """
+    """Run a source for ever, and restart it 2 s after its connection breaks."""
     said = ""
     while True:
         try:
@@ -188,10 +182,7 @@ def _got(address: str) -> bytes:
 
 
 async def sensor_server(address: str, session: str, take: Taker) -> None:
-    """Receive samples from an Android phone with SensorServer, and pass them to `take`, until the connection breaks.
-
-    The WebSocket of the app sends one sample per message. The samples of 0.2 s become one message of the session.
-    """
+    """Receive samples from an Android phone with SensorServer, and pass them to `take` every 0.2 s, until it breaks."""
     from websockets.asyncio.client import connect
 
     address = _with_scheme(address, "ws").rstrip("/")

@@ -41,10 +41,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class Share(Protocol):
-    """Interface of a worker that serves a share of the devices and their sessions.
-
-    `Process` implements it with a process on this computer, and `cluster.Actor` with an actor of a Dask cluster.
-    """
+    """Interface of a worker that serves a share of the devices and their sessions."""
 
     async def ask(self, requests: Sequence[Request]) -> list[Response]:
         """Return an answer to each request. LostError if the process or actor has died. Calls must not overlap."""
@@ -55,8 +52,8 @@ class Share(Protocol):
         ...
 
 
-class Process:
-    """Worker process on this computer that serves a share of the devices (implements `Share`)."""
+class Process(Share):
+    """Worker process on this computer that serves a share of the devices."""
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
         self._process = WorkerProcess(answers_of_part, settings, folder, part, n_parts)
@@ -70,11 +67,9 @@ class Process:
         return made
 
     async def ask(self, requests: Sequence[Request]) -> list[Response]:
-        """Return an answer to each request; LostError if the process is gone."""
         return await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, requests)
 
     async def close(self) -> None:
-        """Save all sessions and end the process."""
         await self.ask([Command.SAVE])
         self._process.close()
 
@@ -100,18 +95,12 @@ class _Worker:
         self._running: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Start the process that serves this worker's share of the devices, and return when it is ready for requests.
-
-        The process may be on another computer. TimeoutError if it is not ready within `_START_S`.
-        """
+        """Start the process that serves this worker's share. TimeoutError if it is not ready within `_START_S`."""
         share = await asyncio.wait_for(self._start(), _START_S)
         self._running = asyncio.create_task(self._run(share))
 
     async def ask(self, request: Request) -> Answer:
-        """Return the answer to a request, from the present share or from its successor.
-
-        The status is 503 if too many requests wait or the worker is closed.
-        """
+        """Return the answer to a request, with status 503 if too many requests wait or the worker is closed."""
         if len(self._waiting) >= _MAX_WAITING or self._closed:
             return Answer(503, {"error": "too much at once; send it again later"})
         waiting = _Waiting(request, asyncio.get_running_loop().create_future())
@@ -128,10 +117,7 @@ class _Worker:
                 await asyncio.wait_for(self._running, _CLOSE_S)
 
     async def _run(self, share: Share) -> None:
-        """Pass requests to the share, or to its replacement after it died.
-
-        The method returns when the worker is closed and all requests are answered.
-        """
+        """Pass requests to the share, or to its replacement after it died, until the worker is closed."""
         ticked_at = time.monotonic()
         while self._waiting or not self._closed:
             batch = list(islice(self._waiting, 1 if self._n_alone else _AT_ONCE))

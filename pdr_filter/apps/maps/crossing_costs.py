@@ -146,10 +146,7 @@ class Ground:
 
     @cached_property
     def _choice_costs(self) -> _Field:
-        """Cost of walking `look_m` straight on from each cell, as a flattened array (n_rows n_columns,).
-
-        The cost is the negative log of the probability of such a walk, averaged over all directions.
-        """
+        """Cost (n_rows n_columns,) of walking `look_m` straight on from each cell, averaged over all directions."""
         n_rows, n_columns = self.storey.cells.shape
         height, n = self.height.reshape(n_rows, n_columns), round(self.terrain.look_m / CELL_M)
         around = np.pad(height, n, constant_values=self.terrain.outside)

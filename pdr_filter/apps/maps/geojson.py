@@ -61,12 +61,7 @@ class _RawFeature:
 def read_plan(
     path: str | Path, origin: Origin | tuple[float, float] | None = None
 ) -> tuple[str, tuple[Storey, ...], Origin | None, tuple[str, ...]]:
-    """Return the name, storeys, origin and notes of a GeoJSON FeatureCollection, which are the fields of a `FloorPlan`.
-
-    Each feature has a property "type", and may have "floor" and "name". Coordinates are metres east and north, or
-    longitude and latitude. Longitudes and latitudes are converted to metres from `origin`, by default from the middle
-    of the plan. Invalid files raise ValueError.
-    """
+    """Return the name, storeys, origin and notes of a file, the fields of a `FloorPlan` (see `FloorPlan.read`)."""
     path = Path(path)
     if not path.exists():
         raise ValueError(f"{path}: no such file; check the path")
@@ -139,11 +134,7 @@ def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _RawFeatu
 
 
 def _in_metres(drawn: Sequence[_RawFeature], origin: Origin | None) -> tuple[list[_RawFeature], Origin | None]:
-    """Return the features in metres, and the origin: the given one, or else the middle of a plan in degrees.
-
-    The origin of a plan in metres is the given one or None. Raises ValueError for coordinates that are neither metres
-    of one building nor degrees.
-    """
+    """Return the features in metres, and the origin: the given one, or the middle of a plan in degrees, or None."""
     import shapely
 
     for d in drawn:

@@ -58,16 +58,13 @@ _KINDS: dict[str, tuple[type, ...]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marks:
-    """Marks of one walk: positions, loop closures and person that a user has set, from files in `folder`.
-
-    `person` is the path of the file with the step lengths of the person. `walk` is the content of `walk.json`.
-    """
+    """Marks of one walk: positions, loop closures and person that a user has set, from files in `folder`."""
 
     folder: Path
     fixes: tuple[PositionFix | HeadingFix, ...] = ()
     loop_closures: tuple[LoopClosure, ...] = ()
-    person: Path | None = None
-    walk: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    person: Path | None = None  # file with the step lengths of the person
+    walk: Mapping[str, Any] = field(default_factory=dict[str, Any])  # content of `walk.json`
     names: tuple[str, ...] = ()  # names of the mark files that exist
 
     @property
@@ -185,19 +182,13 @@ def marks_in(folder: Path) -> Marks:
 
 
 def mark_files(folder: Path) -> dict[str, bytes]:
-    """Return the contents of the files of marks that exist in a folder, by name.
-
-    Marks are positions, loop closures and the person that a user has set for a walk. An interrupted save is completed.
-    """
+    """Return the contents of the files of marks in a folder, by name. An interrupted save is completed."""
     _finish(folder)
     return {n: read_small(folder / n, limits.MAX_WHOLE_BYTES) for n in NAMES if (folder / n).exists()}
 
 
 def checksum_of(recording: Path) -> str:
-    """Return the checksum (SHA-256) of the bytes of a recording, without hidden files and without its marks.
-
-    Marks are the files in which a user has set positions, loop closures and the person (`NAMES`).
-    """
+    """Return the checksum (SHA-256) of the bytes of a recording, without hidden files and without its marks."""
     path, inside = outside(recording)
     found = hashlib.sha256(inside.encode())
     files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file() and p.name not in NAMES)
@@ -212,18 +203,12 @@ def checksum_of(recording: Path) -> str:
 
 
 def version_of(files: Mapping[str, bytes]) -> str:
-    """Return a checksum (16 hex digits) of the contents of files, by name, such as the result of `mark_files`.
-
-    It shows whether another program has changed the files.
-    """
+    """Return a checksum (16 hex digits) of files, which shows whether another program has changed them."""
     return hashlib.sha256(b"\0".join(p for n in sorted(files) for p in (n.encode(), files[n]))).hexdigest()[:16]
 
 
 def write_mark_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Replace all files of marks in a folder by `files`, the new contents by name.
-
-    Files of marks without a new content are deleted. A kill at any moment leaves all the old ones or all the new ones.
-    """
+    """Replace all files of marks in a folder. A kill at any moment leaves all the old ones or all the new ones."""
     old = mark_files(folder)
     if dict(files) == old:
         return
@@ -247,10 +232,9 @@ def _finish(folder: Path) -> None:
 
 
 def table_rows(name: str, content: bytes) -> list[list[float | None]]:
-    """Return the numbers in a CSV file of marks, which are the fixes or loop closures that a user has set for a walk.
+    """Return the rows of the CSV file of marks `name` with the bytes `content`.
 
-    `name` is the name of the file, `content` its bytes. Each row has the columns of that file in their order. An empty
-    cell or a missing column is None, except for a standard deviation, which has its default.
+    An empty cell or a missing column is None, except for a standard deviation, which has its default.
     """
     rows = csv.DictReader(io.StringIO(content.decode()))
     default = {"std_m": _STD_M[name]}
@@ -258,10 +242,9 @@ def table_rows(name: str, content: bytes) -> list[list[float | None]]:
 
 
 def table_bytes(name: str, rows: list[list[float | None]]) -> bytes:
-    """Return the bytes of a CSV file of marks with the name `name`, with all digits of its rows. None is an empty cell.
+    """Return the bytes of the CSV file of marks `name`, with all digits of its rows. None is an empty cell.
 
-    The columns of headings exist only if a heading is known, and the column of storeys only if a storey is known. Cells
-    that are missing at the end of a row are empty.
+    Columns of headings and storeys exist only if one is known. Missing cells at the end of a row are empty.
     """
     columns = _COLUMNS[name]
     whole = [[*row, *[None] * (len(columns) - len(row))] for row in rows]

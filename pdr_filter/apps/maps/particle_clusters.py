@@ -33,9 +33,8 @@ def on_plan(
 
     The particles have positions (N, 2), weights (N,) that sum to one, and walking headings (N,). With the probability
     `elsewhere`, no particle is at the true position. `alternative` is the position in that case, or None if unknown.
-    The returned mean is the mean of the particles in any case, because it is a walkable position. The covariance is the
-    mean square of both alternatives about that mean. Clusters are particles in touching cells, in descending order of
-    their weight. Clusters with less than a hundredth of the weight are left out.
+    The returned mean is the mean of the particles in any case, because it is a walkable position. Clusters are in
+    descending order of their weight.
     """
     mean, cov = weighted_moments(position_m, weight)
     cov = inflated_cov(mean, cov, alternative)
@@ -53,11 +52,7 @@ def on_plan(
 
 
 def inflated_cov(mean_m: FloatArray, cov_m2: FloatArray, alternative: Alternative | None) -> FloatArray:
-    """Return the covariance of the particles inflated by an alternative distribution.
-
-    The result is the mean square of the mixture about `mean_m` (2,). If `alternative` is None, the covariance is
-    returned unchanged.
-    """
+    """Return the mean square about `mean_m` (2,) of a mixture of the particles and an alternative, if there is one."""
     if alternative is None:
         return cov_m2
     prob, away = alternative.prob, alternative.mean_m - mean_m

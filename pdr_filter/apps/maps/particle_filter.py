@@ -400,10 +400,7 @@ class ParticleFilter:
         return self._resampled(state, now, must_count=update.index % _COUNT_STEPS == 0)
 
     def _after_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
-        """Return the state after a time without samples.
-
-        Positions and headings diffuse, because the pedestrian may have walked in any direction.
-        """
+        """Return the state after a time without samples, in which the pedestrian may have walked in any direction."""
         if len(state.weight) == 0:
             return state
         rng, state = self._random(state)
@@ -730,10 +727,7 @@ def _turned_rad(pedestrian: PedestrianState) -> float:
 
 
 def _in_turned_frame(state: ParticleState, pedestrian: PedestrianState) -> ParticleState:
-    """Return the state with the rotations of its particles relative to the tracker's present frame.
-
-    They decrease by the angle by which fixes have rotated the tracker's frame since the last event.
-    """
+    """Return the state with the rotations of its particles relative to the tracker's present frame."""
     by_rad = _turned_rad(pedestrian) - state.turned_rad
     if by_rad == 0.0:
         return state

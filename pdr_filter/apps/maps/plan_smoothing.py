@@ -69,10 +69,7 @@ class _Event(NamedTuple):
 
 
 class _Recorder:
-    """Plan stage that passes all events to a particle filter and records its states in `events`.
-
-    The record needs many times the memory of the online filter.
-    """
+    """Plan stage that passes all events to a particle filter and records its states in `events`."""
 
     def __init__(self, particle_filter: ParticleFilter) -> None:
         self.events: list[_Event] = []
@@ -200,10 +197,7 @@ def _before_drawing(event: _Event, drawn: _Ancestors) -> _Ancestors:
 
 
 class _Row(NamedTuple):
-    """Smoothed estimate of one step: position, length, and means and standard deviations of offset and log scale.
-
-    `is_off_plan` is True if most of the weight is in walls, in holes or outside the outline.
-    """
+    """Smoothed estimate of one step: position, length, and means and standard deviations of offset and log scale."""
 
     cluster: Cluster
     length_m: float
@@ -211,15 +205,11 @@ class _Row(NamedTuple):
     offset_std: float  # rad
     log_scale: float
     log_scale_std: float
-    is_off_plan: bool
+    is_off_plan: bool  # most of the weight is in walls, in holes or outside the outline
 
 
 def _row(ancestors: _Ancestors, alternative: Alternative | None, ground: Ground | None) -> _Row:
-    """Return the smoothed estimate of one step.
-
-    `alternative` is the position if no particle is at the true position, or None if unknown. `ground` has the cells of
-    the storey.
-    """
+    """Return the smoothed estimate of one step."""
     event, particles, weight, elsewhere = ancestors
     offset_rad, log_scales = particles[:, OFFSET], particles[:, SCALE]
     position_m, cov_m2 = weighted_moments(particles[:, [EAST, NORTH]], weight)

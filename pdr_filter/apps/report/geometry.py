@@ -56,10 +56,7 @@ def places_at(track: TrackRows, row: int) -> list[Cluster]:
 
 
 def storeys_of(plan: FloorPlan | None, floors: Iterable[int]) -> list[Storey]:
-    """Return the storeys of a plan that a track has visited.
-
-    The only storey of a plan is always returned. Without a plan the list is empty.
-    """
+    """Return the storeys of a plan that a track has visited, or the only storey. Without a plan the list is empty."""
     seen = set(floors)
     return [s for s in plan.storeys if len(plan.storeys) == 1 or s.floor in seen] if plan is not None else []
 

@@ -76,11 +76,7 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
 
 
 def _groups(track: TrackRows, shown: IntArray) -> dict[str, Any]:
-    """Return the groups by which steps are coloured: contexts, and floors if the track has more than one.
-
-    Each entry has the names and colours of its groups, and the group of each step in `shown`, the steps that the page
-    draws.
-    """
+    """Return the groups by which steps are coloured: contexts, and floors if the track has more than one."""
     colours = palette.context_colours(track.contexts)
     kinds = {"contexts": _group(colours, track.context_prob[shown].argmax(axis=1))}
     floors = palette.floor_colours(track.floor.tolist())
@@ -134,10 +130,7 @@ def _ellipses(cov_m2: FloatArray) -> tuple[tuple[FloatArray, FloatArray], FloatA
 
 
 def _with_ellipse(track: TrackRows, shown: IntArray, major_m: FloatArray) -> list[int]:
-    """Return the indices of the steps whose error ellipse is always drawn: at equal distances, and the last.
-
-    The indices refer to `shown`, the steps that the page draws.
-    """
+    """Return the indices of the steps whose error ellipse is always drawn: at equal distances, and the last."""
     if not len(shown):
         return []
     nearest = np.clip(np.searchsorted(shown, ellipse_rows(track.step_length_m)), 0, len(shown) - 1)
@@ -166,8 +159,7 @@ def _windows(track: TrackRows, most: int) -> dict[str, Any]:
 def _places(track: TrackRows, row: int) -> list[list[float | None]]:
     """Return the possible positions on a floor plan after a step, at most four, or an empty list if there is only one.
 
-    Each has the probability in per cent, east and north, and half axes and angle of its ellipse. `row` is the index of
-    the step.
+    Each has the probability in per cent, east and north, and half axes and angle of its ellipse.
     """
     found: list[list[float | None]] = []
     for place in places_at(track, row)[:_MAX_PLACES]:
@@ -178,10 +170,7 @@ def _places(track: TrackRows, row: int) -> list[list[float | None]]:
 
 
 def _plan(plan: FloorPlan | None, track: TrackRows) -> list[dict[str, Any]]:
-    """Return the shapes of the storeys that the track has visited, in drawing order. Empty without a plan.
-
-    Each has its fill colour (None for a line), its edge colour, and its rings or lines in m.
-    """
+    """Return the shapes of the storeys that the track has visited, in drawing order. Empty without a plan."""
     return [
         {
             "fill": colour if feature.is_area else None,

@@ -87,10 +87,7 @@ class Chain:
         return node, np.where(inside[:, None], intervals.sum_m[np.maximum(step - 1, 0)], 0.0)
 
     def position_m(self, step: IntArray) -> FloatArray:
-        """Return the positions (n, 2) of points of the chain, in the frame of the walk alone.
-
-        A point is given by the number of steps before it.
-        """
+        """Return the positions (n, 2), in the frame of the walk alone, of points after numbers of steps."""
         node, ahead = self.node_of(step)
         rotation = scaled_rotation(self.mean[node, HEADING_OFFSET], self.mean[node, LOG_SCALE])
         return self.mean[node, :2] + np.einsum("nab,nb->na", rotation, ahead)

@@ -81,10 +81,7 @@ def plan_text(walks: Sequence[MappedWalk]) -> str:
 def map_report(
     walks: Sequence[MappedWalk], apart: Sequence[tuple[str, str]], moved: Sequence[int], notes: Sequence[str]
 ) -> str:
-    """Return the HTML page with the paths of each group and storey, and lists of walks and moved access points.
-
-    `apart` has the name and the reason of each walk that was not joined. `notes` are the warnings, at the top.
-    """
+    """Return the HTML page with the paths of each group and storey, and lists of walks and moved access points."""
     drawings: list[dict[str, Any]] = []
     for group in sorted({w.group for w in walks}):
         own = [w for w in walks if w.group == group]
@@ -100,10 +97,7 @@ def map_report(
 
 
 def _drawing(walks: Sequence[MappedWalk], floor: int) -> dict[str, Any]:
-    """Return the size of the picture of a storey and its paths: points in pixels, colour and name, north up.
-
-    `scale` is in pixels per metre.
-    """
+    """Return the size of the picture of a storey and its paths: points in pixels, colour and name, north up."""
     paths = [w.position_m[w.floor == floor] for w in walks]
     at_m = np.concatenate(paths)
     low, high = at_m.min(axis=0) - 5.0, at_m.max(axis=0) + 5.0

@@ -54,19 +54,14 @@ _MOST_STD_M = _ACCURATE_M / 1.96
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _JoinedGroup:
-    """Group of joined walks in one frame.
+    """Group of joined walks in one frame, with the values of its n walks in tuples."""
 
-    `pose` and `state` have the rigid pose (rotation, shift, storey) and the solved states of each walk, whose indices
-    among the chains are in `number`. The walks in `seeds` define the frame. `north_rad` is the deviation of the frame
-    from magnetic north. `is_known` is True if known positions define the frame.
-    """
-
-    number: tuple[int, ...]
-    pose: tuple[WalkPose, ...]
-    state: tuple[States, ...]
-    seeds: tuple[int, ...]
-    north_rad: float
-    is_known: bool
+    number: tuple[int, ...]  # indices among the chains
+    pose: tuple[WalkPose, ...]  # rigid poses
+    state: tuple[States, ...]  # solved states
+    seeds: tuple[int, ...]  # indices of the walks that define the frame
+    north_rad: float  # deviation of the frame from magnetic north
+    is_known: bool  # True if known positions define the frame
 
     @property
     def states(self) -> dict[int, States]:
@@ -476,10 +471,7 @@ def map_walks(
 
 
 def _by_name(known: Iterable[tuple[str, object]], chains: Sequence[Chain]) -> dict[str, list[Known]]:
-    """Return the known positions and headings of each walk, by its name.
-
-    ValueError for a name that no chain has, for a time outside of the walk, and for other kinds of fixes.
-    """
+    """Return the known positions and headings of each walk, by its name."""
     names, found = {c.name: c.span_s for c in chains}, dict[str, list[Known]]()
     for name, fix in known:
         if name not in names:
@@ -521,9 +513,8 @@ def _chains_of(
 ) -> tuple[list[Chain], list[tuple[str, str]], list[tuple[str, Known]]]:
     """Return the chains of recordings, the names and reasons of unusable recordings, and the fixes in their marks.
 
-    A chain is a walk reduced to knots and scans. No two chains have the same name, and copies of a recording are
-    unusable. Marks are the files beside a recording (`read_marks`), and each of their fixes comes with the name of its
-    walk. `taken` has the names of earlier chains, and `keys` their names by key.
+    No two chains have the same name, and copies of a recording are unusable. Each fix comes with the name of its walk.
+    `taken` has the names of earlier chains, and `keys` their names by key.
     """
     items = [r if isinstance(r, Recording) else str(r) for r in recordings]
     work = partial(cached_chain, cache=None if cache is None else str(cache), salt=salt)
@@ -639,10 +630,7 @@ def _mapped(
 def _consistent_fixes(
     chains: Sequence[Chain], known: Mapping[str, Sequence[Known]], north: tuple[float, float]
 ) -> tuple[dict[int, list[Known]], list[str]]:
-    """Return the fixes of each walk, by its index, that do not contradict its steps or each other, and notes.
-
-    `known` has all fixes by the names of the walks. The notes name the other fixes.
-    """
+    """Return the fixes of each walk, by its index, that do not contradict its steps or each other, and notes."""
     fixes, notes = dict[int, list[Known]](), list[str]()
     for i, chain in enumerate(chains):
         if chain.name in known:
@@ -658,10 +646,7 @@ def _consistent_fixes(
 
 
 def _storeys_without_map(groups: Sequence[_JoinedGroup], heard: set[int]) -> list[str]:
-    """Return a note for each storey with a known walk, to which none of the other walks with scans was joined.
-
-    `heard` has the indices of all walks with scans.
-    """
+    """Return a note for each storey with a known walk, to which none of the other walks with scans was joined."""
     left = heard - {i for g in groups if g.is_known for i in g.number}
     with_seeds = {g.poses[i].floor for g in groups if g.is_known for i in g.seeds}
     with_others = {g.poses[i].floor for g in groups if g.is_known for i in g.number if i not in g.seeds}
@@ -737,10 +722,7 @@ def _result(
     salt: str | None,
     north: tuple[float, float],
 ) -> WalkMap:
-    """Return the map of solved groups, with positions and covariances of all their walks.
-
-    `apart` has the names and reasons of the walks that were not joined, and `notes` has the warnings.
-    """
+    """Return the map of solved groups, with positions and covariances of all their walks."""
     found = list[MappedWalk]()
     for number, group in enumerate(groups):
         for i, pose, state in zip(group.number, group.pose, group.state, strict=True):

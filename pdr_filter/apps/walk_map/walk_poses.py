@@ -56,14 +56,11 @@ PACES = 2, 8
 
 @dataclass(slots=True)
 class WalkPose:
-    """Pose of a walk in a group: position = scale R(turn) own + shift, with a clockwise turn.
-
-    `own` is the position of a point in the frame of the walk alone. `floor` is the storey of the start of the walk.
-    """
+    """Pose of a walk in a group: position = scale R(turn) own + shift, with a clockwise turn."""
 
     turn_rad: float
     shift_m: FloatArray
-    floor: int = 0
+    floor: int = 0  # storey of the start of the walk
     scale: float = 1.0
 
     def of(self, own_m: FloatArray) -> FloatArray:
@@ -84,17 +81,12 @@ UNKNOWN_NORTH = 0.0, 0.12
 
 @dataclass(slots=True)
 class JoinedWalks:
-    """Joined walks in one frame.
+    """Joined walks in one frame."""
 
-    `poses` has the pose of each walk, by the index of the walk. The walks in `seeds` define the frame by the
-    given poses, and are never removed. `north_rad` is the deviation of the frame from magnetic north, and `north` its
-    prior mean and standard deviation.
-    """
-
-    poses: dict[int, WalkPose]
-    seeds: Mapping[int, WalkPose]
-    north_rad: float = 0.0
-    north: tuple[float, float] = UNKNOWN_NORTH
+    poses: dict[int, WalkPose]  # by the index of the walk
+    seeds: Mapping[int, WalkPose]  # walks that define the frame by these poses, and are never removed
+    north_rad: float = 0.0  # deviation of the frame from magnetic north
+    north: tuple[float, float] = UNKNOWN_NORTH  # prior mean and standard deviation of `north_rad`
 
 
 @dataclass(slots=True)
@@ -143,7 +135,7 @@ def partners_of(walks: ScannedWalks) -> list[set[int]]:
 
     Two scans make their walks partners if the scalar product of their fingerprints, without components below 0.1, is at
     least `_PARTNER_COSINE`. Every scan is compared with every third scan only, because neighbouring scans of a walk are
-    nearly at the same place. The product is computed in blocks of rows, which limits its memory.
+    nearly at the same place.
     """
     found: list[set[int]] = [set() for _ in walks.chains]
     # the loudest access points suffice to find candidates, and keep the lists of the index short
@@ -413,13 +405,9 @@ def log_evidence(walks: ScannedWalks, group: JoinedWalks) -> float:
 
 @dataclass(slots=True, eq=False)
 class JointPoses:
-    """Normal equations of the rigid poses of n walks, at their present values.
+    """Normal equations of the rigid poses of n walks: rotation, east, north and log scale of each, then north."""
 
-    The unknowns are rotation, east, north and log scale of each walk, and the deviation of the frame from magnetic
-    north. `objective` is the log posterior density.
-    """
-
-    objective: float
+    objective: float  # log posterior density
     slope: FloatArray  # (4 n + 1,)
     information: FloatArray  # (4 n + 1, 4 n + 1)
 

@@ -61,12 +61,7 @@ class _Process:
 
 
 class Workbench:
-    """Recordings of one folder, the worker processes that smooth them, and the open pages of the workbench.
-
-    The workbench is a local web application that shows the walks of a folder and edits their marks. Marks are the
-    fixes, loop closures, person and settings that the user sets for a walk. The pages (browsers) receive events about
-    the walks from here.
-    """
+    """Recordings of one folder, the worker processes that smooth them, and the open pages of the workbench."""
 
     def __init__(self, folder: Path, n_processes: int | None = None) -> None:
         self.folder, self.walks = folder, Walks(folder)
@@ -80,10 +75,7 @@ class Workbench:
         self._scanning, self._scanned_s = asyncio.Lock(), -_SCAN_S
 
     async def start(self) -> None:
-        """Start the background tasks that process walks and look for new recordings.
-
-        OSError if the folder cannot be written.
-        """
+        """Start the background tasks that process walks and look for new recordings."""
         shutil.rmtree(self.incoming, ignore_errors=True)  # of a server that was killed
         for folder in (self.cache, self.incoming):
             folder.mkdir(parents=True, exist_ok=True)
@@ -120,10 +112,7 @@ class Workbench:
         return await self._quick.ask(method, *arguments)
 
     async def show(self, walk: Walk) -> dict[str, Any]:
-        """Process a walk with its present marks in the worker process of open pages, and return its summary.
-
-        The process keeps the recording in memory, so that it answers quickly when the user changes the marks again.
-        """
+        """Process a walk with its present marks in the worker process of open pages, and return its summary."""
         walk.summary = await self.quick("walk", str(walk.path), True)
         walk.state, walk.reason = "done", ""
         self.tell(walk.event())
@@ -165,10 +154,7 @@ class Workbench:
         self.broadcast.send(json.dumps(event))
 
     def events(self) -> AsyncIterator[str]:
-        """Yield one page's events as JSON texts: first the state of all walks, then each event.
-
-        An empty text is yielded from time to time if there is no event.
-        """
+        """Yield one page's events as JSON texts: first the state of all walks, then each event."""
         return self.broadcast.events(self._present)
 
     async def _present(self) -> list[dict[str, Any]]:

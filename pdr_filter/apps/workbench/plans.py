@@ -62,10 +62,7 @@ class Plans:
         return self.folder / f"{name}.{floor}.png"
 
     def load(self, name: str) -> dict[str, Any]:
-        """Return a plan in metres as the editor knows it: version, features, storeys, georeference and problems.
-
-        Features in degrees become metres in the frame of the picture. ValueError if the plan does not exist.
-        """
+        """Return a plan in metres as the editor knows it: version, features, storeys, georeference and problems."""
         path = self._existing(name)
         content = read_json(path, limits.MAX_PLAN_BYTES)
         properties = content.get("properties") or {}
@@ -113,10 +110,7 @@ class Plans:
         return path
 
     def _checked(self, path: Path, features: list[dict[str, Any]]) -> dict[str, Any]:
-        """Return the `problems` of a drawn plan, and as `reason` the error message of `FloorPlan.read`.
-
-        The message is empty if the plan is valid or has no features.
-        """
+        """Return the `problems` of a drawn plan, and as `reason` the error message of `FloorPlan.read`."""
         found: dict[str, Any] = {"problems": [], "reason": ""}
         if features:
             with suppress(Exception):  # whatever a damaged geometry provokes; `FloorPlan.read` gives the reason

@@ -267,10 +267,7 @@ class RadioMap:
         return found
 
     def _located(self, wifi: Wifi) -> Iterator[_LocatedScan]:
-        """Yield the position distribution of each scan with at least `_MIN_ACCESS_POINTS` access points of the map.
-
-        It is that on the most probable storey of the scan.
-        """
+        """Yield the position distribution of each usable scan, on its most probable storey."""
         scans = [s for s in wifi.scans() if np.isin(s.bssid, self.bssid).sum() >= _MIN_ACCESS_POINTS]
         if not scans:
             return
@@ -345,16 +342,13 @@ class RadioMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _LocatedScan:
-    """Position distribution of a scan on its most probable storey: probabilities of the cells of the field there.
-
-    `floor_prob` is the probability of the storey.
-    """
+    """Position distribution of a scan on its most probable storey: probabilities of the cells of the field there."""
 
     scan: WifiScan
     field: Field
     prob: FloatArray  # (G,) probability of each cell, sums to one
     floor: float  # NaN if unknown
-    floor_prob: float
+    floor_prob: float  # probability of the storey
 
     @property
     def sure_floor(self) -> int | None:

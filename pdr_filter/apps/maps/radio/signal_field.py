@@ -43,10 +43,7 @@ MARGIN_M = 30.0
 
 
 def fingerprints(scan: IntArray, access_point: IntArray, rssi_dbm: FloatArray, shape: tuple[int, int]) -> csr_matrix:
-    """Return the fingerprints (S, A) of measurements (H,), scaled like the fingerprint of a `WifiScan`.
-
-    `shape` is (S, A): the numbers of scans and of access points.
-    """
+    """Return the fingerprints, in a matrix of `shape` (S, A), of measurements (H,), scaled as in `WifiScan`."""
     level = loudness(rssi_dbm)
     norm = np.sqrt(np.bincount(scan, level**2, minlength=shape[0]))
     return csr_matrix((level / norm[scan], (scan, access_point)), shape=shape)
