@@ -290,10 +290,7 @@ def _of_cells(cells: Sequence[str], contexts: Sequence[str]) -> Row:
 
 
 def row_of(task: Task, result: Track) -> Row:
-    """Return the row of the batch table for a recording that was tracked.
-
-    It has the fields of its task, and the results of its track.
-    """
+    """Return the row of the batch table for a recording that was tracked."""
     seconds = result.context_seconds()
     end_m = result.end_position_m
     return Row(
@@ -311,10 +308,7 @@ def row_of(task: Task, result: Track) -> Row:
 
 
 def failed_row(task: Task, reason: str) -> Row:
-    """Return the row of the batch table for a recording that could not be tracked.
-
-    It has the fields of its task, and the reason. Its results are None.
-    """
+    """Return the row of the batch table for a recording that could not be tracked, without results."""
     name = _one_line(Path(task.path).stem)
     return Row(**asdict(task), status=_FAILED, reason=_one_line(reason), name=name)
 

@@ -187,10 +187,7 @@ def each_file(
 
 
 def exit_if_failed(failed: Mapping[Path, str], n_files: int) -> None:
-    """Exit with code 2 if all files failed, and with code 1 if some failed.
-
-    With several files, also print which files failed. The error of a single file has been printed before.
-    """
+    """Exit with code 2 if all files failed, and with code 1 if some failed. Of several files, print which."""
     if not failed:
         return
     if n_files == 1:
@@ -347,10 +344,7 @@ def estimates(
 
 
 def write_map(result: Track, path: Path) -> Path:
-    """Write a track as GeoJSON and return the path.
-
-    A track without a geographic origin is written in local metres. The file name and the content then say so.
-    """
+    """Write a track as GeoJSON, in local metres if it has no geographic origin, and return the path."""
     return result.to_local_geojson(path) if result.origin is None else result.to_geojson(path)
 
 

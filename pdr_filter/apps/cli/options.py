@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_type_hi
 
 import typer
 
-from pdr_filter.values import Plan, limits
+from pdr_filter.values import limits
 from pdr_filter.values.georeference import Georeference, GnssUse, NorthUse, texts
 from pdr_filter.values.recording import check_height
 
@@ -134,12 +134,14 @@ class GeoreferenceOptions:
 
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments for `pdr_filter.track` and `pdr_filter.smooth`."""
+        from pdr_filter.apps.maps.floor_plan import FloorPlan
+
         georeference = Georeference(
             gnss=self.gnss,
             origin=origin_deg(self.origin),
             heading_rad=_heading_rad(self.heading),
             north=self.north,
-            plan=None if self.plan is None else _plan(self.plan),
+            plan=None if self.plan is None else FloorPlan.read(self.plan),
             start=_place(self.start),
         )
         return {field.name: getattr(georeference, field.name) for field in fields(georeference)}
@@ -158,12 +160,6 @@ class Source:
 
         recording = pdr.read(file, self.file_format)
         return recording if self.height_m is None else recording.of_height(self.height_m)
-
-
-def _plan(path: Path) -> Plan:
-    from pdr_filter.apps.maps.floor_plan import FloorPlan
-
-    return FloorPlan.read(path)
 
 
 def _place(start: str | None) -> Any:

@@ -236,7 +236,7 @@ def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
     Sensors without samples are left out. Values that the phone had stored long before the session are dropped. Linear
     acceleration waits in the state until gravity is known.
     """
-    kind = _kind_of(state)
+    kind = kind_of(state)
     state, times_s = _on_one_clock(state, message, kind)
     found: Streams = {}
     for name, time_s in times_s.items():
@@ -259,10 +259,10 @@ def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
 
 def _whole(state: Assembly, force: Samples) -> Streams:
     """Return the specific force in m/s2 with the sign of Android, or no stream if it has no samples."""
-    return {FORCE: Samples(force.time_s, _kind_of(state).scale * force.values)} if len(force) else {}
+    return {FORCE: Samples(force.time_s, kind_of(state).scale * force.values)} if len(force) else {}
 
 
-def _kind_of(state: Assembly) -> Kind:
+def kind_of(state: Assembly) -> Kind:
     """Return the kind of acceleration that was found in the first samples of the session. ValueError before them."""
     if state.kind is None:
         raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
@@ -383,7 +383,8 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
         _check_rate(recent, unit_s)
         return f"{PRELUDE_S:g} s of samples are needed, {span_s:.1f} s are there"
     first = {name: together(messages, name) for name in (FORCE, LINEAR, GRAVITY, RAW, "attitude")}
-    force = next((name for name in (FORCE, LINEAR, RAW) if _is_usable(name, first)), None)
+    usable = [name for name in (FORCE, LINEAR, RAW) if name != LINEAR or first[GRAVITY] is not None]
+    force = next((name for name in usable if first[name] is not None), None)
     rows = None if force is None else first[force]
     if force is None or rows is None:
         words = (
@@ -409,10 +410,6 @@ def _check_rate(time: Any, unit_s: float) -> None:
         f"times must be {unit}, got {len(time)} samples within {span_s:.3g} s: the unit is another one, or the clock "
         f"of the phone stands still; send {unit}"
     )
-
-
-def _is_usable(name: str, first: Mapping[str, SensorRows | None]) -> bool:
-    return first[name] is not None and (name != LINEAR or first[GRAVITY] is not None)
 
 
 def _scale(force: str, first: Mapping[str, SensorRows | None], platform: str) -> tuple[float, str]:

@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
 
 from pdr_filter.apps.live.settings import Event
@@ -86,31 +85,27 @@ class Reader:
 
     def __init__(self) -> None:
         self.is_stale = True  # the client was too slow, and needs the present state
-        self._waiting: deque[str] = deque()
-        self._filled = asyncio.Event()
+        self._waiting: asyncio.Queue[str] = asyncio.Queue()
 
     def __len__(self) -> int:
-        return len(self._waiting)
+        return self._waiting.qsize()
 
     def put(self, text: str) -> None:
         """Add an event; a full queue is emptied first."""
-        if len(self._waiting) >= _MAX_WAITING:
+        if len(self) >= _MAX_WAITING:
+            self.clear()
             self.is_stale = True
-            self._waiting.clear()
-        self._waiting.append(text)
-        self._filled.set()
+        self._waiting.put_nowait(text)
 
     def clear(self) -> None:
         """Empty the queue before the present state is sent."""
         self.is_stale = False
-        self._waiting.clear()
+        self._waiting = asyncio.Queue()  # nothing waits for an item of a queue that is not empty
 
     async def get(self) -> str:
         """Return the next event; "" after some time without one, or if the reader needs the present state."""
-        if not self._waiting:
-            self._filled.clear()
-            try:
-                await asyncio.wait_for(self._filled.wait(), _ALIVE_S)
-            except TimeoutError:
-                return ""
-        return "" if self.is_stale else self._waiting.popleft()
+        try:
+            text = await asyncio.wait_for(self._waiting.get(), _ALIVE_S)
+        except TimeoutError:
+            return ""
+        return "" if self.is_stale else text

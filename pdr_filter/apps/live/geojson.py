@@ -14,11 +14,7 @@ _NOWHERE = (0.0, 0.0)
 
 
 def geojson(track: Event) -> dict[str, Any]:
-    """Return a GeoJSON FeatureCollection with the path of a track as a LineString.
-
-    `track` is a `track` event. A path of one position is a Point. If the geographic position of the track is unknown,
-    it is drawn at latitude and longitude 0.
-    """
+    """Return the path of a `track` event as GeoJSON, at latitude and longitude 0 if its place on Earth is unknown."""
     path = np.array(track["path"] or [[0.0] * 6])
     origin = Origin(*(track["origin"] or _NOWHERE))
     latitude_deg, longitude_deg = origin.latitude_longitude_deg(path[:, 1:3])

@@ -260,7 +260,9 @@ def _own_rows(samples: Any) -> dict[str, SensorRows]:
                 "see docs/live.md"
             )
         if table.size:
-            found[name] = _plausible(_own_times(table[:, 0]), table[:, 1:])
+            # seconds stay as they are; times since 1970 in a smaller unit become whole nanoseconds
+            time, unit_ns = table[:, 0], _unit_ns(table[:, 0], is_seconds=False)
+            found[name] = _plausible(time if unit_ns is None else _nanoseconds(time, unit_ns), table[:, 1:])
     return found
 
 
@@ -334,12 +336,6 @@ def _payload_times(times: Sequence[Any]) -> IntArray:
         if found.dtype.kind != "f" or not np.isfinite(found).all():
             found = np.array([int(t) for t in times], dtype=np.int64)
         return _nanoseconds(found, _unit_ns(found, is_seconds=found.dtype.kind == "f") or 1)
-
-
-def _own_times(time: FloatArray) -> IntArray | FloatArray:
-    """Return times in seconds unchanged, and times since 1970 in a smaller unit as whole nanoseconds."""
-    unit_ns = _unit_ns(time, is_seconds=False)
-    return time if unit_ns is None else _nanoseconds(time, unit_ns)
 
 
 def _unit_ns(time: Any, is_seconds: bool) -> int | None:

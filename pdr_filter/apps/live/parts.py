@@ -62,10 +62,11 @@ class Part:
         if not folder.is_dir():
             raise ValueError(f"no folder {folder} here: the server and all workers need the same one")
         self._events: list[str] = []
-        self._sessions = Sessions(settings, folder, self._emit, part, n_parts)
 
-    def _emit(self, event: Event) -> None:
-        self._events.append(json.dumps(event, allow_nan=False))
+        def emit(event: Event) -> None:
+            self._events.append(json.dumps(event, allow_nan=False))
+
+        self._sessions = Sessions(settings, folder, emit, part, n_parts)
 
     def answer(self, requests: Sequence[Request]) -> list[Response]:
         """Return a `Response` for each request, in order. Consecutive messages are filtered and saved together."""

@@ -206,17 +206,18 @@ class DeviceSession:
 
     def _begun(self, samples: assembly.Streams) -> Config:
         """Return the configuration for the sensors in the first samples, and write it and metadata to the recording."""
-        kind = self.assembly.kind
-        if kind is None:
-            raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")
-        meta: dict[str, Any] = {"name": f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id}
-        meta["name"] = file_name(meta["name"])
-        meta |= {"source": "pdr-filter live", "accelerometer": f"{kind.force}, {kind.how}"}
+        kind = assembly.kind_of(self.assembly)
+        name = file_name(f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id)
+        meta: dict[str, Any] = {
+            "name": name,
+            "source": "pdr-filter live",
+            "accelerometer": f"{kind.force}, {kind.how}",
+        }
         if kind.zero_ns:
             meta["epoch_ns"] = kind.zero_ns
         if self.settings.height_m is not None:
             meta["subject"] = {"height_m": self.settings.height_m}
-        first = Recording(meta["name"], **cast(Any, samples), meta=meta)
+        first = Recording(name, **cast(Any, samples), meta=meta)
         plain = plain_config(self.settings)
         config = live_config(first, plain)
         if not self.recorder.is_described:  # a session that is loaded again keeps its device
@@ -306,13 +307,17 @@ class DeviceSession:
             "waits": waits,
             "refused": self.refused,
             "has_ended": self.has_ended,
-            "notes": [*self.notes, *map(_set_back_words, self.assembly.set_backs), *self._device_notes()],
+            "notes": [
+                *self.notes,
+                *(
+                    f"the clock of the phone was set back by {size_s:.1f} s at {at_s:.1f} s: times go on from there"
+                    for at_s, size_s in self.assembly.set_backs
+                ),
+                *([] if self.online is None else device_notes(self.online.config, self.online.state)),
+            ],
             "n_lost_messages": self.assembly.n_lost,
             "n_repeated_messages": self.assembly.n_repeated,
         }
-
-    def _device_notes(self) -> list[str]:
-        return [] if self.online is None else device_notes(self.online.config, self.online.state)
 
     def _about_changed(self) -> list[Event]:
         """Return a list with the `session` event if it has changed since the last call, otherwise an empty list."""
@@ -474,8 +479,11 @@ def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]
     parts = {name: np.floor((stream.time_s - begin_s) / _PART_S) for name, stream in samples.items()}
     updates: list[StepUpdate] = []
     for part in np.unique(np.concatenate(list(parts.values()))):
-        bounds = {name: np.searchsorted(parts[name], [part, part + 1]) for name in samples}
-        rows = {name: _rows(samples[name], *bounds[name]) for name in samples if np.ptp(bounds[name])}
+        rows: assembly.Streams = {}
+        for name, stream in samples.items():
+            first, last = np.searchsorted(parts[name], [part, part + 1])
+            if last > first:
+                rows[name] = Samples(stream.time_s[first:last], stream.values[first:last])
         location = rows.pop("location", None)
         # locations that began later than the track are only recorded
         if location is not None and not online.config.model.frame.is_joined:
@@ -483,10 +491,6 @@ def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]
             online.push_location(location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m)
         updates += online.push_streams(cast("dict[Sensor, Samples]", rows))
     return updates
-
-
-def _rows(samples: Samples, first: int, last: int) -> Samples:
-    return Samples(samples.time_s[first:last], samples.values[first:last])
 
 
 def _joined(ready: Sequence[assembly.Streams]) -> assembly.Streams:
@@ -500,11 +504,6 @@ def _joined(ready: Sequence[assembly.Streams]) -> assembly.Streams:
         order = np.argsort(time_s, kind="stable")
         found[name] = Samples(time_s[order], values[order])
     return found
-
-
-def _set_back_words(set_back: tuple[float, float]) -> str:
-    at_s, size_s = set_back
-    return f"the clock of the phone was set back by {size_s:.1f} s at {at_s:.1f} s: times go on from there"
 
 
 def _pose(content: Mapping[str, Any]) -> Pose:

@@ -130,7 +130,8 @@ class Phyphox:
                 is_first, self._session, self._seen_s = not self._session, found, {}
                 if not is_first:
                     continue
-            await self._give({name: _later(r, self._seen_s.get(name, -np.inf)) for name, r in rows.items()})
+            later = {name: r.time > self._seen_s.get(name, -np.inf) for name, r in rows.items()}
+            await self._give({name: SensorRows(r.time[later[name]], r.values[later[name]]) for name, r in rows.items()})
             await asyncio.sleep(_PART_S)
 
     async def _give(self, rows: Mapping[str, SensorRows]) -> None:
@@ -159,11 +160,6 @@ def _phyphox_query(buffers: Mapping[str, tuple[str, ...]], seen_s: Mapping[str, 
         after = f"{seen_s.get(name, 0.0)!r}"
         asked += [f"{quote(time)}={after}", *(f"{quote(v)}={after}%7C{quote(time)}" for v in values)]
     return "&".join(asked)
-
-
-def _later(rows: SensorRows, seen_s: float) -> SensorRows:
-    later = rows.time > seen_s
-    return SensorRows(rows.time[later], rows.values[later])
 
 
 def _got(address: str) -> bytes:

@@ -66,11 +66,10 @@ class Terrain:
     have on average. `stay_room` was chosen among 0 to 1 on storey F1 of the mall. `stay_outside` is a judgement, made
     after a look at the office of humolire.
 
-    Every `leg_m`, the pedestrian chooses among the directions in which `look_m` is free. In a corridor few directions
-    are free. A step that stays in the corridor is therefore stronger evidence for the corridor than a step in a hall is
-    for the hall. On storeys F1 and B1 of the mall, `look_m` of 1.5, 3, 5 and 10 m were tried, each with an equal
-    `leg_m`. 3 m had the smallest errors. `leg_m` of 3 m has smaller errors there than 6 m, but not on the other
-    storeys. With 3 m, two of nine walks through the office of humolire with unknown start were wrong with a small
+    Every `leg_m`, the pedestrian chooses among the directions in which `look_m` is free. A step that stays in a
+    corridor, where few directions are free, is therefore stronger evidence than a step in a hall. Of `look_m` of 1.5,
+    3, 5 and 10 m, 3 m had the smallest errors on storeys F1 and B1 of the mall. `leg_m` of 3 m has smaller errors there
+    than 6 m. However, two of nine walks through the office of humolire with unknown start were then wrong with a small
     covariance; with 6 m none.
 
     Examples

@@ -163,10 +163,7 @@ def read_marks(recording: str | Path) -> Marks:
 
 
 def marks_in(folder: Path) -> Marks:
-    """Return the marks of a walk from the files in a folder. A folder without such files gives empty marks.
-
-    ValueError names the file and the remedy. A save that was interrupted is completed first.
-    """
+    """Return the marks of a walk from the files in a folder. ValueError names the file and the remedy."""
     _finish(folder)
     found = [name for name in NAMES if (folder / name).exists()]
     walk = read_json(folder / WALK, limits.MAX_SMALL_BYTES) if WALK in found else {}

@@ -234,13 +234,9 @@ class ParticleFilter:
 
     Examples
     --------
-    >>> import json, pdr_filter as pdr
-    >>> from pathlib import Path
-    >>> corners = [[-9, -9], [9, -9], [9, 9], [-9, 9], [-9, -9]]
-    >>> hall = {"type": "Feature", "properties": {"type": "floor", "name": "hall"},
-    ...         "geometry": {"type": "Polygon", "coordinates": [corners]}}
-    >>> _ = Path("hall.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [hall]}))
-    >>> particles = pdr.FloorPlan.read("hall.geojson").stage(start="hall")
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.apps.maps.particle_filter import ParticleFilter
+    >>> particles = ParticleFilter(pdr.FloorPlan("hall", ()))
     >>> particles.n_least, particles.n_most
     (1000, 50000)
     >>> len(particles.init().weight)  # particles are drawn at the first step
@@ -459,11 +455,7 @@ class ParticleFilter:
     def _after_passage(
         self, state: ParticleState, passage: FloorPassage, pedestrian: PedestrianState, model: PedestrianModel
     ) -> ParticleState:
-        """Return the state after a change of storey.
-
-        After a ride in a lift, particles far from every lift of the new storey lose weight. Stairs do not change the
-        state.
-        """
+        """Return the state after a change of storey. After a ride, particles far from every lift lose weight."""
         ground = self.ground(passage.to_floor)
         if passage.how != "lift" or ground is None or len(state.weight) == 0 or len(state.reckoned) == 0:
             return state
@@ -581,11 +573,7 @@ class ParticleFilter:
     # --- parts --------------------------------------------------------------------------------------------------------
 
     def _random(self, state: ParticleState) -> tuple[Generator, ParticleState]:
-        """Return the random number generator of the next event, and the state that counts the draw.
-
-        The numbers depend only on the seed and the number of draws before, not on earlier random numbers. A restored
-        state therefore continues identically.
-        """
+        """Return the random number generator of the next event, and the state that counts the draw."""
         numbers = Generator(Philox(key=self.seed, counter=[0, 0, 0, state.n_draws]))
         return numbers, replace(state, n_draws=state.n_draws + 1)
 

@@ -20,10 +20,7 @@ N_COLUMNS = 6
 
 
 def extended_path(path: FloatArray, step: Step, length_m: float) -> FloatArray:
-    """Return the path (R, 4) extended by one step of `length_m` in the direction of the device.
-
-    Rows are time, east, north and device heading. Only the last `TRAIL_STEPS` rows are kept.
-    """
+    """Return the last rows of a path (R, 4), extended by a step of `length_m` in the direction of the device."""
     heading_rad = step.reference_heading_rad
     last = path[-1, 1:3] if len(path) else np.zeros(2)
     to = last + length_m * np.array([math.sin(heading_rad), math.cos(heading_rad)])

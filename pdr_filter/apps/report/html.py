@@ -7,10 +7,10 @@ Leaflet draws the path. Both are in `assets`, unchanged from npm (`.ci/vendor.py
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import math
+from base64 import b64encode
 from collections.abc import Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -152,7 +152,7 @@ def html_report(
         data={"tracks": data},
         style=Markup("\n".join(read_asset(_PACKAGE, name) for name in _STYLES)),
         scripts=[Markup(script) for script in scripts],
-        script_hashes=[_hash(script) for script in scripts],
+        script_hashes=[f"sha256-{b64encode(sha256(script.encode()).digest()).decode()}" for script in scripts],
     )
 
 
@@ -166,11 +166,6 @@ def _script(name: str) -> str:
         return read_asset(_PACKAGE, name)
     licence = read_asset(_PACKAGE, f"assets/{file.partition('.')[0]}.LICENSE.txt")
     return f"/*\n{licence}*/\n{read_asset(_PACKAGE, name)}"
-
-
-def _hash(script: str) -> str:
-    """Return the hash of a script in the format of a content security policy."""
-    return f"sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}"
 
 
 # --- texts -----------------------------------------------------------------------------------------------------------

@@ -138,10 +138,7 @@ def _with_ellipse(track: TrackRows, shown: IntArray, major_m: FloatArray) -> lis
 
 
 def _windows(track: TrackRows, most: int) -> dict[str, Any]:
-    """Return start, end and context probabilities (in per cent) of the windows.
-
-    More than `most` windows are averaged in groups.
-    """
+    """Return start, end and context probabilities (per cent) of the windows, at most `most` by averaging."""
     windows = track.windows
     start_s, _ = window_starts(windows, track.start_time_s)
     end_s, prob = windows.time_s, windows.context_prob
@@ -217,10 +214,7 @@ def _positions_at(track: TrackRows, shown: IntArray, at_s: FloatArray) -> FloatA
 
 
 def _locations(track: TrackRows, recording: Recording) -> dict[str, Any]:
-    """Return the locations of the phone in the frame of the track, with their accuracies in m.
-
-    The result is empty without locations, or if the frame of the track has no geographic origin or no true axes.
-    """
+    """Return the locations of the phone in the frame of the track, with accuracies in m, if it is geographic."""
     if recording.location is None or track.origin is None or track.frame == "start":
         return {}
     values = recording.location.values

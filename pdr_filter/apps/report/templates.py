@@ -30,10 +30,7 @@ def template(package: str, name: str) -> jinja2.Template:
 
 
 def _printable(value: Any) -> Any:
-    """Return a text with control characters, also those that change its direction, replaced by a replacement character.
-
-    Values that are not text, and markup, are returned unchanged.
-    """
+    """Return a text with a replacement character for each control character, also those that change direction."""
     if not isinstance(value, str) or isinstance(value, Markup):
         return value
     return "".join(c if c in "\t\n" or (c.isprintable() and not "\ud800" <= c <= "\udfff") else "�" for c in value)

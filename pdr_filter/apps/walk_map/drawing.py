@@ -23,10 +23,7 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#
 
 
 def density(walks: Sequence[MappedWalk], floor: int, cell_m: float) -> tuple[FloatArray, FloatArray]:
-    """Return the south-west corner of the cells, and the expected number of steps on each cell (rows, columns).
-
-    Rows run north. ValueError if `cell_m` is not positive or no walk is on the storey.
-    """
+    """Return the south-west corner of the cells, and the expected number of steps on each. Rows run north."""
     if not cell_m > 0:
         raise ValueError(f"cell_m must be positive, got {cell_m}: 1 is usual")
     parts = [(w.position_m[w.floor == floor], w.position_cov_m2[w.floor == floor]) for w in walks]

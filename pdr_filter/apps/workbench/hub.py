@@ -92,10 +92,7 @@ class Workbench:
             process.close()
 
     async def scan(self, is_forced: bool = False) -> None:
-        """Look for new, changed and deleted recordings in the folder, and send events about them to the pages.
-
-        A scan within `_SCAN_S` of the last one is omitted, unless `is_forced`.
-        """
+        """Look for new, changed and deleted recordings, at most every `_SCAN_S` unless `is_forced`; tell the pages."""
         async with self._scanning:
             if time.monotonic() - self._scanned_s < _SCAN_S and not is_forced:
                 return

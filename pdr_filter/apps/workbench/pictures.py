@@ -20,11 +20,7 @@ _SIGNATURES = {b"\x89PNG": "PNG", b"\xff\xd8\xff": "JPEG", b"%PDF": "PDF"}
 
 
 def convert_picture(source: Path, page: int, target: Path) -> dict[str, Any]:
-    """Convert a PNG, JPEG or PDF file to a PNG file, and return its `width` and `height` in pixels.
-
-    `page` of a PDF file counts from 1. A picture with a side over 4000 pixels is reduced. ValueError if the picture
-    cannot be used.
-    """
+    """Convert a PNG, JPEG or page of a PDF file (from 1) to a PNG file of bounded size, and return its size."""
     content = read_small(source, MAX_PICTURE_BYTES)
     kind = next((kind for begin, kind in _SIGNATURES.items() if content.startswith(begin)), None)
     if kind is None:

@@ -97,8 +97,10 @@ class Worker:
         key = self._key(Path(path), checksum)
         file = self.cache / f"{key}.json"
         if file.exists() and (self.cache / f"{key}.html").exists():
-            if is_to_stay:
-                self._dead_reckoned(path, checksum)
+            if is_to_stay:  # so that the next request, with other marks, repeats only the least squares
+                opened = self._open(path, checksum)
+                with suppress(ValueError):
+                    self._smoothed(opened, None)
             return json.loads(file.read_bytes())
         progress = self._progress(path)
         opened = self._open(path, checksum)
@@ -195,15 +197,6 @@ class Worker:
             self._opened = None
             self._opened = _Opened(path, checksum, read(path))
         return self._opened
-
-    def _dead_reckoned(self, path: str, checksum: str) -> None:
-        """Load and smooth a walk, so that its recording and its dead-reckoned track are in memory.
-
-        The next request for the walk, after the user has changed its marks, then repeats only the least squares.
-        """
-        opened = self._open(path, checksum)
-        with suppress(ValueError):
-            self._smoothed(opened, None)
 
     def _smoothed(
         self, opened: _Opened, progress: Callable[[float], None] | None, **options: Any

@@ -317,7 +317,12 @@ class RadioMap:
         ValueError
             If the file is missing, damaged or not a radio map. The message names the file and the remedy.
         """
-        return FORMAT.read(path, _assemble)
+
+        def assembled(description: Mapping[str, Any], arrays: Arrays) -> RadioMap:
+            content: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
+            return cls(**content, card=description["card"], position_std_m=description.get("position_std_m", 0.0))
+
+        return FORMAT.read(path, assembled)
 
     def _heard(self, scans: Sequence[WifiScan]) -> csr_matrix:
         """Return the fingerprints (S, A) of scans, restricted to the access points of the map.
@@ -383,12 +388,6 @@ def _position(track: Track, scan: WifiScan) -> FloatArray | None:
     time_s = np.concatenate([[min(track.start_time_s, track.time_s[0])], track.time_s])
     position_m = np.vstack([track.start_position_m, track.position_m])
     return interpolated_rows(scan.time_s, time_s, position_m)
-
-
-def _assemble(description: Mapping[str, Any], arrays: Arrays) -> RadioMap:
-    """Return the radio map of the contents of a file."""
-    content: dict[str, Any] = {name: arrays[name] for name in _ARRAYS}
-    return RadioMap(**content, card=description["card"], position_std_m=description.get("position_std_m", 0.0))
 
 
 def _check(radio: RadioMap) -> None:

@@ -14,7 +14,7 @@ from matplotlib.path import Path
 from matplotlib.transforms import Bbox
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan
-from pdr_filter.apps.maps.storey import Feature, Storey
+from pdr_filter.apps.maps.storey import Storey
 from pdr_filter.apps.report.palette import INK, PLAN_COLOURS, WALL
 from pdr_filter.apps.report.plot.figures import PLAIN_TEXT, add_legend, new_figure, save
 
@@ -22,11 +22,13 @@ from pdr_filter.apps.report.plot.figures import PLAIN_TEXT, add_legend, new_figu
 def draw_storey(axes: Axes, storey: Storey) -> None:
     """Draw a storey as a background. The limits of the axes do not change."""
     for kind, colour in PLAN_COLOURS.items():
-        areas = [f for f in storey.features if f.kind == kind and f.is_area]
-        axes.add_collection(
-            PathCollection([_path(f) for f in areas], facecolors=colour, edgecolors=WALL, linewidths=0.6, zorder=0.5),
-            autolim=False,
-        )
+        areas = [
+            Path.make_compound_path(*(Path(ring, closed=True) for ring in f.lines))
+            for f in storey.features
+            if f.kind == kind and f.is_area
+        ]
+        filled = PathCollection(areas, facecolors=colour, edgecolors=WALL, linewidths=0.6, zorder=0.5)
+        axes.add_collection(filled, autolim=False)
     for kind, width in (("wall", 1.4), ("door", 2.6)):
         lines = [line for f in storey.features if f.kind == kind and not f.is_area for line in f.lines]
         colour = WALL if kind == "wall" else PLAN_COLOURS["door"]
@@ -102,7 +104,3 @@ def _write_names(axes: Axes, storey: Storey) -> None:
             words.remove()
         else:
             written.append(box)
-
-
-def _path(feature: Feature) -> Path:
-    return Path.make_compound_path(*(Path(ring, closed=True) for ring in feature.lines))
