@@ -207,9 +207,8 @@ def verify_stage(stage: Any) -> None:
         cut_state, found = run.over(pieces)
         if bits(found) != bits(whole) or bits(run.finish(cut_state)) != bits(run.finish(state)):
             run.fail(
-                "gives different results if the same samples come in other blocks: "
-                "keep all memory in the state, and use "
-                "no mean or filter over a whole block"
+                "gives different results if the same samples come in other blocks: keep all memory in the state, and "
+                "use no mean or filter over a whole block"
             )
     few = samples.part(0, len(samples) // 2)
     if bits(run.over([few.part(k, k + 1) for k in range(len(few))])[1]) != bits(run.over([few])[1]):
@@ -276,9 +275,8 @@ def _check_steps(run: _Run, samples: StageSamples, steps: list[Step]) -> None:
             )
         if not -1e-6 <= step.detected_time_s - step.time_s <= latency_s + 1e-6:
             run.fail(
-                f"returns a step {step.detected_time_s - step.time_s:.2f} s after its "
-                "contact, which exceeds its latency_s "
-                f"of {run.stage.latency_s:.2f} s"
+                f"returns a step {step.detected_time_s - step.time_s:.2f} s after its contact, which exceeds its "
+                f"latency_s of {run.stage.latency_s:.2f} s"
             )
     near = np.abs(np.subtract.outer([s.time_s for s in steps], samples.block.time_s)).min(axis=1)
     if near.max() > 0.02:

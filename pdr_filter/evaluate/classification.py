@@ -16,10 +16,8 @@ def confusion_matrix(label: IntArray, predicted: IntArray, n_classes: int) -> In
 
     Parameters
     ----------
-    label : ndarray of int, shape (N,)
-        True labels, 0 to C - 1.
-    predicted : ndarray of int, shape (N,)
-        Predicted labels, 0 to C - 1.
+    label, predicted : ndarray of int, shape (N,)
+        True and predicted labels, 0 to C - 1.
     n_classes : int
         Number of classes C.
 
@@ -35,8 +33,7 @@ def confusion_matrix(label: IntArray, predicted: IntArray, n_classes: int) -> In
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.confusion_matrix(np.array([0, 0, 1]), np.array([0, 1, 1]), 2).tolist()
     [[1, 1], [0, 1]]
     """
@@ -64,8 +61,7 @@ def accuracy(confusion: IntArray) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> confusion = np.array([[8, 2], [1, 9]])
     >>> pdr.evaluate.accuracy(confusion)
     0.85
@@ -89,8 +85,7 @@ def recall(confusion: IntArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> confusion = np.array([[8, 2], [1, 9]])
     >>> pdr.evaluate.recall(confusion).tolist()
     [0.8, 0.9]
@@ -113,8 +108,7 @@ def precision(confusion: IntArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> confusion = np.array([[8, 2], [1, 9]])
     >>> pdr.evaluate.precision(confusion).round(3).tolist()
     [0.889, 0.818]
@@ -141,8 +135,7 @@ def macro_recall(confusion: IntArray) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> confusion = np.array([[8, 2], [1, 9]])
     >>> round(pdr.evaluate.macro_recall(confusion), 3)
     0.85
@@ -171,8 +164,7 @@ def kappa(confusion: IntArray) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> confusion = np.array([[8, 2], [1, 9]])
     >>> round(pdr.evaluate.kappa(confusion), 3)
     0.7
@@ -209,8 +201,7 @@ def log_loss(prob: FloatArray, label: IntArray, floor: float = 1e-15) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> round(pdr.evaluate.log_loss(np.array([[0.9, 0.1], [0.5, 0.5]]), np.array([0, 1])), 3)
     0.399
     """
@@ -253,8 +244,7 @@ def calibration_error(prob: FloatArray, label: IntArray, n_bins: int = 15) -> fl
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> prob = np.array([[0.8, 0.2], [0.8, 0.2]])
     >>> round(pdr.evaluate.calibration_error(prob, np.array([0, 1])), 3)
     0.3
@@ -287,8 +277,7 @@ def class_table(confusion: IntArray, classes: Sequence[str]) -> Table:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> confusion = np.array([[8, 2], [1, 9]])
     >>> rows = pdr.evaluate.class_table(confusion, ["walking", "stairs"])
     >>> rows.recall.tolist()

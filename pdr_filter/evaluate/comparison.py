@@ -117,8 +117,7 @@ def leg_error_percent(recording: Recording, track: TrackRows) -> float:
     known = None if segments is None else segments[segments.distance_m > 0]
     if known is None or not len(known):
         raise ValueError(
-            f"{recording.name or 'the recording'} has no truth segments of "
-            "known distance: add truth_segments.csv "
+            f"{recording.name or 'the recording'} has no truth segments of known distance: add truth_segments.csv "
             "(docs/formats.md)"
         )
     return length_error_percent(recording, track, cast(Table, known))
@@ -182,8 +181,7 @@ def second_over_first(prob: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.second_over_first(np.array([[0.8, 0.2], [0.5, 0.5]])).tolist()
     [0.25, 1.0]
     """

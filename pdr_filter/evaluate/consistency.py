@@ -37,8 +37,7 @@ def nees(error: FloatArray, cov: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.nees(np.array([[2.0, 0.0]]), np.array([[[4.0, 0.0], [0.0, 1.0]]])).tolist()
     [1.0]
     """
@@ -80,8 +79,7 @@ def nis(innovation: FloatArray, innovation_cov: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.nis(np.array([[3.0]]), np.array([[[9.0]]])).tolist()
     [1.0]
     """
@@ -155,8 +153,7 @@ def ellipse_coverage(error: FloatArray, cov: FloatArray, prob: ArrayLike = (0.5,
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> error = np.random.default_rng(0).normal(size=(1000, 2))
     >>> pdr.evaluate.ellipse_coverage(error, np.tile(np.eye(2), (1000, 1, 1)), 0.95).round(2)
     np.float64(0.95)

@@ -47,8 +47,7 @@ def positions_at(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> time_s, position_m = np.array([1.0, 2.0]), np.array([[0.0, 0.7], [0.0, 1.4]])
     >>> pdr.evaluate.positions_at(time_s, position_m, [1.5, 3.0]).round(2).tolist()
     [[0.0, 1.05], [0.0, 1.4]]
@@ -77,8 +76,7 @@ def moved_m(
     start_s, end_s : array_like of shape (N,)
         Start and end of the intervals in s.
     start_position_m : array_like of shape (2,), default (0.0, 0.0)
-        Position before the first step, `Track.start_position_m`. It differs from zero if the track is in the frame of
-        fixes or of a plan.
+        Position before the first step, as in `positions_at`.
 
     Returns
     -------
@@ -91,8 +89,7 @@ def moved_m(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> time_s, position_m = np.array([1.0, 2.0, 3.0]), np.array([[0.0, 0.7], [0.0, 1.4], [0.7, 1.4]])
     >>> pdr.evaluate.moved_m(time_s, position_m, [1.0], [2.0]).round(2).tolist()
     [0.7]
@@ -117,8 +114,7 @@ def path_m(position_m: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.path_m(np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 5.0]])).tolist()
     [0.0, 5.0, 6.0]
     """
@@ -144,8 +140,7 @@ def first_of_path(reference_m: FloatArray, fraction: float = 0.2) -> BoolArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.first_of_path(np.array([[0.0, float(k)] for k in range(21)])).sum()
     np.int64(5)
     """
@@ -160,10 +155,8 @@ def fitted(estimate_m: FloatArray, reference_m: FloatArray, use: BoolArray) -> F
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
     use : ndarray of bool, shape (N,)
         Points that determine the rotation and the translation.
 
@@ -174,8 +167,7 @@ def fitted(estimate_m: FloatArray, reference_m: FloatArray, use: BoolArray) -> F
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
     >>> estimate_m = reference_m + [3.0, 4.0]
     >>> pdr.evaluate.fitted(estimate_m, reference_m, np.array([True, True, False])).round(6).tolist()
@@ -192,10 +184,8 @@ def aligned(
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
     align : {"none", "origin", "first", "all"}, default "none"
         "none" returns the estimate unchanged. "origin" translates it so that the first points agree. "first" is a rigid
         alignment to the first fraction of the path (at least three points), which corresponds to a user who knows start
@@ -216,8 +206,7 @@ def aligned(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
     >>> estimate_m = reference_m + [3.0, 4.0]
     >>> pdr.evaluate.aligned(estimate_m, reference_m, "origin").tolist()
@@ -252,15 +241,10 @@ def position_errors_m(
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
-    align : {"none", "origin", "first", "all"}, default "none"
-        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
-        first points or to all points.
-    fraction : float, default 0.2
-        Fraction of the path that "first" uses.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
+    align, fraction : {"none", "origin", "first", "all"} and float
+        Alignment of the estimate, as in `aligned`.
 
     Returns
     -------
@@ -274,8 +258,7 @@ def position_errors_m(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
     >>> estimate_m = reference_m + [3.0, 4.0]
     >>> pdr.evaluate.position_errors_m(estimate_m, reference_m).tolist()
@@ -291,15 +274,10 @@ def position_rmse_m(
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
-    align : {"none", "origin", "first", "all"}, default "none"
-        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
-        first points or to all points.
-    fraction : float, default 0.2
-        Fraction of the path that "first" uses.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
+    align, fraction : {"none", "origin", "first", "all"} and float
+        Alignment of the estimate, as in `aligned`.
 
     Returns
     -------
@@ -321,8 +299,7 @@ def position_rmse_m(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
     >>> estimate_m = reference_m + [3.0, 4.0]
     >>> pdr.evaluate.position_rmse_m(estimate_m, reference_m)
@@ -338,15 +315,10 @@ def axis_rmse_m(
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
-    align : {"none", "origin", "first", "all"}, default "none"
-        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
-        first points or to all points.
-    fraction : float, default 0.2
-        Fraction of the path that "first" uses.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
+    align, fraction : {"none", "origin", "first", "all"} and float
+        Alignment of the estimate, as in `aligned`.
 
     Returns
     -------
@@ -364,8 +336,7 @@ def axis_rmse_m(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
     >>> estimate_m = reference_m + [3.0, 4.0]
     >>> round(pdr.evaluate.axis_rmse_m(estimate_m, reference_m), 3)
@@ -380,10 +351,8 @@ def relative_error_m(estimate_m: FloatArray, reference_m: FloatArray, n_ahead: i
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times, equally spaced in time.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times, equally spaced in time.
     n_ahead : int
         Number of points between start and end of a displacement.
 
@@ -406,8 +375,7 @@ def relative_error_m(estimate_m: FloatArray, reference_m: FloatArray, n_ahead: i
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
     >>> estimate_m = reference_m + [3.0, 4.0]
     >>> pdr.evaluate.relative_error_m(estimate_m, reference_m, 1)
@@ -426,15 +394,10 @@ def end_error_percent(
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
-    align : {"none", "origin", "first", "all"}, default "none"
-        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
-        first points or to all points.
-    fraction : float, default 0.2
-        Fraction of the path that "first" uses.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
+    align, fraction : {"none", "origin", "first", "all"} and float
+        Alignment of the estimate, as in `aligned`.
 
     Returns
     -------
@@ -444,13 +407,11 @@ def end_error_percent(
     Raises
     ------
     ValueError
-        If positions are missing or NaN, if shapes differ, or if `align` is unknown.
-        Also if the true path has no length.
+        If positions are missing or NaN, if shapes differ, if `align` is unknown, or if the true path has no length.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
     >>> estimate_m = reference_m + [3.0, 4.0]
     >>> pdr.evaluate.end_error_percent(estimate_m, reference_m)
@@ -460,9 +421,8 @@ def end_error_percent(
     length_m = path_m(reference_m)[-1]
     if not length_m > 0:
         raise ValueError(
-            "reference_m has a path length of zero, to which the end error would be "
-            "relative: give at least two different "
-            "points"
+            "reference_m has a path length of zero, to which the end error would be relative: give at least two "
+            "different points"
         )
     return float(100.0 * error_m / length_m)
 
@@ -484,8 +444,7 @@ def directions_rad(position_m: FloatArray, min_moved_m: float = 0.1) -> FloatArr
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.directions_rad(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]])).round(3).tolist()
     [0.0, 1.571]
     """
@@ -511,8 +470,7 @@ def heading_errors_rad(estimate_rad: ArrayLike, reference_rad: ArrayLike) -> Flo
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.heading_errors_rad([0.1], [2 * np.pi]).round(3)
     array([0.1])
     """

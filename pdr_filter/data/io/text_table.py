@@ -341,9 +341,8 @@ def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingE
             f"{where}: the header is there again, so two recordings are one behind the other; cut the file there"
         )
     return RecordingError(
-        f"{where}, column {name}: {row[layout.picked[i]].strip()[:60]!r} is not a number; "
-        f"use {layout.decimal!r} as decimal point, no mark between thousands, leave unknown values empty, and take out "
-        "lines that are no samples"
+        f"{where}, column {name}: {row[layout.picked[i]].strip()[:60]!r} is not a number; use {layout.decimal!r} as "
+        "decimal point, no mark between thousands, leave unknown values empty, and take out lines that are no samples"
     )
 
 

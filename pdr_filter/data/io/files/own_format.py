@@ -97,8 +97,7 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
 
     Examples
     --------
-    >>> import tempfile
-    >>> import pdr_filter as pdr
+    >>> import tempfile, pdr_filter as pdr
     >>> from pdr_filter.data.io.files.own_format import write_recording
     >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
     >>> with tempfile.TemporaryDirectory() as folder:
