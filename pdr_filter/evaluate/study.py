@@ -124,7 +124,7 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
     people = [str(k) for k in range(len(rows))] if people is None else list(people)
     if len(people) != len(rows):
         raise ValueError(f"people must have one name for each of the {len(rows)} recordings, got {len(people)}")
-    found: list[dict[str, object]] = []
+    found: list[tuple[object, ...]] = []
     for measure in MEASURES:
         error = np.array([each[measure] for each in rows])  # (R, T)
         use = np.isfinite(error).all(axis=1)
@@ -135,29 +135,17 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
         signed = np.array([error[person_of == person].mean(axis=0) for person in persons])
         size = np.array([np.abs(error[person_of == person]).mean(axis=0) for person in persons])
         for k, name in enumerate(names):
-            mean, low, high = _interval(size[:, k])
             difference = _interval(size[:, k] - size[:, -1]) if k < len(names) - 1 else (np.nan, np.nan, np.nan)
-            found.append(
-                {
-                    "measure": measure,
-                    "name": name,
-                    "n_recordings": int(use.sum()),
-                    "n_people": len(size),
-                    "bias": float(signed[:, k].mean()),
-                    "mean": mean,
-                    "low": low,
-                    "high": high,
-                    "difference": difference[0],
-                    "difference_low": difference[1],
-                    "difference_high": difference[2],
-                }
-            )
+            counts = int(use.sum()), len(size)
+            found.append((measure, name, *counts, signed[:, k].mean(), *_interval(size[:, k]), *difference))
     if not found:
         raise ValueError(
             "no recording has a truth that tracks can be compared with: add truth "
             "files to a recording (docs/formats.md)"
         )
-    return table({key: np.array([row[key] for row in found]) for key in found[0]})
+    columns = ("measure", "name", "n_recordings", "n_people", "bias", "mean", "low", "high")
+    columns += ("difference", "difference_low", "difference_high")
+    return table({name: np.array(column) for name, column in zip(columns, zip(*found, strict=True), strict=True)})
 
 
 def study_rows(study: Table, digits: int = 2) -> list[dict[str, object]]:

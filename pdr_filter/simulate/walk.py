@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -142,13 +141,9 @@ def simulate(
     gait = gait or Gait()
     motion = phone_motion(legs, gait, carrying_mode, seed=seed, start_heading_rad=start_heading_rad, carrying=carrying)
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[2])
-    accelerometer, gyroscope, magnetometer, barometer = _streams(motion, rate_hz, errors or SensorErrors(), rng)
     return Recording(
-        name=name,
-        accelerometer=accelerometer,
-        gyroscope=gyroscope,
-        magnetometer=magnetometer,
-        barometer=barometer,
+        name,
+        *_streams(motion, rate_hz, errors or SensorErrors(), rng),
         truth=_truth(motion, legs, carrying_mode),
         meta=_meta(name, gait, carrying_mode, rate_hz, seed),
         source="simulated",
@@ -212,12 +207,10 @@ def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carryi
     return found
 
 
-def _streams(
-    motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
-) -> tuple[Samples, Samples, Samples, Samples | None]:
-    """Return accelerometer, gyroscope, magnetometer and barometer samples.
+def _streams(motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator) -> list[Samples]:
+    """Return the samples of accelerometer, gyroscope, magnetometer and, with errors of one, barometer.
 
-    Each sensor has its own clock and its own first sample. Without errors of a barometer, the last result is None.
+    Each sensor has its own clock and its own first sample.
     """
     end_s = float(motion.plan.leg_end_s[-1])
 
@@ -243,8 +236,7 @@ def _streams(
         if not streams:
             jitter_s[0] = 0.0  # the first accelerometer sample is the origin of time
         streams.append(Samples(time_s + jitter_s, error.apply(values, rate, rng)))
-    accelerometer, gyroscope, magnetometer, *barometer = streams
-    return accelerometer, gyroscope, magnetometer, barometer[0] if barometer else None
+    return streams
 
 
 def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
@@ -295,19 +287,17 @@ def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
     )
 
 
-def _meta(name: str, gait: Gait, carrying_mode: str, rate_hz: float, seed: int) -> MappingProxyType[str, Any]:
+def _meta(name: str, gait: Gait, carrying_mode: str, rate_hz: float, seed: int) -> dict[str, Any]:
     """Return the metadata, which state clearly that the walk is simulated."""
-    return MappingProxyType(
-        {
-            "name": name,
-            "dataset": "simulated",
-            "licence": "MIT",
-            "attribution": "pdr_filter.simulate",
-            "subject": {"id": "simulated", "height_m": gait.height_m, "weight_kg": None, "age": None, "gender": None},
-            "device": "simulated phone",
-            "placement": carrying_mode,
-            "nominal_rate_hz": rate_hz,
-            "truth": "exact",
-            "notes": f"Simulated walk without a real person, seed {seed}.",
-        }
-    )
+    return {
+        "name": name,
+        "dataset": "simulated",
+        "licence": "MIT",
+        "attribution": "pdr_filter.simulate",
+        "subject": {"id": "simulated", "height_m": gait.height_m, "weight_kg": None, "age": None, "gender": None},
+        "device": "simulated phone",
+        "placement": carrying_mode,
+        "nominal_rate_hz": rate_hz,
+        "truth": "exact",
+        "notes": f"Simulated walk without a real person, seed {seed}.",
+    }

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
-from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.arrays import FloatArray, read_only, reduction
 
 #: Standard gravity, m/s2.
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -40,6 +39,8 @@ class Samples:
     time_s: FloatArray
     values: FloatArray
 
+    __reduce__ = reduction
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_s", read_only(self.time_s, "time_s"))
         object.__setattr__(self, "values", read_only(self.values))
@@ -51,10 +52,6 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.time_s)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy through the constructor, so that the arrays stay read-only."""
-        return type(self), (self.time_s, self.values)
 
     def __repr__(self) -> str:
         return f"Samples({len(self)} x {self.values.shape[1]})"

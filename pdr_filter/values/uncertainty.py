@@ -55,10 +55,10 @@ def worst_std_m(cov_m2: FloatArray) -> FloatArray:
 STUDENT_DOF = 4.0
 
 
-def variance_factor(squares: float, n_errors: int, n_before: int = 0) -> float:
+def variance_factor(squares: float, n_errors: int) -> float:
     """Return the factor by which variances exceed their stated values, estimated from normalised squared errors.
 
     The factor is at least one. `squares` is the sum over `n_errors` errors. The prior is worth `STUDENT_DOF` errors
-    with the stated variances, plus `n_before` such errors.
+    with the stated variances.
     """
-    return max((STUDENT_DOF + n_before + squares) / (STUDENT_DOF + n_before + n_errors), 1.0)
+    return max((STUDENT_DOF + squares) / (STUDENT_DOF + n_errors), 1.0)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray, IntArray, read_only
+from pdr_filter.values.arrays import FloatArray, IntArray, read_only, reduction
 
 # Minimum pause between two scans. A phone listens to one channel after the other and then pauses. In `ms_indoor` the
 # pauses are 0.5 to 0.8 s, and intervals within a scan are less than 0.2 s (0.1 s for 279,000 of 288,000 rows).
@@ -53,6 +52,8 @@ class Wifi:
     rssi_dbm: FloatArray
     frequency_mhz: FloatArray
 
+    __reduce__ = reduction
+
     def __post_init__(self) -> None:
         addresses = np.asarray(self.bssid)
         if addresses.size and addresses.dtype.kind not in "iu":
@@ -76,10 +77,6 @@ class Wifi:
 
     def __len__(self) -> int:
         return len(self.time_s)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy through the constructor, so that the arrays stay read-only."""
-        return type(self), (self.time_s, self.bssid, self.rssi_dbm, self.frequency_mhz)
 
     def __repr__(self) -> str:
         return f"Wifi({len(self)} rows, {self.n_access_points} access points)"

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, Samples, how_many, limits
+from pdr_filter.values import FloatArray, Samples, as_plain, how_many, limits
 from pdr_filter.values.recording import Recording
 
 # A stream is reported as slow if its mean rate is below this fraction of the requested rate. Phones often deliver half.
@@ -148,7 +147,7 @@ class Description:
         dict
             Fields of the description.
         """
-        return json.loads(json.dumps(asdict(self)))
+        return as_plain(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +215,7 @@ class ReadingReport:
         dict
             Fields of the report.
         """
-        return json.loads(json.dumps(asdict(self)))
+        return as_plain(self)
 
 
 def describe(recording: Recording) -> Description:

@@ -112,12 +112,12 @@ def read_generic_csv(path: str | Path) -> Recording:
     return read_mapped(path, read_mapping(mapping))
 
 
-def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Recording:
-    """Read a recording from tables whose columns a mapping describes. `source` names the format in the report.
+def read_mapped(path: Path, mapping: Mapping) -> Recording:
+    """Read a recording from tables whose columns a mapping describes.
 
     RecordingError if a column or table of the mapping is missing, or if the recording is implausible.
     """
-    parsed = Parsed(path, source)
+    parsed = Parsed(path, "generic CSV")
     with open_members(path) as members:
         sheets = sheets_of(members, mapping.separator or None, parsed.notes)
         if decimal := mapping.decimal:
