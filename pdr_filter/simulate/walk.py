@@ -142,8 +142,8 @@ def simulate(
     motion = phone_motion(legs, gait, carrying_mode, seed=seed, start_heading_rad=start_heading_rad, carrying=carrying)
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[2])
     return Recording(
-        name,
-        *_streams(motion, rate_hz, errors or SensorErrors(), rng),
+        name=name,
+        **_streams(motion, rate_hz, errors or SensorErrors(), rng),
         truth=_truth(motion, legs, carrying_mode),
         meta=_meta(name, gait, carrying_mode, rate_hz, seed),
         source="simulated",
@@ -191,10 +191,7 @@ def demo_walk(seed: int = 0) -> Recording:
 
 
 def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carrying]) -> list[tuple[str, Carrying]]:
-    """Return the carrying mode of each leg, and the place and attitude of the phone in it.
-
-    ValueError for a carrying mode without a place.
-    """
+    """Return the carrying mode of each leg, and the place of the phone in it. ValueError if it has none."""
     found: list[tuple[str, Carrying]] = []
     for leg in legs:
         carrying_mode = leg.carrying_mode or carrying_mode
@@ -207,11 +204,8 @@ def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carryi
     return found
 
 
-def _streams(motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator) -> list[Samples]:
-    """Return the samples of accelerometer, gyroscope, magnetometer and, with errors of one, barometer.
-
-    Each sensor has its own clock and its own first sample.
-    """
+def _streams(motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator) -> dict[str, Samples]:
+    """Return accelerometer, gyroscope, magnetometer and, with its errors, barometer, each with its own clock."""
     end_s = float(motion.plan.leg_end_s[-1])
 
     def clock(rate: float, start_s: float) -> FloatArray:
@@ -221,21 +215,22 @@ def _streams(motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.rando
     gyroscope_s = clock(rate_hz, 0.3 / rate_hz)
     magnetometer_s = clock(MAGNETOMETER_RATE_HZ, -0.004)
     field = np.tile(MAGNETIC_FIELD_UT, (len(magnetometer_s), 1))
-    exact = [
-        (accelerometer_s, motion.specific_force_mps2(accelerometer_s), rate_hz, errors.accelerometer),
-        (gyroscope_s, motion.angular_rate_radps(gyroscope_s), rate_hz, errors.gyroscope),
-        (magnetometer_s, motion.rotation(magnetometer_s).inv().apply(field), MAGNETOMETER_RATE_HZ, errors.magnetometer),
-    ]
+    seen_field = motion.rotation(magnetometer_s).inv().apply(field)
+    exact = {
+        "accelerometer": (accelerometer_s, motion.specific_force_mps2(accelerometer_s), rate_hz, errors.accelerometer),
+        "gyroscope": (gyroscope_s, motion.angular_rate_radps(gyroscope_s), rate_hz, errors.gyroscope),
+        "magnetometer": (magnetometer_s, seen_field, MAGNETOMETER_RATE_HZ, errors.magnetometer),
+    }
     if errors.barometer is not None:
         barometer_s = clock(BAROMETER_RATE_HZ, 0.02)
         pressure = GROUND_HPA * np.exp(-motion.position_m(barometer_s)[:, 2:] / SCALE_HEIGHT_M)
-        exact.append((barometer_s, pressure, BAROMETER_RATE_HZ, errors.barometer))
-    streams: list[Samples] = []
-    for time_s, values, rate, error in exact:
+        exact["barometer"] = barometer_s, pressure, BAROMETER_RATE_HZ, errors.barometer
+    streams: dict[str, Samples] = {}
+    for name, (time_s, values, rate, error) in exact.items():
         jitter_s = errors.jitter_s * rng.standard_normal(len(time_s))
         if not streams:
             jitter_s[0] = 0.0  # the first accelerometer sample is the origin of time
-        streams.append(Samples(time_s + jitter_s, error.apply(values, rate, rng)))
+        streams[name] = Samples(time_s + jitter_s, error.apply(values, rate, rng))
     return streams
 
 

@@ -234,8 +234,7 @@ def repetition(fix: PositionFix | GridFix, last_s: float) -> float:
     """Return the factor on the variance with which a fix counts as independent of the previous one, at `last_s`.
 
     The mean of correlated fixes at intervals t has (1 + r) / (1 - r) = coth(t / 2T) times the variance of independent
-    fixes, with r = exp(-t / T). Any number of fixes within a time T therefore has the weight of one. The factor is 1
-    without a previous fix (`last_s` is -inf), and for a fix with independent errors.
+    ones, with r = exp(-t / T). The factor is 1 without a previous fix (`last_s` is -inf), and for independent errors.
     """
     if fix.correlation_s == 0 or math.isinf(last_s):
         return 1.0
@@ -545,7 +544,7 @@ class RangeFix:
 def range_residuals(
     position_m: FloatArray, anchor_m: FloatArray, up_m: FloatArray | float, range_m: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return predicted minus measured distances (...,) and their derivatives (..., 2) with respect to east and north.
+    """Return predicted minus measured distances (...,) and their derivatives (..., 2) by east and north.
 
     `position_m` and `anchor_m` have the shape (..., 2).
     """
@@ -645,10 +644,7 @@ def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
 
 
 def check_fix(fix: object, has_plan: bool) -> None:
-    """Raise ValueError unless the filter can use an object as a fix.
-
-    `has_plan` is True for a particle filter on a floor plan, without which a GridFix cannot be used.
-    """
+    """Raise ValueError unless a filter, with a particle filter on a plan if `has_plan`, can use an object as a fix."""
     if not isinstance(fix, OWN_FIXES):
         _check_measurement(fix)
     if isinstance(fix, GridFix) and not has_plan:
@@ -681,10 +677,9 @@ def measurement_of(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residual (k,), Jacobian (k, 3) and covariance (k, k) of a measurement.
 
-    The columns of the Jacobian are the derivatives of the returned residual with respect to east, north and walking
-    direction. The residual is predicted minus measured. If the class returns an innovation (measured minus predicted)
-    with the derivative of the prediction, the innovation is returned unchanged, and the sign of the Jacobian is
-    corrected: a small displacement shows the convention. ValueError names what `measurement` must return.
+    The columns of the Jacobian are the derivatives of the returned residual by east, north and walking direction. If
+    the class returns an innovation (measured minus predicted) with the derivative of the prediction, which a small
+    displacement shows, the sign of the Jacobian is corrected. ValueError names what `measurement` must return.
     """
     name = type(fix).__name__
     if isinstance(fix, RangeFix):
@@ -725,9 +720,8 @@ _SMALL = 1e-4
 def stated_fixes(fix: Measurement) -> tuple[HeadingFix | PositionFix, ...]:
     """Return the heading fix and the position fix that a measurement of both is equivalent to, in this order.
 
-    A measurement of a position or a heading alone gives one fix, any other measurement none. A measurement r = J x - z
-    with covariance C has a constant J, with x = (east, north, heading). The fixes have the least-squares solution x and
-    its covariance (J' C^-1 J)^-1, without the covariance of heading and position.
+    A measurement of one of them gives one fix, any other none. A measurement r = J x - z with covariance C and a
+    constant J has x = (east, north, heading). The fixes have the least-squares x and its covariance (J' C^-1 J)^-1.
     """
     if isinstance(fix, RangeFix):
         return ()

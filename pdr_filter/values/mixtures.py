@@ -65,9 +65,8 @@ def posterior_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatA
 def reweighted_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
     """Return the probabilities proportional to p_k exp(e_k), shape (..., K), of K hypotheses.
 
-    p_k is the probability of hypothesis k before, and e_k its finite log evidence of a few nats, or of any size if all
-    probabilities are positive. `posterior_prob` also accepts a hypothesis of probability zero with the largest
-    evidence, but must compute the logarithms of the probabilities.
+    Unlike `posterior_prob` it needs no logarithms of the p_k. The log evidence e_k must be finite, and of a few nats
+    unless all p_k are positive.
     """
     relative = prob * np.exp(log_evidence - np.maximum.reduce(log_evidence, axis=-1, keepdims=True))
     return relative / np.add.reduce(relative, axis=-1, keepdims=True)

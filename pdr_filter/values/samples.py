@@ -64,22 +64,12 @@ class ImuBlock:
     NaN marks missing values. A row without specific force is interpolated or becomes a gap. The angular rate may be
     missing for any time.
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (N,)
-        Times, s.
-    specific_force_mps2 : ndarray, shape (N, 3)
-        Accelerometer, m/s^2, with a norm of about 9.81 at rest.
-    angular_rate_radps : ndarray, shape (N, 3)
-        Gyroscope, rad/s.
-    magnetic_field_ut : ndarray, shape (N, 3)
-        Magnetometer, microtesla.
     """
 
-    time_s: FloatArray
-    specific_force_mps2: FloatArray
-    angular_rate_radps: FloatArray
-    magnetic_field_ut: FloatArray
+    time_s: FloatArray  # (N,)
+    specific_force_mps2: FloatArray  # (N, 3), norm about 9.81 at rest
+    angular_rate_radps: FloatArray  # (N, 3)
+    magnetic_field_ut: FloatArray  # (N, 3)
 
     def parts(self, n: int) -> Iterator[ImuBlock]:
         """Yield the block in consecutive pieces of at most n samples."""

@@ -162,10 +162,7 @@ class Step:
 
     @property
     def is_quick_and_soft(self) -> bool:
-        """True if the step is too quick for walking and too soft for running.
-
-        No model of step length or direction holds then.
-        """
+        """True if the step is too quick for walking and too soft for running, so that no model of it holds."""
         return self.frequency_hz > _QUICK_HZ and self.vertical_amplitude_mps2 < _SOFT_MPS2
 
     @property
@@ -175,10 +172,7 @@ class Step:
 
     @property
     def unevenness(self) -> float:
-        """Relative difference between the duration and the usual duration, at most 1.
-
-        0 if there is no usual duration.
-        """
+        """Relative difference between the duration and the usual duration, at most 1. 0 if there is none."""
         if self.usual_duration_s <= 0:
             return 0.0
         return min(abs(self.duration_s / self.usual_duration_s - 1.0), 1.0)

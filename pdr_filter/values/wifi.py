@@ -167,11 +167,7 @@ class WifiScan:
 
 
 def loudness(rssi_dbm: FloatArray) -> FloatArray:
-    """Return the squared level above the limit of reception, relative to a level next to the access point.
-
-    The result is 1 for a received power of -30 dBm, and at least 1e-6. The square gives the nearest access points the
-    largest weight.
-    """
+    """Return the squared level above the limit of reception: 1 at -30 dBm, at least 1e-6; the nearest weigh most."""
     return np.clip((rssi_dbm - _SILENT_DBM) / (_LOUD_DBM - _SILENT_DBM), 1e-3, None) ** 2
 
 

@@ -204,9 +204,9 @@ def cache_folder() -> Path:
 
 
 def _write(name: str, dataset: Dataset, to: Path, plan: Path) -> None:
-    """Convert the downloaded files of a data set, and write its recordings to `to` and its floor plan to `plan`.
+    """Convert the downloaded files of a data set. Write its recordings to `to` and its floor plan to `plan`.
 
-    The licence is added to their metadata. Checksums of the files and the attribution are written last.
+    Their metadata have the licence. The attribution is written last.
     """
     raw = to / _RAW
     for archive in raw.rglob("*.zip"):
@@ -257,10 +257,7 @@ def _download(name: str, dataset: Dataset, raw: Path) -> None:
 
 
 def _unpack(archive: Path) -> None:
-    """Extract the .csv and .txt files of a zip file to a folder of the same name, unless the folder has them.
-
-    The limits of the readers on sizes apply.
-    """
+    """Extract the .csv and .txt files of a zip file to a folder of the same name, within the limits of the readers."""
     with open_members(archive) as members:
         for name in members.names:
             place = archive.with_suffix("") / name

@@ -74,7 +74,7 @@ class _Topic:
     def add(self, received_ns: int, content: bytes, where: str) -> None:
         """Add a message with its own time, or with the time of its arrival if it has none.
 
-        RecordingError if the message is damaged, if its time is absurd, or if there are too many messages.
+        RecordingError if it is damaged or its time absurd, or for too many messages.
         """
         if len(self._ns) >= limits.MAX_ARRAY_ROWS:
             raise RecordingError(f"{where}: more than {limits.MAX_ARRAY_ROWS} messages; cut the bag")
@@ -97,11 +97,10 @@ class _Topic:
 
 
 def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> None:
-    """Store the topics as streams in `parsed`.
+    """Store the topic with the most messages as each stream of `parsed`.
 
-    For each stream, the topic with the most messages is taken. Imu topics are skipped if all values of the stream are
-    zero. An attitude without unit quaternions is left out. `seen` has the type of every topic in the bag, for messages.
-    RecordingError if no topic has an acceleration.
+    Imu values that are all zero, and an attitude without unit quaternions, are left out. `seen` has the type of every
+    topic, for messages. RecordingError without an acceleration.
     """
     imus = {name: topic for name, topic in topics.items() if topic.kind == IMU}
     parts = {"accelerometer": slice(7, 10), "gyroscope": slice(4, 7), "attitude": slice(0, 4)}
@@ -141,8 +140,8 @@ def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> No
 def _decoded(kind: str, content: bytes) -> tuple[int, tuple[float, ...]]:
     """Return the time stamp of a message in ns, and the numerical values of the message.
 
-    The values of an Imu message are the quaternion (x, y, z, w), angular rate and acceleration. Those of a location are
-    latitude, longitude, altitude and accuracy in m, NaN if unknown. ValueError for a message that is too short.
+    Imu: quaternion (x, y, z, w), angular rate, acceleration. Location: latitude, longitude, altitude, accuracy in m or
+    NaN. ValueError for a message that is too short.
     """
     if len(content) < 16:
         raise ValueError("too short")
@@ -244,7 +243,7 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
 def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str) -> bytes:
     """Return the unpacked records of a chunk, which states their size as `claimed` bytes.
 
-    RecordingError if `claimed` is over `most`, or if the compression is unknown. ValueError if the size is another.
+    RecordingError if that is over `most`, or for an unknown compression. ValueError for another size.
     """
     if not compression:
         return data

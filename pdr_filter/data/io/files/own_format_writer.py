@@ -114,10 +114,7 @@ def _number_format(column: str) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return a mapping, dataclass or NumPy value as plain Python values that json can write.
-
-    TypeError for a value of another type.
-    """
+    """Return a mapping, dataclass or NumPy value as plain values that json can write. TypeError for another type."""
     if isinstance(value, Mapping):
         return dict(cast("Mapping[str, object]", value))
     if is_dataclass(value) and not isinstance(value, type):

@@ -51,9 +51,9 @@ class Tables:
 def read_any_table(path: str | Path, platform: str | None = None) -> Recording:
     """Return the recording in the tables of an app, which are recognised by their columns.
 
-    `platform` ("ios" or "android") determines the sign of the acceleration if the app writes different signs on the two
-    systems. Gravity is added to an acceleration that lacks it, with a note. RecordingError if there is no acceleration,
-    if its sign or unit is unknown, or if `platform` is given although the file or the app decides the sign.
+    `platform` ("ios" or "android") determines the sign of the acceleration if the app writes different signs. Gravity
+    is added to an acceleration that lacks it, with a note. RecordingError if there is no acceleration, if its sign or
+    unit is unknown, or if the file or the app decides the sign, too.
     """
     return read_guessed(Path(path), platform).recording
 
@@ -99,10 +99,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
 
 
 def read_generic_csv(path: str | Path) -> Recording:
-    """Return the recording in a table whose columns a TOML file of the same name in its folder describes.
-
-    RecordingError if there is no such file.
-    """
+    """Return the recording in a table whose columns a TOML file of the same name in its folder describes."""
     path = Path(path)
     if not (mapping := mapping_beside(path)).is_file():
         raise RecordingError(
@@ -113,10 +110,7 @@ def read_generic_csv(path: str | Path) -> Recording:
 
 
 def read_mapped(path: Path, mapping: Mapping) -> Recording:
-    """Read a recording from tables whose columns a mapping describes.
-
-    RecordingError if a column or table of the mapping is missing, or if the recording is implausible.
-    """
+    """Read a recording from tables whose columns a mapping describes, each of which must be there once."""
     parsed = Parsed(path, "generic CSV")
     with open_members(path) as members:
         sheets = sheets_of(members, mapping.separator or None, parsed.notes)
@@ -139,9 +133,8 @@ def read_mapped(path: Path, mapping: Mapping) -> Recording:
 def sheets_of(members: Members, separator: str | None = None, notes: list[str] | None = None) -> Sequence[Sheet]:
     """Return the tables among the files of a recording: text, JSON, spreadsheet or MATLAB.
 
-    A text table with rows of several sensors is split into one table for each sensor. `separator` separates the
-    columns of texts, and is detected if None. Notes on what was skipped are added to `notes`. RecordingError if there
-    is no table, or if a table has rows of several devices.
+    A text with rows of several sensors gives a table for each. `separator` is that of texts, detected if None. `notes`
+    get what was skipped. RecordingError if there is no table, or if one has rows of several devices.
     """
     found: Sequence[Sheet]
     if is_spreadsheet(members):
@@ -197,11 +190,7 @@ def _check_one_device(sheet: Sheet) -> None:
 
 
 def _by_sensor(sheet: Sheet) -> Sequence[Sheet]:
-    """Split a table whose rows belong to different sensors into one table for each sensor.
-
-    One column names the sensor of each row. The table is returned alone and unchanged if there is no such column, or if
-    the column names no acceleration.
-    """
+    """Split a table by the column that names the sensor of each row, if there is one that names an acceleration."""
     column = next((i for i, text in sheet.texts.items() if quantity_of_file(text)[0] in VECTORS), None)
     if column is None:
         column = next((i for i, name in enumerate(sheet.fields) if "".join(words_of(name)) in _TYPES), None)
@@ -218,11 +207,7 @@ def _is_text(name: str, members: Members) -> bool:
 
 
 def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
-    """Return the error message for tables without a known sensor.
-
-    If the first table has column names, the message contains a column mapping for the user to complete. Otherwise it
-    asks for a line of names.
-    """
+    """Return the error for tables without a known sensor, with a mapping to complete, or the missing line of names."""
     sheet = sheets[0]
     if all(name.startswith("column ") for name in sheet.fields):
         head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""
@@ -241,10 +226,9 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
 
 
 def sensors_of(members: Members, name: str) -> set[str]:
-    """Return the set of sensors that the columns of a text or JSON file name.
+    """Return the set of sensors that the columns of a text or JSON file name, empty without a table.
 
-    The set is empty for a text without a table. It holds only the acceleration if the columns of the accelerometer have
-    an unknown unit or lack an axis.
+    It is the acceleration alone if the columns of the accelerometer have an unknown unit or lack an axis.
     """
     sheets: Sequence[Sheet]
     try:
