@@ -142,8 +142,8 @@ def simulate(
     motion = phone_motion(legs, gait, carrying_mode, seed=seed, start_heading_rad=start_heading_rad, carrying=carrying)
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[2])
     return Recording(
-        name=name,
-        **_streams(motion, rate_hz, errors or SensorErrors(), rng),
+        name,
+        *_streams(motion, rate_hz, errors or SensorErrors(), rng),
         truth=_truth(motion, legs, carrying_mode),
         meta=_meta(name, gait, carrying_mode, rate_hz, seed),
         source="simulated",
@@ -204,7 +204,9 @@ def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carryi
     return found
 
 
-def _streams(motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator) -> dict[str, Samples]:
+def _streams(
+    motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
+) -> tuple[Samples, Samples, Samples, Samples | None]:
     """Return accelerometer, gyroscope, magnetometer and, with its errors, barometer, each with its own clock."""
     end_s = float(motion.plan.leg_end_s[-1])
 
@@ -231,7 +233,7 @@ def _streams(motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.rando
         if not streams:
             jitter_s[0] = 0.0  # the first accelerometer sample is the origin of time
         streams[name] = Samples(time_s + jitter_s, error.apply(values, rate, rng))
-    return streams
+    return streams["accelerometer"], streams["gyroscope"], streams["magnetometer"], streams.get("barometer")
 
 
 def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
