@@ -27,6 +27,8 @@ from pdr_filter.values.recording import Recording
 MCAP = b"\x89MCAP0\r\n"
 _BAGS = (".mcap", ".db3")
 _MAX_TOPICS = 1000
+# Errors of the library at damaged bytes, besides its own.
+_MCAP_ERRORS = (struct.error, ValueError, EOFError, LookupError, OverflowError, TypeError, AttributeError)
 IMU, FIELD, PRESSURE, PLACE = (
     f"sensor_msgs/msg/{name}" for name in ("Imu", "MagneticField", "FluidPressure", "NavSatFix")
 )
@@ -224,16 +226,7 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
                     topics[record.id] = (record.topic, kind)
             elif isinstance(record, Message) and record.channel_id in topics:
                 yield *topics[record.channel_id], record.log_time, record.data
-    except (
-        McapError,
-        struct.error,
-        ValueError,
-        EOFError,
-        LookupError,
-        OverflowError,
-        TypeError,
-        AttributeError,
-    ) as error:
+    except (McapError, *_MCAP_ERRORS) as error:
         if isinstance(error, RecordingError):
             raise
         words = str(error)[:100] or type(error).__name__

@@ -43,7 +43,7 @@ _OTHERS = {
 }
 _ABOUT = re.compile(r"(?i)(readme|licen[cs]e|notes?)[^/]*$|\.(md|pdf|html?|png|jpe?g|docx?|mp4|m4a)$|(^|/)\.[^/]*$")
 _TABLES = (".csv", ".txt", ".tsv", ".log", ".dat", ".json", ".jsonl", ".ndjson")
-_TAR_AT, _TAR = 257, b"ustar"
+_TAR_AT, _TAR, _BEGIN_BYTES = 257, b"ustar", 512
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -209,21 +209,16 @@ def open_members(path: Path) -> Generator[Members]:
             yield Members(path, inside=inside)
             return
         with open_regular(path) as file:
-            begin = file.read(2)
-            _check_any(path, "the file", begin)
-            if begin == _GZIP:
+            head, is_gzip = file.read(_BEGIN_BYTES), False
+            _refuse_others(path, "the file", head)
+            if head.startswith(_GZIP):
                 packed = Members(path, is_gzip=True)
-                begin = packed.head(packed.names[0], 2)
-                _check_any(path, "the file in it", begin)
-                if begin == _ZIP:
+                head, is_gzip = packed.head(packed.names[0], _BEGIN_BYTES), True
+                _refuse_others(path, "the file in it", head)
+                if head.startswith(_ZIP):
                     file = io.BytesIO(packed.whole(packed.names[0], limits.MAX_UNPACKED_BYTES))
-                else:
-                    _refuse_others(path, packed.head(packed.names[0], 512))
-                    yield Members(path, inside=inside, is_gzip=True)
-                    return
-            elif begin != _ZIP:
-                _refuse_others(path, begin + file.read(512))
-                yield Members(path, inside=inside)
+            if not head.startswith(_ZIP):
+                yield Members(path, inside=inside, is_gzip=is_gzip)
                 return
             with _in_zip(file, path, inside) as members:
                 yield members
@@ -254,13 +249,10 @@ def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) ->
             yield members
 
 
-def _check_any(path: Path, what: str, begin: bytes) -> None:
-    if not begin:
+def _refuse_others(path: Path, what: str, head: bytes) -> None:
+    """Raise RecordingError, which names the kind, for an empty file and a known kind that cannot be a recording."""
+    if not head:
         raise RecordingError(f"{path}: {what} is empty (0 bytes); copy or export the recording again")
-
-
-def _refuse_others(path: Path, head: bytes) -> None:
-    """Raise RecordingError, which names the kind, for a known kind of file that cannot be a recording."""
     kind = next((words for begin, words in _OTHERS.items() if head.lower().lstrip().startswith(begin.lower())), "")
     if head[_TAR_AT:].startswith(_TAR):
         kind = "a tar archive; unpack it and give the folder"

@@ -62,15 +62,14 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
     """Read a recording, and return it with the column mapping that was guessed and the evidence for it."""
     with open_members(path) as members:
         parsed = Parsed(path, "")
-        sheets = sheets_of(members, notes=parsed.notes)
+        sheets = list(sheets_of(members, notes=parsed.notes))
         where = sheets[0].where if len(sheets) == 1 else str(path)
         groups = [group for i, sheet in enumerate(sheets) for group in groups_of(sheet, i)]
         if not groups:
             raise RecordingError(f"{where}: {_nothing(sheets, path)}")
-        used = [
-            {p for group in groups if group.sheet == i for p in (*group.places, group.time)} for i in range(len(sheets))
-        ]
-        sheets = [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
+        for i, sheet in enumerate(sheets):
+            used = {place for group in groups if group.sheet == i for place in (*group.places, group.time)}
+            sheets[i] = sheet.using(used, parsed.notes)
         shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
         dialect = dialect_of(shown)
         if dialect is None or dialect.sign is None:
@@ -119,9 +118,8 @@ def read_mapped(path: Path, mapping: Mapping) -> Recording:
             sheets = [replace(s, parse=texts.get(s, s.parse)) for s in sheets]
         names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
         used = [{i for i, name in enumerate(sheet.fields) if name in names} for sheet in sheets]
-        fill_streams(
-            parsed, mapping, [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
-        )
+        sheets = [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
+        fill_streams(parsed, mapping, sheets)
     for stream in mapping.streams:
         columns = ", ".join(stream.columns)
         unit = stream.unit or "unit as it is"
