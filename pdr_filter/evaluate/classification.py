@@ -62,8 +62,7 @@ def accuracy(confusion: IntArray) -> float:
     Examples
     --------
     >>> import numpy as np, pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> pdr.evaluate.accuracy(confusion)
+    >>> pdr.evaluate.accuracy(np.array([[8, 2], [1, 9]]))
     0.85
     """
     total = confusion.sum()
@@ -86,8 +85,7 @@ def recall(confusion: IntArray) -> FloatArray:
     Examples
     --------
     >>> import numpy as np, pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> pdr.evaluate.recall(confusion).tolist()
+    >>> pdr.evaluate.recall(np.array([[8, 2], [1, 9]])).tolist()
     [0.8, 0.9]
     """
     return _share(np.diagonal(confusion), confusion.sum(axis=1))
@@ -109,8 +107,7 @@ def precision(confusion: IntArray) -> FloatArray:
     Examples
     --------
     >>> import numpy as np, pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> pdr.evaluate.precision(confusion).round(3).tolist()
+    >>> pdr.evaluate.precision(np.array([[8, 2], [1, 9]])).round(3).tolist()
     [0.889, 0.818]
     """
     return _share(np.diagonal(confusion), confusion.sum(axis=0))
@@ -136,8 +133,7 @@ def macro_recall(confusion: IntArray) -> float:
     Examples
     --------
     >>> import numpy as np, pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> round(pdr.evaluate.macro_recall(confusion), 3)
+    >>> round(pdr.evaluate.macro_recall(np.array([[8, 2], [1, 9]])), 3)
     0.85
     """
     return float(np.nanmean(recall(confusion))) if confusion.sum() else np.nan
@@ -165,8 +161,7 @@ def kappa(confusion: IntArray) -> float:
     Examples
     --------
     >>> import numpy as np, pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> round(pdr.evaluate.kappa(confusion), 3)
+    >>> round(pdr.evaluate.kappa(np.array([[8, 2], [1, 9]])), 3)
     0.7
     """
     total = confusion.sum()
@@ -182,10 +177,8 @@ def log_loss(prob: FloatArray, label: IntArray, floor: float = 1e-15) -> float:
 
     Parameters
     ----------
-    prob : ndarray of shape (N, C)
-        Predicted probabilities.
-    label : ndarray of int, shape (N,)
-        True labels, 0 to C - 1.
+    prob, label : ndarray of shape (N, C), and of int, shape (N,)
+        Predicted probabilities, and true labels, 0 to C - 1.
     floor : float, default 1e-15
         Smaller probabilities are replaced by this value, because a single zero would make the mean infinite.
 
@@ -216,10 +209,8 @@ def calibration_error(prob: FloatArray, label: IntArray, n_bins: int = 15) -> fl
 
     Parameters
     ----------
-    prob : ndarray of shape (N, C)
-        Predicted probabilities.
-    label : ndarray of int, shape (N,)
-        True labels, 0 to C - 1.
+    prob, label : ndarray of shape (N, C), and of int, shape (N,)
+        Predicted probabilities, and true labels, 0 to C - 1.
     n_bins : int, default 15
         Number of bins of equal width in the highest probability.
 
@@ -278,9 +269,7 @@ def class_table(confusion: IntArray, classes: Sequence[str]) -> Table:
     Examples
     --------
     >>> import numpy as np, pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> rows = pdr.evaluate.class_table(confusion, ["walking", "stairs"])
-    >>> rows.recall.tolist()
+    >>> pdr.evaluate.class_table(np.array([[8, 2], [1, 9]]), ["walking", "stairs"]).recall.tolist()
     [0.8, 0.9]
     """
     if confusion.shape != (len(classes), len(classes)):

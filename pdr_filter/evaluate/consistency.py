@@ -14,10 +14,8 @@ def nees(error: FloatArray, cov: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    error : ndarray of shape (N, D)
-        Errors e, in any unit.
-    cov : ndarray of shape (N, D, D)
-        Covariances P of the errors.
+    error, cov : ndarray of shape (N, D) and (N, D, D)
+        Errors e, in any unit, and their covariances P.
 
     Returns
     -------
@@ -57,10 +55,8 @@ def nis(innovation: FloatArray, innovation_cov: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    innovation : ndarray of shape (N, D)
-        Innovations v, that is, measurement minus prediction.
-    innovation_cov : ndarray of shape (N, D, D)
-        Covariances S of the innovations.
+    innovation, innovation_cov : ndarray of shape (N, D) and (N, D, D)
+        Innovations v, that is, measurement minus prediction, and their covariances S.
 
     Returns
     -------
@@ -74,8 +70,7 @@ def nis(innovation: FloatArray, innovation_cov: FloatArray) -> FloatArray:
 
     Notes
     -----
-    In a consistent filter, the NIS is chi-square distributed with D degrees of freedom and mean D (Y. Bar-Shalom, X. R.
-    Li and T. Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4.2).
+    In a consistent filter, the NIS is chi-square distributed with D degrees of freedom and mean D, as in `nees`.
 
     Examples
     --------
@@ -101,10 +96,8 @@ def mean_bounds(dof: int, n: int, prob: float = 0.95) -> tuple[float, float]:
 
     Returns
     -------
-    low : float
-        Lower bound of the mean of n independent chi-square variables.
-    high : float
-        Upper bound.
+    tuple of float
+        Lower and upper bound of the mean of n independent chi-square variables.
 
     Raises
     ------
@@ -129,10 +122,8 @@ def ellipse_coverage(error: FloatArray, cov: FloatArray, prob: ArrayLike = (0.5,
 
     Parameters
     ----------
-    error : ndarray of shape (N, D)
-        Errors, in any unit.
-    cov : ndarray of shape (N, D, D)
-        Covariances of the errors.
+    error, cov : ndarray of shape (N, D) and (N, D, D)
+        Errors, in any unit, and their covariances.
     prob : float or array_like, default (0.5, 0.95)
         Probabilities of the ellipses. If the covariances are correct, the result equals them.
 

@@ -18,10 +18,8 @@ def context_errors(recording: Recording, tracks: Mapping[str, TrackRows]) -> Tab
 
     Parameters
     ----------
-    recording : Recording
-        Recording with context labels (`truth.labels`). True positions are not needed.
-    tracks : mapping of str to Track
-        Tracks of the recording by name.
+    recording, tracks : Recording, and mapping of str to Track
+        Recording with context labels (`truth.labels`), and its tracks by name. True positions are not needed.
 
     Returns
     -------
@@ -41,8 +39,7 @@ def context_errors(recording: Recording, tracks: Mapping[str, TrackRows]) -> Tab
     >>> import pdr_filter as pdr
     >>> legs = [pdr.simulate.Leg("walking", distance_m=20.0), pdr.simulate.Leg("stationary", duration_s=5.0)]
     >>> walk = pdr.simulate.simulate(legs)
-    >>> rows = pdr.evaluate.context_errors(walk, {"imm": pdr.track(walk)})
-    >>> rows.context.tolist()
+    >>> pdr.evaluate.context_errors(walk, {"imm": pdr.track(walk)}).context.tolist()
     ['stationary', 'walking']
     """
     labels = recording.truth.labels

@@ -25,10 +25,8 @@ def positions_at(
 
     Parameters
     ----------
-    time_s : ndarray of shape (K,)
-        Times of the steps in s, ascending.
-    position_m : ndarray of shape (K, 2)
-        Position after each step in m.
+    time_s, position_m : ndarray of shape (K,) and (K, 2)
+        Times of the steps in s, ascending, and position after each step in m.
     at_s : array_like of shape (T,)
         Times at which positions are returned, in s.
     start_position_m : array_like of shape (2,), default (0.0, 0.0)
@@ -69,10 +67,8 @@ def moved_m(
 
     Parameters
     ----------
-    time_s : ndarray of shape (K,)
-        Times of the steps in s, ascending.
-    position_m : ndarray of shape (K, 2)
-        Position after each step in m.
+    time_s, position_m : ndarray of shape (K,) and (K, 2)
+        Times of the steps in s, ascending, and position after each step in m.
     start_s, end_s : array_like of shape (N,)
         Start and end of the intervals in s.
     start_position_m : array_like of shape (2,), default (0.0, 0.0)
@@ -458,10 +454,8 @@ def heading_errors_rad(estimate_rad: ArrayLike, reference_rad: ArrayLike) -> Flo
 
     Parameters
     ----------
-    estimate_rad : array_like
-        Estimated headings in rad.
-    reference_rad : array_like
-        True headings in rad, NaN if unknown.
+    estimate_rad, reference_rad : array_like
+        Estimated headings, and true ones, NaN if unknown, in rad.
 
     Returns
     -------

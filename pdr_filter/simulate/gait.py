@@ -65,26 +65,18 @@ class Gait:
     ----------
     height_m : float, default 1.75
         Body height in m. Step lengths and the place of the phone scale with it.
-    frequency_factor : float, default 1.0
-        Step frequency relative to the typical person.
-    stairs_factor : float, default 1.0
-        Additional factor of the step frequency on stairs.
+    frequency_factor, stairs_factor : float, default 1.0
+        Step frequency relative to the typical person, and additional factor on stairs.
     length_factor : float, default 1.0
         Step length relative to a typical person of the same height.
     bounce_factor : float, default 1.0
         Vertical force of the steps relative to the value that follows from their length and frequency.
-    impact_factor : float, default 1.0
-        Heel strike relative to the typical person.
-    swing_factor : float, default 1.0
-        Swing of legs and arms relative to the typical person.
-    tremor_factor : float, default 1.0
-        Unsteadiness of the hand relative to the typical person.
+    impact_factor, swing_factor, tremor_factor : float, default 1.0
+        Heel strike, swing of legs and arms, and unsteadiness of the hand relative to the typical person.
     tilt_rad : float, default 0.65
         Angle in rad by which the top end of the phone is raised for reading.
-    frequency_std : float, default 0.025
-        Relative standard deviation of the step frequency from step to step.
-    length_std : float, default 0.025
-        Relative standard deviation of the step length from step to step.
+    frequency_std, length_std : float, default 0.025
+        Relative standard deviations of step frequency and step length from step to step.
     habit : int, optional
         Seed of the individual shape of the strides. None stands for the typical shape.
 
@@ -199,10 +191,8 @@ class Gait:
         ----------
         context : str
             One of `pdr_filter.CONTEXTS`.
-        frequency_hz : float
-            Step frequency in Hz.
-        length_m : float
-            Step length in m.
+        frequency_hz, length_m : float
+            Step frequency in Hz, and step length in m.
         usual_mps2 : float
             Measured amplitude at the usual frequency and length in this context. Not used for walking.
 

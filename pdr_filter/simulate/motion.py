@@ -59,14 +59,9 @@ class Carrying:
         Angles of the mean attitude in rad. In the mode "texting" the pitch is `Gait.tilt_rad` instead.
     side : float, default 1.0
         +1 for the right hand or pocket, -1 for the left one.
-    force : float, default 1.0
-        Factor of the vertical force of the steps that reaches the phone in walking.
-    turn : float, default 1.0
-        Factor of the rotation of the phone in a stride.
-    loose : float, default 1.0
-        Factor of the differences between strides.
-    tremor : float, default 1.0
-        Factor of the irregular motion.
+    force, turn, loose, tremor : float, default 1.0
+        Factors of the vertical force of the steps that reaches the phone in walking, of the rotation of the phone in a
+        stride, of the differences between strides, and of the irregular motion.
 
     Examples
     --------
@@ -106,16 +101,11 @@ class Motion:
 
     Attributes
     ----------
-    plan : StepPlan
-        All steps of the walk.
-    spline : BSpline
-        Position (east, north, up) and the six angles of the phone.
-    grid_s : (N,) array
-        Times of the grid.
-    body_position_m : (N, 3) array
-        East, north, and height of the ground under the person.
-    heading_rad : (N,) array
-        Heading that the body faces, clockwise from north, unwrapped.
+    plan, spline : StepPlan and BSpline
+        All steps of the walk. Position (east, north, up) and the six angles of the phone.
+    grid_s, body_position_m, heading_rad : (N,), (N, 3) and (N,) array
+        Times of the grid, east, north and height of the ground under the person, and heading that the body faces,
+        clockwise from north, unwrapped.
     """
 
     plan: StepPlan

@@ -36,18 +36,8 @@ def phone_motion(
 
     Parameters
     ----------
-    legs : sequence of Leg
-        Stretches of the walk, which starts at east 0, north 0.
-    gait : Gait, optional
-        Person who walks. By default a typical person.
-    carrying_mode : {"texting", "pocket", "swinging", "calling"}, default "texting"
-        Carrying mode until a leg changes it.
-    seed : int, default 0
-        Seed of the random variation of the walk.
-    start_heading_rad : float, default 0.0
-        Heading at the start in rad, clockwise from north.
-    carrying : mapping of str to Carrying, optional
-        Place and attitude of the phone in each carrying mode. By default the typical ones (`motion.CARRYING`).
+    legs, gait, carrying_mode, seed, start_heading_rad, carrying : as in `simulate`
+        Stretches of the walk, person, carrying mode, seed, heading at the start, and place of the phone by mode.
 
     Returns
     -------

@@ -45,10 +45,8 @@ class PositionFix:
         means independent errors.
     floor : int, optional
         Storey.
-    altitude_m : float, optional
-        Altitude above the ellipsoid or the sea, as its source defines it, m. Requires `altitude_std_m`.
-    altitude_std_m : float, optional
-        Standard deviation of the altitude, m.
+    altitude_m, altitude_std_m : float, optional
+        Altitude above the ellipsoid or the sea, as its source defines it, and its standard deviation, m.
 
     Raises
     ------

@@ -33,10 +33,8 @@ def posterior_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatA
 
     Parameters
     ----------
-    prior_prob : ndarray, shape (..., M)
-        Prior probabilities.
-    log_likelihood : ndarray, shape (..., M)
-        Log-likelihoods. A constant added to all of them has no effect.
+    prior_prob, log_likelihood : ndarray, shape (..., M)
+        Prior probabilities, and log-likelihoods. A constant added to all of the latter has no effect.
 
     Returns
     -------
@@ -77,19 +75,15 @@ def combine(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatA
 
     Parameters
     ----------
-    mean : ndarray, shape (..., M, n)
-        Means of the M components.
-    cov : ndarray, shape (..., M, n, n)
-        Covariances of the components.
+    mean, cov : ndarray, shape (..., M, n) and (..., M, n, n)
+        Means and covariances of the M components.
     prob : ndarray, shape (..., M)
         Weights of the components, which sum to 1.
 
     Returns
     -------
-    mean : ndarray, shape (..., n)
-        Mean of the mixture.
-    cov : ndarray, shape (..., n, n)
-        Covariance of the mixture.
+    tuple of ndarray, shape (..., n) and (..., n, n)
+        Mean and covariance of the mixture.
 
     Notes
     -----

@@ -195,10 +195,8 @@ class Origin:
 
         Returns
         -------
-        latitude_deg : ndarray, shape (...)
-            Latitude, degrees.
-        longitude_deg : ndarray, shape (...)
-            Longitude, degrees.
+        tuple of ndarray, shape (...)
+            Latitude and longitude, degrees.
         """
         import pymap3d
 

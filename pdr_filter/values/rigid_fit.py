@@ -14,17 +14,13 @@ def rigid_fit(a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, FloatArray]
 
     Parameters
     ----------
-    a_m : ndarray, shape (N, 2)
-        Points to transform, m.
-    b_m : ndarray, shape (N, 2)
-        Target points, m.
+    a_m, b_m : ndarray, shape (N, 2)
+        Points to transform, and target points, m.
 
     Returns
     -------
-    rotation : ndarray, shape (2, 2)
-        Rotation matrix R.
-    shift : ndarray, shape (2,)
-        Shift t, m.
+    tuple of ndarray, shape (2, 2) and (2,)
+        Rotation matrix R, and shift t, m.
 
     Notes
     -----

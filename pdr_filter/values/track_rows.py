@@ -137,10 +137,8 @@ class TrackRows:
 
         Returns
         -------
-        latitude_deg : ndarray, shape (...)
-            Latitude, degrees.
-        longitude_deg : ndarray, shape (...)
-            Longitude, degrees.
+        tuple of ndarray, shape (...)
+            Latitude and longitude, degrees.
 
         Raises
         ------

@@ -113,14 +113,10 @@ class WifiScan:
 
     Attributes
     ----------
-    time_s : float
-        Mean time of the receptions, s.
-    end_s : float
-        Time of the last reception, s. An app cannot know the scan earlier.
-    bssid : ndarray of int, shape (A,)
-        Addresses of the access points, in increasing order.
-    rssi_dbm : ndarray, shape (A,)
-        Received power of each access point, dBm.
+    time_s, end_s : float
+        Mean time of the receptions, and time of the last one, before which an app cannot know the scan, s.
+    bssid, rssi_dbm : ndarray, shape (A,)
+        Addresses of the access points, in increasing order, and received power of each, dBm.
 
     Examples
     --------
@@ -142,12 +138,8 @@ class WifiScan:
 
         Parameters
         ----------
-        time_s : ndarray, shape (N,)
-            Times, s.
-        bssid : ndarray of int, shape (N,)
-            Addresses.
-        rssi_dbm : ndarray, shape (N,)
-            Received powers, dBm.
+        time_s, bssid, rssi_dbm : ndarray, shape (N,)
+            Times in s, addresses, and received powers in dBm.
 
         Returns
         -------

@@ -35,12 +35,8 @@ class Dataset:
 
     Attributes
     ----------
-    title : str
-        Title and short description.
-    licence : str
-        Licence of the files.
-    attribution : str
-        Publication or owner to cite.
+    title, licence, attribution : str
+        Title and short description, licence of the files, and publication or owner to cite.
     home : str
         Address of the folder of the files. It should contain a commit, so that the files cannot change.
     files : tuple of str
