@@ -24,13 +24,8 @@ def rigid_fit(a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, FloatArray]
 
     Notes
     -----
-    From the SVD of sum (a_i - a)(b_i - b)^T. The last singular vector is negated if the result would be a reflection
-    [1]_, [2]_ (eq. 40 and 41 with c = 1).
-
-    References
-    ----------
-    .. [1] Kabsch, Acta Cryst. A32, 1976.
-    .. [2] Umeyama, IEEE Trans. Pattern Anal. Mach. Intell. 13, 1991.
+    From the SVD of sum (a_i - a)(b_i - b)^T (Kabsch, Acta Cryst. A32, 1976). The last singular vector is negated if the
+    result would be a reflection (Umeyama, IEEE Trans. Pattern Anal. Mach. Intell. 13, 1991, eq. 40 and 41 with c = 1).
 
     Examples
     --------
