@@ -46,7 +46,10 @@ def recordings_in(folder: str | Path) -> list[Path]:
     if folder.is_file():
         return [folder / part for part in _parts_in(folder)] or [folder]
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    parts = _parts_in(folder) if not any(map(_is_mapped, inside)) else []
+    is_mapped = any(
+        mapping_beside(path).is_file() for path in inside if path.suffix.lower() in _TEXTS and path.is_file()
+    )
+    parts = [] if is_mapped else _parts_in(folder)
     if "." in parts:
         return [folder]
     trials = [part for part in parts if not (folder / part).exists()]
@@ -177,11 +180,6 @@ def _parts_of_version(path: Path, n_bytes: int, changed_ns: int) -> tuple[str, .
     """Return `parts_of` a file of this size and time of change, cached, because programs scan large folders again."""
     del n_bytes, changed_ns
     return tuple(parts_of(path))
-
-
-def _is_mapped(path: Path) -> bool:
-    """Return True for a text file that has a TOML file with the mapping of its columns."""
-    return path.suffix.lower() in _TEXTS and path.is_file() and mapping_beside(path).is_file()
 
 
 def _is_known(path: Path) -> bool:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
-from pdr_filter.data.io.files.archive import json_object
+from pdr_filter.data.io.files.archive import json_object, most_unpacked
 from pdr_filter.data.io.text_table import finite
 from pdr_filter.values import FloatArray, limits
 from pdr_filter.values.errors import RecordingError
@@ -166,7 +166,7 @@ def _check_storage(found: Any, name: str, file: Path) -> None:
         raise RecordingError(f"{file}: {name} is packed with the filters {names}; pack it with gzip (h5repack)")
     claimed = max(math.prod(found.shape) * 8, math.prod(found.chunks or (0,)) * found.dtype.itemsize)
     stored = min(found.id.get_storage_size(), file.stat().st_size)
-    if claimed > max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * stored):
+    if claimed > most_unpacked(stored):
         raise RecordingError(
             f"{file}: {name} claims {claimed} bytes and {stored} are stored, unlike sensor data; write the file again"
         )

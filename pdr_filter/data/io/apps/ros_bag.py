@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
-from pdr_filter.data.io.files.archive import Members, open_members
+from pdr_filter.data.io.files.archive import Members, most_unpacked, open_members
 from pdr_filter.data.io.files.sqlite_file import SQLITE, open_database
 from pdr_filter.data.io.text_table import finite
 from pdr_filter.values import FloatArray, IntArray, limits
@@ -200,7 +200,7 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
     except ImportError as error:
         raise RecordingError(f'{where}: an MCAP file needs a package; install "pdr_filter[ros]"') from error
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
-    left = max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * len(content))
+    left = most_unpacked(len(content))
     schemas: dict[int, str] = {}
     topics: dict[int, tuple[str, str]] = {}
 

@@ -69,12 +69,12 @@ class Members:
         self._most = limits.MAX_READ_BYTES
         self._open = gzip.open if is_gzip else open_regular
         if is_gzip:
-            self._most = min(self._most, _most_unpacked(path.stat().st_size))
+            self._most = min(self._most, most_unpacked(path.stat().st_size))
         name = path.stem if is_gzip and path.suffix.lower() == ".gz" else path.name
         self._files = _files_below(path) if self._folder else {name: path}
         names = list(self._files if archive is None else self._infos)  # with forward slashes
         if inside and self.is_container:
-            of_trial = [name for name in names if _trial_path(name) == inside]
+            of_trial = [name for name in names if str(PurePosixPath(name).parent / trial_of(name)) == inside]
             names = [name for name in names if name == inside or name.startswith(f"{inside}/")] or of_trial
             self.is_container = names != [inside]
             if not names:
@@ -284,11 +284,6 @@ def outside(path: Path) -> tuple[Path, str]:
     return path, ""
 
 
-def _trial_path(name: str) -> str:
-    """Return the folder of a file followed by the name of its trial (see `trial_of`)."""
-    return str(PurePosixPath(name).parent / trial_of(name))
-
-
 def json_object(content: bytes, where: str) -> dict[str, Any]:
     """Return the object in the content of a small JSON file. RecordingError if it is not JSON or not an object."""
     try:
@@ -350,7 +345,7 @@ def _are_of_sensors(folders: Iterable[str]) -> bool:
     return len(sensors) > 1 and not sensors.isdisjoint((ACCELERATION, LINEAR))
 
 
-def _most_unpacked(size: int) -> int:
+def most_unpacked(size: int) -> int:
     """Return the largest number of bytes that a packed file of this size may unpack to."""
     return max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * size)
 
@@ -365,7 +360,7 @@ def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zi
         raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")
     claimed = sum(info.file_size for info in archive.infolist())
     size = archive.fp.seek(0, io.SEEK_END) if archive.fp else 0  # the zip may be inside another one
-    if claimed > _most_unpacked(size):
+    if claimed > most_unpacked(size):
         raise RecordingError(
             f"{path} claims to unpack to {claimed} bytes, {claimed / size:.0f} times its size: no sensor data is like "
             "that; unpack it yourself and give the folder, if you trust it"

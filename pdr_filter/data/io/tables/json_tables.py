@@ -183,8 +183,7 @@ class _Columns:
     def __init__(self, where: str) -> None:
         self._where = where
         self._rows: list[Row] = []
-        self._lengths: list[int] = []
-        self._parts: list[dict[str, _Column]] = []
+        self._parts: list[tuple[int, dict[str, _Column]]] = []  # number of rows, and columns
 
     def add(self, rows: list[Row] | dict[str, list[Any]]) -> None:
         if isinstance(rows, dict):
@@ -200,16 +199,12 @@ class _Columns:
         self._keep_rows()
         columns: dict[str, FloatArray | IntArray] = {}
         places: dict[str, list[int]] = {"": [], "date": [], "exact": []}
-        for i, field in enumerate(dict.fromkeys(key for part in self._parts for key in part)):
-            parts = zip(self._parts, self._lengths, strict=True)
-            known = [part.get(field, (np.full(n, np.nan), "")) for part, n in parts]
+        for i, field in enumerate(dict.fromkeys(key for _, part in self._parts for key in part)):
+            known = [part.get(field, (np.full(n, np.nan), "")) for n, part in self._parts]
             kinds = {kind for _, kind in known}
             kind = kinds.pop() if len(kinds) == 1 else ""
-            column = np.concatenate([column for column, _ in known])
-            whole = column.astype(np.int64) if kind else None
-            columns[field] = (
-                column.astype(float) if whole is None else without_midnights(whole) if kind == "date" else whole
-            )
+            column: Any = np.concatenate([column for column, _ in known]).astype(np.int64 if kind else float)
+            columns[field] = without_midnights(column) if kind == "date" else column
             places[kind].append(i)
         if not columns:
             return None
@@ -225,8 +220,7 @@ class _Columns:
 
     def _keep(self, columns: dict[str, list[Any]], n: int) -> None:
         found = {key: _column(values, self._where) for key, values in columns.items()}
-        self._parts.append({key: column for key, column in found.items() if column is not None})
-        self._lengths.append(n)
+        self._parts.append((n, {key: column for key, column in found.items() if column is not None}))
 
 
 _Column = tuple[FloatArray | IntArray, str]  # values, and whether they are dates or exact whole numbers

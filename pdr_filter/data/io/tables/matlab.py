@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.data.io.files.archive import Members
+from pdr_filter.data.io.files.archive import Members, most_unpacked
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.text_sheets import unlike
 from pdr_filter.values import FloatArray, IntArray, limits
@@ -76,7 +76,7 @@ class _File:
         if len(content) < 128:
             raise ValueError("too short")
         self._order = "<" if content[126:128] == b"IM" else ">"
-        self._unpacked_left = max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * len(content))
+        self._unpacked_left = most_unpacked(len(content))
         self._elements_left = _MAX_ELEMENTS
         (self._objects_at,) = struct.unpack_from(self._order + "q", content, 116)
         self.variables: dict[str, Any] = {}

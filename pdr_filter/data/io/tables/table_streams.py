@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,8 @@ from pdr_filter.values import BoolArray, FloatArray, IntArray, interpolated_near
 from pdr_filter.values.errors import RecordingError
 
 
-class _MappedStream(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class _MappedStream:
     """Values (N, d) of a stream at times (N,) in ticks of `unit_s` seconds, integers if a float would lose digits."""
 
     ticks: IntArray | FloatArray
@@ -88,8 +90,7 @@ def _combined(found: dict[str, _MappedStream]) -> dict[str, _MappedStream]:
     elif LINEAR in found and "accelerometer" not in found:
         streams["accelerometer"] = found[LINEAR]
     if ANGLES in found:
-        angles = found[ANGLES]
-        streams["attitude"] = angles._replace(values=quaternion_of(*angles.values.T))
+        streams["attitude"] = replace(found[ANGLES], values=quaternion_of(*found[ANGLES].values.T))
     return streams
 
 
@@ -118,10 +119,10 @@ def _summed(linear: _MappedStream, gravity: _MappedStream) -> _MappedStream:
     zero = _Zero(linear.ticks[0].item() if len(linear.ticks) else 0, linear.unit_s)
     at_s, known_s = _seconds(linear, zero), _seconds(gravity, zero)
     if np.array_equal(at_s, known_s):
-        return linear._replace(values=linear.values + gravity.values)
+        return replace(linear, values=linear.values + gravity.values)
     known = ~np.isnan(known_s)
     at_linear = interpolated_near(at_s, known_s[known], gravity.values[known], limits.GRAVITY_GAP_S)
-    return linear._replace(values=linear.values + at_linear)
+    return replace(linear, values=linear.values + at_linear)
 
 
 def _seconds(stream: _MappedStream, zero: _Zero) -> FloatArray:
