@@ -4,14 +4,9 @@
 with own predictions or measurements. docs/imm.md has examples.
 """
 
-from pdr_filter.filter.imm.imm import mix as mix
-from pdr_filter.filter.imm.imm import predict as predict
-from pdr_filter.filter.imm.imm import smoothed_mode_prob as smoothed_mode_prob
-from pdr_filter.filter.imm.imm import update as update
-from pdr_filter.filter.imm.imm import update_mode_prob as update_mode_prob
-from pdr_filter.filter.imm.jump_markov import ImmEstimates as ImmEstimates
-from pdr_filter.filter.imm.jump_markov import JumpMarkovModel as JumpMarkovModel
-from pdr_filter.values.mixtures import combine as combine
+from pdr_filter.filter.imm.imm import mix, predict, smoothed_mode_prob, update, update_mode_prob
+from pdr_filter.filter.imm.jump_markov import ImmEstimates, JumpMarkovModel
+from pdr_filter.values.mixtures import combine
 
 __all__ = [
     "ImmEstimates",

@@ -4,13 +4,11 @@ A part needs no base class. `pdr_filter.testing` checks that a part conforms to 
 the docstrings have examples.
 """
 
-from pdr_filter.filter.imm.weighting import Weighting as Weighting
-from pdr_filter.filter.step_length.models import LinearStepLengthModel as LinearStepLengthModel
-from pdr_filter.filter.step_length.models import SmoothStepLengthModel as SmoothStepLengthModel
-from pdr_filter.filter.step_length.models import StepLengthModel as StepLengthModel
-from pdr_filter.sensing.contexts.context_stage import ContextStage as ContextStage
-from pdr_filter.sensing.heading.heading_stage import HeadingStage as HeadingStage
-from pdr_filter.sensing.steps.detector_protocol import StepDetector as StepDetector
+from pdr_filter.filter.imm.weighting import Weighting
+from pdr_filter.filter.step_length.models import LinearStepLengthModel, SmoothStepLengthModel, StepLengthModel
+from pdr_filter.sensing.contexts.context_stage import ContextStage
+from pdr_filter.sensing.heading.heading_stage import HeadingStage
+from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.values.fixes import Measurement as Fix
 
 __all__ = [

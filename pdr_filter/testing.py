@@ -36,10 +36,7 @@ _FEWEST_STEPS = 6
 
 @dataclass(frozen=True)
 class StageSamples:
-    """Inputs of a stage for some samples: the block of samples, the attitude, the contexts, and the detected steps.
-
-    `first` is the number of the first sample in its segment.
-    """
+    """Inputs of a stage for some samples: the block of samples, the attitude, the contexts, and the detected steps."""
 
     block: UniformBlock
     attitude: AttitudeBlock
@@ -65,10 +62,7 @@ class StageSamples:
         return StageSamples(block, cut(self.attitude), cut(self.contexts), steps, self.first + a)
 
     def cut(self, edges: Sequence[int]) -> list[StageSamples]:
-        """Return consecutive, non-empty parts of these samples, cut at the given indices.
-
-        An index may exceed the number of samples: it is taken modulo this number.
-        """
+        """Return consecutive, non-empty parts of these samples, cut at indices modulo their number."""
         n = len(self)
         return [self.part(a, b) for a, b in pairwise(sorted({0, *(e % n for e in edges), n}))]
 
@@ -86,8 +80,7 @@ class StageSamples:
 def stage_samples(rate_hz: float = 100.0, seed: int = 0) -> StageSamples:
     """Return the inputs of a stage for 18 s of a noisy simulated walk with a right turn.
 
-    The phone is taken out of a pocket, and the angular rate is missing for 1 s. The reported carrying mode changes
-    every 3.5 s. The context is always walking.
+    The phone is taken out of a pocket, the angular rate is missing for 1 s, and the carrying mode changes every 3.5 s.
     """
     legs = [
         Leg("walking", distance_m=12.0),
@@ -207,9 +200,8 @@ def verify_stage(stage: Any) -> None:
         cut_state, found = run.over(pieces)
         if bits(found) != bits(whole) or bits(run.finish(cut_state)) != bits(run.finish(state)):
             run.fail(
-                "gives different results if the same samples come in other blocks: "
-                "keep all memory in the state, and use "
-                "no mean or filter over a whole block"
+                "gives different results if the same samples come in other blocks: keep all memory in the state, and "
+                "use no mean or filter over a whole block"
             )
     few = samples.part(0, len(samples) // 2)
     if bits(run.over([few.part(k, k + 1) for k in range(len(few))])[1]) != bits(run.over([few])[1]):
@@ -276,9 +268,8 @@ def _check_steps(run: _Run, samples: StageSamples, steps: list[Step]) -> None:
             )
         if not -1e-6 <= step.detected_time_s - step.time_s <= latency_s + 1e-6:
             run.fail(
-                f"returns a step {step.detected_time_s - step.time_s:.2f} s after its "
-                "contact, which exceeds its latency_s "
-                f"of {run.stage.latency_s:.2f} s"
+                f"returns a step {step.detected_time_s - step.time_s:.2f} s after its contact, which exceeds its "
+                f"latency_s of {run.stage.latency_s:.2f} s"
             )
     near = np.abs(np.subtract.outer([s.time_s for s in steps], samples.block.time_s)).min(axis=1)
     if near.max() > 0.02:

@@ -16,10 +16,8 @@ def confusion_matrix(label: IntArray, predicted: IntArray, n_classes: int) -> In
 
     Parameters
     ----------
-    label : ndarray of int, shape (N,)
-        True labels, 0 to C - 1.
-    predicted : ndarray of int, shape (N,)
-        Predicted labels, 0 to C - 1.
+    label, predicted : ndarray of int, shape (N,)
+        True and predicted labels, 0 to C - 1.
     n_classes : int
         Number of classes C.
 
@@ -35,8 +33,7 @@ def confusion_matrix(label: IntArray, predicted: IntArray, n_classes: int) -> In
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.confusion_matrix(np.array([0, 0, 1]), np.array([0, 1, 1]), 2).tolist()
     [[1, 1], [0, 1]]
     """
@@ -64,10 +61,8 @@ def accuracy(confusion: IntArray) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> pdr.evaluate.accuracy(confusion)
+    >>> import numpy as np, pdr_filter as pdr
+    >>> pdr.evaluate.accuracy(np.array([[8, 2], [1, 9]]))
     0.85
     """
     total = confusion.sum()
@@ -89,10 +84,8 @@ def recall(confusion: IntArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> pdr.evaluate.recall(confusion).tolist()
+    >>> import numpy as np, pdr_filter as pdr
+    >>> pdr.evaluate.recall(np.array([[8, 2], [1, 9]])).tolist()
     [0.8, 0.9]
     """
     return _share(np.diagonal(confusion), confusion.sum(axis=1))
@@ -113,10 +106,8 @@ def precision(confusion: IntArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> pdr.evaluate.precision(confusion).round(3).tolist()
+    >>> import numpy as np, pdr_filter as pdr
+    >>> pdr.evaluate.precision(np.array([[8, 2], [1, 9]])).round(3).tolist()
     [0.889, 0.818]
     """
     return _share(np.diagonal(confusion), confusion.sum(axis=0))
@@ -141,10 +132,8 @@ def macro_recall(confusion: IntArray) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> round(pdr.evaluate.macro_recall(confusion), 3)
+    >>> import numpy as np, pdr_filter as pdr
+    >>> round(pdr.evaluate.macro_recall(np.array([[8, 2], [1, 9]])), 3)
     0.85
     """
     return float(np.nanmean(recall(confusion))) if confusion.sum() else np.nan
@@ -171,10 +160,8 @@ def kappa(confusion: IntArray) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> round(pdr.evaluate.kappa(confusion), 3)
+    >>> import numpy as np, pdr_filter as pdr
+    >>> round(pdr.evaluate.kappa(np.array([[8, 2], [1, 9]])), 3)
     0.7
     """
     total = confusion.sum()
@@ -190,10 +177,8 @@ def log_loss(prob: FloatArray, label: IntArray, floor: float = 1e-15) -> float:
 
     Parameters
     ----------
-    prob : ndarray of shape (N, C)
-        Predicted probabilities.
-    label : ndarray of int, shape (N,)
-        True labels, 0 to C - 1.
+    prob, label : ndarray of shape (N, C), and of int, shape (N,)
+        Predicted probabilities, and true labels, 0 to C - 1.
     floor : float, default 1e-15
         Smaller probabilities are replaced by this value, because a single zero would make the mean infinite.
 
@@ -209,8 +194,7 @@ def log_loss(prob: FloatArray, label: IntArray, floor: float = 1e-15) -> float:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> round(pdr.evaluate.log_loss(np.array([[0.9, 0.1], [0.5, 0.5]]), np.array([0, 1])), 3)
     0.399
     """
@@ -225,10 +209,8 @@ def calibration_error(prob: FloatArray, label: IntArray, n_bins: int = 15) -> fl
 
     Parameters
     ----------
-    prob : ndarray of shape (N, C)
-        Predicted probabilities.
-    label : ndarray of int, shape (N,)
-        True labels, 0 to C - 1.
+    prob, label : ndarray of shape (N, C), and of int, shape (N,)
+        Predicted probabilities, and true labels, 0 to C - 1.
     n_bins : int, default 15
         Number of bins of equal width in the highest probability.
 
@@ -253,8 +235,7 @@ def calibration_error(prob: FloatArray, label: IntArray, n_bins: int = 15) -> fl
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> prob = np.array([[0.8, 0.2], [0.8, 0.2]])
     >>> round(pdr.evaluate.calibration_error(prob, np.array([0, 1])), 3)
     0.3
@@ -287,11 +268,8 @@ def class_table(confusion: IntArray, classes: Sequence[str]) -> Table:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
-    >>> confusion = np.array([[8, 2], [1, 9]])
-    >>> rows = pdr.evaluate.class_table(confusion, ["walking", "stairs"])
-    >>> rows.recall.tolist()
+    >>> import numpy as np, pdr_filter as pdr
+    >>> pdr.evaluate.class_table(np.array([[8, 2], [1, 9]]), ["walking", "stairs"]).recall.tolist()
     [0.8, 0.9]
     """
     if confusion.shape != (len(classes), len(classes)):

@@ -33,10 +33,8 @@ def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows], trut
 
     Parameters
     ----------
-    recording : Recording
-        Recording with ground truth.
-    tracks : mapping of str to Track
-        Tracks of the recording by name.
+    recording, tracks : Recording, and mapping of str to Track
+        Recording with ground truth, and its tracks by name.
     truth_std_m : float, default 0.7
         Standard deviation in m of the true positions along each axis, for the consistency of the covariances.
 
@@ -48,8 +46,7 @@ def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows], trut
 
         - `name`, `n_steps`, `distance_m`.
         - `step_error_percent`, the relative error of the step count.
-        - `leg_error_percent`, the relative error of the length of all segments of known distance together
-          (`leg_error_percent`).
+        - `leg_error_percent`, the relative error of the length of all segments of known distance together.
         - `rmse_m`, the position RMSE at the known places, after rigid alignment to all of them.
         - `end_error_percent`, the position error at the last known place relative to the path length, after rigid
           alignment to the known places of the first 20 % of the path.
@@ -85,10 +82,8 @@ def leg_error_percent(recording: Recording, track: TrackRows) -> float:
 
     Parameters
     ----------
-    recording : Recording
-        Recording with truth segments of known distance.
-    track : Track
-        Track of the recording.
+    recording, track : Recording and Track
+        Recording with truth segments of known distance, and a track of it.
 
     Returns
     -------
@@ -117,8 +112,7 @@ def leg_error_percent(recording: Recording, track: TrackRows) -> float:
     known = None if segments is None else segments[segments.distance_m > 0]
     if known is None or not len(known):
         raise ValueError(
-            f"{recording.name or 'the recording'} has no truth segments of "
-            "known distance: add truth_segments.csv "
+            f"{recording.name or 'the recording'} has no truth segments of known distance: add truth_segments.csv "
             "(docs/formats.md)"
         )
     return length_error_percent(recording, track, cast(Table, known))
@@ -129,10 +123,8 @@ def in_truth_frame(recording: Recording, track: TrackRows) -> FloatArray:
 
     Parameters
     ----------
-    recording : Recording
-        Recording with waypoints or true positions.
-    track : Track
-        Track of the recording.
+    recording, track : Recording and Track
+        Recording with waypoints or true positions, and a track of it.
 
     Returns
     -------
@@ -148,9 +140,8 @@ def in_truth_frame(recording: Recording, track: TrackRows) -> FloatArray:
     --------
     >>> import pdr_filter as pdr
     >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
-    >>> track = pdr.track(walk)
-    >>> pdr.evaluate.in_truth_frame(walk, track).shape == (track.n_steps + 1, 2)
-    True
+    >>> pdr.evaluate.in_truth_frame(walk, pdr.track(walk)).shape[1]
+    2
     """
     _, estimate_m, reference_m = _at_known_places(recording, track)
     if not len(reference_m):
@@ -182,8 +173,7 @@ def second_over_first(prob: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.second_over_first(np.array([[0.8, 0.2], [0.5, 0.5]])).tolist()
     [0.25, 1.0]
     """

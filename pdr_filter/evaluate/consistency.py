@@ -14,10 +14,8 @@ def nees(error: FloatArray, cov: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    error : ndarray of shape (N, D)
-        Errors e, in any unit.
-    cov : ndarray of shape (N, D, D)
-        Covariances P of the errors.
+    error, cov : ndarray of shape (N, D) and (N, D, D)
+        Errors e, in any unit, and their covariances P.
 
     Returns
     -------
@@ -37,8 +35,7 @@ def nees(error: FloatArray, cov: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.nees(np.array([[2.0, 0.0]]), np.array([[[4.0, 0.0], [0.0, 1.0]]])).tolist()
     [1.0]
     """
@@ -58,10 +55,8 @@ def nis(innovation: FloatArray, innovation_cov: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    innovation : ndarray of shape (N, D)
-        Innovations v, that is, measurement minus prediction.
-    innovation_cov : ndarray of shape (N, D, D)
-        Covariances S of the innovations.
+    innovation, innovation_cov : ndarray of shape (N, D) and (N, D, D)
+        Innovations v, that is, measurement minus prediction, and their covariances S.
 
     Returns
     -------
@@ -75,13 +70,11 @@ def nis(innovation: FloatArray, innovation_cov: FloatArray) -> FloatArray:
 
     Notes
     -----
-    In a consistent filter, the NIS is chi-square distributed with D degrees of freedom and mean D (Y. Bar-Shalom, X. R.
-    Li and T. Kirubarajan, "Estimation with applications to tracking and navigation", 2001, section 5.4.2).
+    In a consistent filter, the NIS is chi-square distributed with D degrees of freedom and mean D, as in `nees`.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.nis(np.array([[3.0]]), np.array([[[9.0]]])).tolist()
     [1.0]
     """
@@ -103,10 +96,8 @@ def mean_bounds(dof: int, n: int, prob: float = 0.95) -> tuple[float, float]:
 
     Returns
     -------
-    low : float
-        Lower bound of the mean of n independent chi-square variables.
-    high : float
-        Upper bound.
+    tuple of float
+        Lower and upper bound of the mean of n independent chi-square variables.
 
     Raises
     ------
@@ -131,10 +122,8 @@ def ellipse_coverage(error: FloatArray, cov: FloatArray, prob: ArrayLike = (0.5,
 
     Parameters
     ----------
-    error : ndarray of shape (N, D)
-        Errors, in any unit.
-    cov : ndarray of shape (N, D, D)
-        Covariances of the errors.
+    error, cov : ndarray of shape (N, D) and (N, D, D)
+        Errors, in any unit, and their covariances.
     prob : float or array_like, default (0.5, 0.95)
         Probabilities of the ellipses. If the covariances are correct, the result equals them.
 
@@ -155,8 +144,7 @@ def ellipse_coverage(error: FloatArray, cov: FloatArray, prob: ArrayLike = (0.5,
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> error = np.random.default_rng(0).normal(size=(1000, 2))
     >>> pdr.evaluate.ellipse_coverage(error, np.tile(np.eye(2), (1000, 1, 1)), 0.95).round(2)
     np.float64(0.95)

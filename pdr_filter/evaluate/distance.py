@@ -16,10 +16,8 @@ def percent_error(estimate_m: ArrayLike, true_m: ArrayLike) -> FloatArray:
 
     Parameters
     ----------
-    estimate_m : array_like
-        Estimated distances in m.
-    true_m : array_like
-        True distances in m, positive.
+    estimate_m, true_m : array_like
+        Estimated distances in m, and true ones, which are positive.
 
     Returns
     -------
@@ -56,12 +54,8 @@ class DistanceScores:
     ----------
     n : int
         Number of walks or legs.
-    bias_percent : float
-        Mean error in per cent.
-    spread_percent : float
-        Standard deviation of the errors in per cent, with N in the denominator.
-    rmse_percent : float
-        Root mean square error (%RMSE) in per cent.
+    bias_percent, spread_percent, rmse_percent : float
+        Mean, standard deviation (with N in the denominator) and root mean square of the errors in per cent.
     largest_percent : float
         Largest absolute error in per cent.
 
@@ -101,9 +95,8 @@ def distance_scores(error_percent: ArrayLike) -> DistanceScores:
     Examples
     --------
     >>> import pdr_filter as pdr
-    >>> scores = pdr.evaluate.distance_scores([-7.0, 1.0])
-    >>> scores.bias_percent, scores.spread_percent, scores.rmse_percent
-    (-3.0, 4.0, 5.0)
+    >>> pdr.evaluate.distance_scores([-7.0, 1.0]).rmse_percent
+    5.0
     """
     error = np.asarray(error_percent, dtype=float).ravel()
     if not len(error):
@@ -117,10 +110,8 @@ def distance_table(estimate_m: ArrayLike, true_m: ArrayLike, context: Sequence[s
 
     Parameters
     ----------
-    estimate_m : array_like of shape (N,)
-        Estimated lengths of the legs in m.
-    true_m : array_like of shape (N,)
-        True lengths of the legs in m, positive.
+    estimate_m, true_m : array_like of shape (N,)
+        Estimated lengths of the legs in m, and true ones, which are positive.
     context : sequence of str
         Context of each leg.
 
@@ -159,10 +150,8 @@ def walked_m(time_s: FloatArray, step_length_m: FloatArray, start_s: ArrayLike, 
 
     Parameters
     ----------
-    time_s : ndarray of shape (K,)
-        Times of the contacts that end the steps in s, ascending, as in `Track`.
-    step_length_m : ndarray of shape (K,)
-        Lengths of the steps in m.
+    time_s, step_length_m : ndarray of shape (K,)
+        Times of the contacts that end the steps in s, ascending, as in `Track`, and lengths of the steps in m.
     start_s, end_s : array_like of shape (N,)
         Start and end of the intervals in s. A step belongs to an interval if start < time <= end.
 
@@ -173,10 +162,8 @@ def walked_m(time_s: FloatArray, step_length_m: FloatArray, start_s: ArrayLike, 
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
-    >>> time_s = np.array([1.0, 2.0, 3.0])
-    >>> pdr.evaluate.walked_m(time_s, np.array([0.7, 0.8, 0.6]), [1.0], [3.0]).round(2).tolist()
+    >>> import numpy as np, pdr_filter as pdr
+    >>> pdr.evaluate.walked_m(np.arange(1.0, 4.0), np.array([0.7, 0.8, 0.6]), [1.0], [3.0]).round(2).tolist()
     [1.4]
     """
     total_m = np.concatenate([[0.0], np.cumsum(step_length_m)])

@@ -28,8 +28,7 @@ def weighting_tracks(
 ) -> dict[str, Track]:
     """Return tracks of a recording with the weightings HC, WC and IMM, with all other settings equal.
 
-    HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
-    step lengths, weighted with the context probabilities. IMM is the interacting multiple model.
+    They are those of highest context, weighted context and interacting multiple model (see `weighting_errors`).
 
     Parameters
     ----------
@@ -116,8 +115,7 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     --------
     >>> import pdr_filter as pdr
     >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
-    >>> rows = pdr.evaluate.weighting_errors(walk)
-    >>> rows.weighting.tolist()[:3]
+    >>> pdr.evaluate.weighting_errors(walk).weighting.tolist()[:3]
     ['hc', 'wc', 'wc, always']
     """
     labels = recording.truth.labels
@@ -164,10 +162,8 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
 
     Parameters
     ----------
-    recording : Recording
-        Recording to track.
-    config : Config
-        Configuration of the filter.
+    recording, config : Recording and Config
+        Recording to track, and configuration of the filter.
     thresholds : sequence of float
         Thresholds of the ratio of the second-highest to the highest context probability. With 0, each step length is
         the mean over the contexts, weighted with their probabilities (WC). With 1, it is the length of the most
@@ -186,8 +182,7 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
     --------
     >>> import pdr_filter as pdr
     >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)])
-    >>> config = pdr.recipes.default()
-    >>> pdr.evaluate.threshold_sweep(walk, config, [0.0, 1.0]).threshold.tolist()
+    >>> pdr.evaluate.threshold_sweep(walk, pdr.recipes.default(), [0.0, 1.0]).threshold.tolist()
     [0.0, 1.0]
     """
     tracks = [track(recording, _with_threshold(config, float(t)), gnss="off") for t in thresholds]

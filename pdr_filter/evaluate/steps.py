@@ -15,10 +15,8 @@ def count_error_percent(n_found: ArrayLike, n_true: ArrayLike) -> FloatArray:
 
     Parameters
     ----------
-    n_found : array_like
-        Detected step counts.
-    n_true : array_like
-        True step counts, positive.
+    n_found, n_true : array_like
+        Detected step counts, and true ones, which are positive.
 
     Returns
     -------
@@ -46,10 +44,8 @@ def matched_steps(true_s: FloatArray, found_s: FloatArray, tolerance_s: float) -
 
     Parameters
     ----------
-    true_s : ndarray of shape (N,)
-        True step times in s, ascending.
-    found_s : ndarray of shape (K,)
-        Detected step times in s, ascending.
+    true_s, found_s : ndarray of shape (N,) and (K,)
+        True and detected step times in s, ascending.
     tolerance_s : float
         Largest difference of matched times in s, inclusive.
 
@@ -70,8 +66,7 @@ def matched_steps(true_s: FloatArray, found_s: FloatArray, tolerance_s: float) -
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> true_s, found_s = np.array([1.0, 1.5, 2.0]), np.array([1.1, 2.05, 2.6])
     >>> pdr.evaluate.matched_steps(true_s, found_s, 0.25).tolist()
     [[0, 0], [2, 1]]
@@ -100,12 +95,8 @@ class StepScores:
 
     Attributes
     ----------
-    n_true : int
-        Number of true steps.
-    n_found : int
-        Number of detected steps.
-    n_matched : int
-        Number of one-to-one matches.
+    n_true, n_found, n_matched : int
+        Numbers of true steps, of detected steps and of one-to-one matches.
 
     Examples
     --------
@@ -154,10 +145,8 @@ def step_scores(true_s: FloatArray, found_s: FloatArray, tolerance_s: float = 0.
 
     Parameters
     ----------
-    true_s : ndarray of shape (N,)
-        True step times in s, ascending.
-    found_s : ndarray of shape (K,)
-        Detected step times in s, ascending.
+    true_s, found_s : ndarray of shape (N,) and (K,)
+        True and detected step times in s, ascending.
     tolerance_s : float, default 0.25
         Largest difference of matched times in s, inclusive.
 
@@ -173,8 +162,7 @@ def step_scores(true_s: FloatArray, found_s: FloatArray, tolerance_s: float = 0.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> true_s, found_s = np.array([1.0, 1.5, 2.0]), np.array([1.1, 2.05, 2.6])
     >>> pdr.evaluate.step_scores(true_s, found_s)
     StepScores(n_true=3, n_found=3, n_matched=2)
@@ -187,10 +175,8 @@ def f1_score(true_s: FloatArray, found_s: FloatArray, tolerance_s: float = 0.25)
 
     Parameters
     ----------
-    true_s : ndarray of shape (N,)
-        True step times in s, ascending.
-    found_s : ndarray of shape (K,)
-        Detected step times in s, ascending.
+    true_s, found_s : ndarray of shape (N,) and (K,)
+        True and detected step times in s, ascending.
     tolerance_s : float, default 0.25
         Largest difference of matched times in s, inclusive.
 
@@ -206,8 +192,7 @@ def f1_score(true_s: FloatArray, found_s: FloatArray, tolerance_s: float = 0.25)
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> true_s, found_s = np.array([1.0, 1.5, 2.0]), np.array([1.1, 2.05, 2.6])
     >>> round(pdr.evaluate.f1_score(true_s, found_s), 3)
     0.667
@@ -227,10 +212,8 @@ def best_offset_s(
 
     Parameters
     ----------
-    true_s : ndarray of shape (N,)
-        True step times in s, ascending.
-    found_s : ndarray of shape (K,)
-        Detected step times in s, ascending.
+    true_s, found_s : ndarray of shape (N,) and (K,)
+        True and detected step times in s, ascending.
     tolerance_s : float, default 0.25
         Largest difference of matched times in s, inclusive.
     offsets_s : ndarray, default -0.4 to 0.4 in steps of 0.02
@@ -253,8 +236,7 @@ def best_offset_s(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> true_s = np.arange(1.0, 9.0, 0.7)
     >>> round(pdr.evaluate.best_offset_s(true_s, true_s + 0.3, tolerance_s=0.05), 2)
     -0.26

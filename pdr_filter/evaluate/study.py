@@ -18,10 +18,8 @@ def context_errors(recording: Recording, tracks: Mapping[str, TrackRows]) -> Tab
 
     Parameters
     ----------
-    recording : Recording
-        Recording with context labels (`truth.labels`). True positions are not needed.
-    tracks : mapping of str to Track
-        Tracks of the recording by name.
+    recording, tracks : Recording, and mapping of str to Track
+        Recording with context labels (`truth.labels`), and its tracks by name. True positions are not needed.
 
     Returns
     -------
@@ -41,8 +39,7 @@ def context_errors(recording: Recording, tracks: Mapping[str, TrackRows]) -> Tab
     >>> import pdr_filter as pdr
     >>> legs = [pdr.simulate.Leg("walking", distance_m=20.0), pdr.simulate.Leg("stationary", duration_s=5.0)]
     >>> walk = pdr.simulate.simulate(legs)
-    >>> rows = pdr.evaluate.context_errors(walk, {"imm": pdr.track(walk)})
-    >>> rows.context.tolist()
+    >>> pdr.evaluate.context_errors(walk, {"imm": pdr.track(walk)}).context.tolist()
     ['stationary', 'walking']
     """
     labels = recording.truth.labels
@@ -124,7 +121,7 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
     people = [str(k) for k in range(len(rows))] if people is None else list(people)
     if len(people) != len(rows):
         raise ValueError(f"people must have one name for each of the {len(rows)} recordings, got {len(people)}")
-    found: list[dict[str, object]] = []
+    found: list[tuple[object, ...]] = []
     for measure in MEASURES:
         error = np.array([each[measure] for each in rows])  # (R, T)
         use = np.isfinite(error).all(axis=1)
@@ -135,29 +132,17 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
         signed = np.array([error[person_of == person].mean(axis=0) for person in persons])
         size = np.array([np.abs(error[person_of == person]).mean(axis=0) for person in persons])
         for k, name in enumerate(names):
-            mean, low, high = _interval(size[:, k])
             difference = _interval(size[:, k] - size[:, -1]) if k < len(names) - 1 else (np.nan, np.nan, np.nan)
-            found.append(
-                {
-                    "measure": measure,
-                    "name": name,
-                    "n_recordings": int(use.sum()),
-                    "n_people": len(size),
-                    "bias": float(signed[:, k].mean()),
-                    "mean": mean,
-                    "low": low,
-                    "high": high,
-                    "difference": difference[0],
-                    "difference_low": difference[1],
-                    "difference_high": difference[2],
-                }
-            )
+            counts = int(use.sum()), len(size)
+            found.append((measure, name, *counts, signed[:, k].mean(), *_interval(size[:, k]), *difference))
     if not found:
         raise ValueError(
             "no recording has a truth that tracks can be compared with: add truth "
             "files to a recording (docs/formats.md)"
         )
-    return table({key: np.array([row[key] for row in found]) for key in found[0]})
+    columns = ("measure", "name", "n_recordings", "n_people", "bias", "mean", "low", "high")
+    columns += ("difference", "difference_low", "difference_high")
+    return table({name: np.array(column) for name, column in zip(columns, zip(*found, strict=True), strict=True)})
 
 
 def study_rows(study: Table, digits: int = 2) -> list[dict[str, object]]:

@@ -195,12 +195,15 @@ def _is_nan(value: object) -> bool:
 
 
 def _latex_cell(value: object, digits: int) -> str:
-    if isinstance(value, float | np.floating):
-        return "--" if value != value else f"{value:.{digits}f}"
-    return " ".join(str(value).split()).translate(_LATEX)
+    return _text(value, digits, "--").translate(_LATEX)
 
 
 def _cell(value: object, digits: int) -> str:
+    return _text(value, digits, "-").replace("|", "\\|")  # escape a character that would end the cell
+
+
+def _text(value: object, digits: int, nan: str) -> str:
+    """Return a value in one line, with rounded floats and `nan` for NaN."""
     if isinstance(value, float | np.floating):
-        return "-" if value != value else f"{value:.{digits}f}"
-    return " ".join(str(value).split()).replace("|", "\\|")  # escape characters that would end the cell or the line
+        return nan if value != value else f"{value:.{digits}f}"
+    return " ".join(str(value).split())

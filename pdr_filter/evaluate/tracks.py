@@ -25,10 +25,8 @@ def positions_at(
 
     Parameters
     ----------
-    time_s : ndarray of shape (K,)
-        Times of the steps in s, ascending.
-    position_m : ndarray of shape (K, 2)
-        Position after each step in m.
+    time_s, position_m : ndarray of shape (K,) and (K, 2)
+        Times of the steps in s, ascending, and position after each step in m.
     at_s : array_like of shape (T,)
         Times at which positions are returned, in s.
     start_position_m : array_like of shape (2,), default (0.0, 0.0)
@@ -47,8 +45,7 @@ def positions_at(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> time_s, position_m = np.array([1.0, 2.0]), np.array([[0.0, 0.7], [0.0, 1.4]])
     >>> pdr.evaluate.positions_at(time_s, position_m, [1.5, 3.0]).round(2).tolist()
     [[0.0, 1.05], [0.0, 1.4]]
@@ -70,15 +67,12 @@ def moved_m(
 
     Parameters
     ----------
-    time_s : ndarray of shape (K,)
-        Times of the steps in s, ascending.
-    position_m : ndarray of shape (K, 2)
-        Position after each step in m.
+    time_s, position_m : ndarray of shape (K,) and (K, 2)
+        Times of the steps in s, ascending, and position after each step in m.
     start_s, end_s : array_like of shape (N,)
         Start and end of the intervals in s.
     start_position_m : array_like of shape (2,), default (0.0, 0.0)
-        Position before the first step, `Track.start_position_m`. It differs from zero if the track is in the frame of
-        fixes or of a plan.
+        Position before the first step, as in `positions_at`.
 
     Returns
     -------
@@ -91,8 +85,7 @@ def moved_m(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> time_s, position_m = np.array([1.0, 2.0, 3.0]), np.array([[0.0, 0.7], [0.0, 1.4], [0.7, 1.4]])
     >>> pdr.evaluate.moved_m(time_s, position_m, [1.0], [2.0]).round(2).tolist()
     [0.7]
@@ -117,8 +110,7 @@ def path_m(position_m: FloatArray) -> FloatArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.path_m(np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 5.0]])).tolist()
     [0.0, 5.0, 6.0]
     """
@@ -144,8 +136,7 @@ def first_of_path(reference_m: FloatArray, fraction: float = 0.2) -> BoolArray:
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.first_of_path(np.array([[0.0, float(k)] for k in range(21)])).sum()
     np.int64(5)
     """
@@ -160,10 +151,8 @@ def fitted(estimate_m: FloatArray, reference_m: FloatArray, use: BoolArray) -> F
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
     use : ndarray of bool, shape (N,)
         Points that determine the rotation and the translation.
 
@@ -174,11 +163,9 @@ def fitted(estimate_m: FloatArray, reference_m: FloatArray, use: BoolArray) -> F
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
-    >>> estimate_m = reference_m + [3.0, 4.0]
-    >>> pdr.evaluate.fitted(estimate_m, reference_m, np.array([True, True, False])).round(6).tolist()
+    >>> pdr.evaluate.fitted(reference_m + [3.0, 4.0], reference_m, np.array([True, True, False])).round(6).tolist()
     [[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]]
     """
     rotation, shift_m = rigid_fit(estimate_m[use], reference_m[use])
@@ -192,10 +179,8 @@ def aligned(
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
     align : {"none", "origin", "first", "all"}, default "none"
         "none" returns the estimate unchanged. "origin" translates it so that the first points agree. "first" is a rigid
         alignment to the first fraction of the path (at least three points), which corresponds to a user who knows start
@@ -216,11 +201,9 @@ def aligned(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
-    >>> estimate_m = reference_m + [3.0, 4.0]
-    >>> pdr.evaluate.aligned(estimate_m, reference_m, "origin").tolist()
+    >>> pdr.evaluate.aligned(reference_m + [3.0, 4.0], reference_m, "origin").tolist()
     [[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]]
     """
     if estimate_m.shape != reference_m.shape or not len(reference_m):
@@ -252,15 +235,10 @@ def position_errors_m(
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
-    align : {"none", "origin", "first", "all"}, default "none"
-        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
-        first points or to all points.
-    fraction : float, default 0.2
-        Fraction of the path that "first" uses.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
+    align, fraction : {"none", "origin", "first", "all"} and float
+        Alignment of the estimate, as in `aligned`.
 
     Returns
     -------
@@ -274,11 +252,9 @@ def position_errors_m(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
-    >>> estimate_m = reference_m + [3.0, 4.0]
-    >>> pdr.evaluate.position_errors_m(estimate_m, reference_m).tolist()
+    >>> pdr.evaluate.position_errors_m(reference_m + [3.0, 4.0], reference_m).tolist()
     [5.0, 5.0, 5.0]
     """
     return np.linalg.norm(aligned(estimate_m, reference_m, align, fraction) - reference_m, axis=1)
@@ -291,15 +267,10 @@ def position_rmse_m(
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
-    align : {"none", "origin", "first", "all"}, default "none"
-        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
-        first points or to all points.
-    fraction : float, default 0.2
-        Fraction of the path that "first" uses.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
+    align, fraction : {"none", "origin", "first", "all"} and float
+        Alignment of the estimate, as in `aligned`.
 
     Returns
     -------
@@ -321,11 +292,9 @@ def position_rmse_m(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
-    >>> estimate_m = reference_m + [3.0, 4.0]
-    >>> pdr.evaluate.position_rmse_m(estimate_m, reference_m)
+    >>> pdr.evaluate.position_rmse_m(reference_m + [3.0, 4.0], reference_m)
     5.0
     """
     return float(np.sqrt((position_errors_m(estimate_m, reference_m, align, fraction) ** 2).mean()))
@@ -338,15 +307,10 @@ def axis_rmse_m(
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
-    align : {"none", "origin", "first", "all"}, default "none"
-        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
-        first points or to all points.
-    fraction : float, default 0.2
-        Fraction of the path that "first" uses.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
+    align, fraction : {"none", "origin", "first", "all"} and float
+        Alignment of the estimate, as in `aligned`.
 
     Returns
     -------
@@ -364,11 +328,9 @@ def axis_rmse_m(
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
-    >>> estimate_m = reference_m + [3.0, 4.0]
-    >>> round(pdr.evaluate.axis_rmse_m(estimate_m, reference_m), 3)
+    >>> round(pdr.evaluate.axis_rmse_m(reference_m + [3.0, 4.0], reference_m), 3)
     3.536
     """
     error_m = aligned(estimate_m, reference_m, align, fraction) - reference_m
@@ -380,10 +342,8 @@ def relative_error_m(estimate_m: FloatArray, reference_m: FloatArray, n_ahead: i
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times, equally spaced in time.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times, equally spaced in time.
     n_ahead : int
         Number of points between start and end of a displacement.
 
@@ -406,11 +366,9 @@ def relative_error_m(estimate_m: FloatArray, reference_m: FloatArray, n_ahead: i
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
-    >>> estimate_m = reference_m + [3.0, 4.0]
-    >>> pdr.evaluate.relative_error_m(estimate_m, reference_m, 1)
+    >>> pdr.evaluate.relative_error_m(reference_m + [3.0, 4.0], reference_m, 1)
     0.0
     """
     if not 0 < n_ahead < len(estimate_m):
@@ -426,15 +384,10 @@ def end_error_percent(
 
     Parameters
     ----------
-    estimate_m : ndarray of shape (N, 2)
-        Estimated positions in m.
-    reference_m : ndarray of shape (N, 2)
-        True positions in m at the same times.
-    align : {"none", "origin", "first", "all"}, default "none"
-        Alignment of the estimate, as in `aligned`: none, translation of the first point, or rigid alignment to the
-        first points or to all points.
-    fraction : float, default 0.2
-        Fraction of the path that "first" uses.
+    estimate_m, reference_m : ndarray of shape (N, 2)
+        Estimated and true positions in m at the same times.
+    align, fraction : {"none", "origin", "first", "all"} and float
+        Alignment of the estimate, as in `aligned`.
 
     Returns
     -------
@@ -444,25 +397,21 @@ def end_error_percent(
     Raises
     ------
     ValueError
-        If positions are missing or NaN, if shapes differ, or if `align` is unknown.
-        Also if the true path has no length.
+        If positions are missing or NaN, if shapes differ, if `align` is unknown, or if the true path has no length.
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> reference_m = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
-    >>> estimate_m = reference_m + [3.0, 4.0]
-    >>> pdr.evaluate.end_error_percent(estimate_m, reference_m)
+    >>> pdr.evaluate.end_error_percent(reference_m + [3.0, 4.0], reference_m)
     25.0
     """
     error_m = position_errors_m(estimate_m, reference_m, align, fraction)[-1]
     length_m = path_m(reference_m)[-1]
     if not length_m > 0:
         raise ValueError(
-            "reference_m has a path length of zero, to which the end error would be "
-            "relative: give at least two different "
-            "points"
+            "reference_m has a path length of zero, to which the end error would be relative: give at least two "
+            "different points"
         )
     return float(100.0 * error_m / length_m)
 
@@ -484,8 +433,7 @@ def directions_rad(position_m: FloatArray, min_moved_m: float = 0.1) -> FloatArr
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.directions_rad(np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 1.0]])).round(3).tolist()
     [0.0, 1.571]
     """
@@ -499,10 +447,8 @@ def heading_errors_rad(estimate_rad: ArrayLike, reference_rad: ArrayLike) -> Flo
 
     Parameters
     ----------
-    estimate_rad : array_like
-        Estimated headings in rad.
-    reference_rad : array_like
-        True headings in rad, NaN if unknown.
+    estimate_rad, reference_rad : array_like
+        Estimated headings, and true ones, NaN if unknown, in rad.
 
     Returns
     -------
@@ -511,8 +457,7 @@ def heading_errors_rad(estimate_rad: ArrayLike, reference_rad: ArrayLike) -> Flo
 
     Examples
     --------
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
+    >>> import numpy as np, pdr_filter as pdr
     >>> pdr.evaluate.heading_errors_rad([0.1], [2 * np.pi]).round(3)
     array([0.1])
     """

@@ -22,27 +22,13 @@ END_STEP_FACTORS = (0.45, 0.8, 0.95)
 
 @dataclass(frozen=True, slots=True)
 class ContextGait:
-    """Movement of a typical person in one context. The resulting motion of the phone is in `strides`.
+    """Movement of a typical person in one context. The resulting motion of the phone is in `strides`."""
 
-    The step length is height * (length_offset + length_slope_s * frequency). On stairs it is the tread.
-
-    Attributes
-    ----------
-    frequency_hz : float
-        Step frequency.
-    length_offset, length_slope_s : float
-        Coefficients of the step length.
-    rise_m : float
-        Height gained in each step.
-    tremor : float
-        Motion that does not repeat with the strides, relative to standing.
-    """
-
-    frequency_hz: float = 0.0
-    length_offset: float = 0.0
+    frequency_hz: float = 0.0  # of the steps
+    length_offset: float = 0.0  # step length = height * (length_offset + length_slope_s * frequency); stairs: tread
     length_slope_s: float = 0.0
-    rise_m: float = 0.0
-    tremor: float = 1.0
+    rise_m: float = 0.0  # height gained in each step
+    tremor: float = 1.0  # motion that does not repeat with the strides, relative to standing
 
 
 CONTEXT_GAITS = {
@@ -79,26 +65,18 @@ class Gait:
     ----------
     height_m : float, default 1.75
         Body height in m. Step lengths and the place of the phone scale with it.
-    frequency_factor : float, default 1.0
-        Step frequency relative to the typical person.
-    stairs_factor : float, default 1.0
-        Additional factor of the step frequency on stairs.
+    frequency_factor, stairs_factor : float, default 1.0
+        Step frequency relative to the typical person, and additional factor on stairs.
     length_factor : float, default 1.0
         Step length relative to a typical person of the same height.
     bounce_factor : float, default 1.0
         Vertical force of the steps relative to the value that follows from their length and frequency.
-    impact_factor : float, default 1.0
-        Heel strike relative to the typical person.
-    swing_factor : float, default 1.0
-        Swing of legs and arms relative to the typical person.
-    tremor_factor : float, default 1.0
-        Unsteadiness of the hand relative to the typical person.
+    impact_factor, swing_factor, tremor_factor : float, default 1.0
+        Heel strike, swing of legs and arms, and unsteadiness of the hand relative to the typical person.
     tilt_rad : float, default 0.65
         Angle in rad by which the top end of the phone is raised for reading.
-    frequency_std : float, default 0.025
-        Relative standard deviation of the step frequency from step to step.
-    length_std : float, default 0.025
-        Relative standard deviation of the step length from step to step.
+    frequency_std, length_std : float, default 0.025
+        Relative standard deviations of step frequency and step length from step to step.
     habit : int, optional
         Seed of the individual shape of the strides. None stands for the typical shape.
 
@@ -213,10 +191,8 @@ class Gait:
         ----------
         context : str
             One of `pdr_filter.CONTEXTS`.
-        frequency_hz : float
-            Step frequency in Hz.
-        length_m : float
-            Step length in m.
+        frequency_hz, length_m : float
+            Step frequency in Hz, and step length in m.
         usual_mps2 : float
             Measured amplitude at the usual frequency and length in this context. Not used for walking.
 
@@ -333,40 +309,21 @@ class Leg:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepPlan:
-    """All K steps of a walk.
+    """All K steps of a walk. A bout is a sequence of steps between two standstills."""
 
-    A bout is a sequence of steps between two standstills.
-
-    Attributes
-    ----------
-    leg_start_s, leg_end_s : (n_legs,) array
-        Start and end of each leg.
-    leg : (K,) array
-        Index of the leg of each step.
-    start_s, contact_s : (K,) array
-        Start of each step, and the contact of the foot that ends it.
-    length_m, rise_m : (K,) array
-        Length and gained height of each step.
-    first, last : (K,) array
-        True for the first and the last step of a bout.
-    """
-
-    leg_start_s: FloatArray
+    leg_start_s: FloatArray  # (n_legs,)
     leg_end_s: FloatArray
-    leg: IntArray
+    leg: IntArray  # (K,), as all following
     start_s: FloatArray
-    contact_s: FloatArray
+    contact_s: FloatArray  # of the foot, which ends the step
     length_m: FloatArray
     rise_m: FloatArray
-    first: BoolArray
+    first: BoolArray  # step of a bout
     last: BoolArray
 
 
 def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> StepPlan:
-    """Return the plan of all steps along some legs, which are the stretches of a walk.
-
-    Durations and lengths have the random variation of the person from step to step.
-    """
+    """Return the plan of all steps along legs, with the random variation of the person from step to step."""
     leg_end: list[float] = []
     parts: list[tuple[FloatArray, ...]] = [tuple(np.zeros(0) for _ in range(7))]
     clock_s = 0.0
@@ -396,9 +353,8 @@ def _leg_steps(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the durations in s and the lengths in m of the steps of one moving leg.
 
-    `before` is the previous leg if the person continues from it without a stop, else None. The steps after setting off
-    and before stopping are shorter. The sum of the durations or of the lengths equals the duration or length of the
-    leg, except for a distance on stairs.
+    `before` is the previous leg if the person continues from it, else None. The steps after setting off and before
+    stopping are shorter. Their sum is the duration or length of the leg, except for a distance on stairs.
     """
     frequency_hz, mean_m = nominal_step(leg, gait)
     on_stairs = CONTEXT_GAITS[leg.context].rise_m != 0.0
@@ -429,10 +385,7 @@ def _leg_steps(
 
 
 def nominal_step(leg: Leg, gait: Gait) -> tuple[float, float]:
-    """Return the mean step frequency in Hz and step length in m of the person on a leg.
-
-    ValueError for steps shorter than 0.1 m.
-    """
+    """Return the mean step frequency in Hz and step length in m on a leg. ValueError for steps under 0.1 m."""
     frequency_hz = gait.step_frequency_hz(leg.context) * leg.frequency_factor
     length_m = gait.step_length_m(leg.context, frequency_hz)
     if length_m < 0.1:

@@ -59,14 +59,9 @@ class Carrying:
         Angles of the mean attitude in rad. In the mode "texting" the pitch is `Gait.tilt_rad` instead.
     side : float, default 1.0
         +1 for the right hand or pocket, -1 for the left one.
-    force : float, default 1.0
-        Factor of the vertical force of the steps that reaches the phone in walking.
-    turn : float, default 1.0
-        Factor of the rotation of the phone in a stride.
-    loose : float, default 1.0
-        Factor of the differences between strides.
-    tremor : float, default 1.0
-        Factor of the irregular motion.
+    force, turn, loose, tremor : float, default 1.0
+        Factors of the vertical force of the steps that reaches the phone in walking, of the rotation of the phone in a
+        stride, of the differences between strides, and of the irregular motion.
 
     Examples
     --------
@@ -106,16 +101,11 @@ class Motion:
 
     Attributes
     ----------
-    plan : StepPlan
-        All steps of the walk.
-    spline : BSpline
-        Position (east, north, up) and the six angles of the phone.
-    grid_s : (N,) array
-        Times of the grid.
-    body_position_m : (N, 3) array
-        East, north, and height of the ground under the person.
-    heading_rad : (N,) array
-        Heading that the body faces, clockwise from north, unwrapped.
+    plan, spline : StepPlan and BSpline
+        All steps of the walk. Position (east, north, up) and the six angles of the phone.
+    grid_s, body_position_m, heading_rad : (N,), (N, 3) and (N,) array
+        Times of the grid, east, north and height of the ground under the person, and heading that the body faces,
+        clockwise from north, unwrapped.
     """
 
     plan: StepPlan
@@ -134,18 +124,12 @@ class Motion:
         return Rotation.from_euler(_AXES[:3], angles[:, :3]) * Rotation.from_euler(_AXES[3:], angles[:, 3:])
 
     def specific_force_mps2(self, time_s: FloatArray) -> FloatArray:
-        """Return the specific force R^T (p'' + g up) in the sensor frame, (N, 3), in m/s2.
-
-        R is the rotation from sensor to world, p'' the acceleration of the phone, and g the standard gravity.
-        """
+        """Return the specific force R^T (p'' + g up) in the sensor frame, (N, 3), in m/s2."""
         force_enu = self.spline(time_s, 2)[:, :3] + np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
         return self.rotation(time_s).inv().apply(force_enu)
 
     def angular_rate_radps(self, time_s: FloatArray) -> FloatArray:
-        """Return the angular rate in the sensor frame at some times, (N, 3), rad/s.
-
-        It is the sum of the rates of the six angles, each rotated by the later angles.
-        """
+        """Return the angular rate in the sensor frame, (N, 3), rad/s: the rates of the six angles, rotated."""
         angles, rates = self.spline(time_s)[:, 3:], self.spline(time_s, 1)[:, 3:]
         rate = np.zeros((len(rates), 3))
         for k, axis in enumerate(_AXES):
@@ -172,8 +156,8 @@ def smoothstep(u: FloatArray) -> FloatArray:
 def through_contacts(time_s: FloatArray, plan: StepPlan, increment: FloatArray) -> FloatArray:
     """Return values (N,) of a smooth function that increases by `increment[k]` during step k.
 
-    The function consists of quintic Hermite pieces with zero second derivative at the contacts. Its derivative is zero
-    at both ends of a bout.
+    It consists of quintic Hermite pieces with zero second derivative at the contacts, and zero first at the ends of a
+    bout.
     """
     total = np.concatenate([[0.0], np.cumsum(increment)])
     if len(increment) == 0:
@@ -198,8 +182,7 @@ Blend = Callable[[Sequence[float]], FloatArray]
 def leg_blend(time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], width_s: float) -> Blend:
     """Return a function that converts one value for each leg (stretch of the walk) into a smooth function of time.
 
-    A change begins at the start of the new leg. If a person stops, the change ends there instead, so that nothing moves
-    in the stationary leg. `width_s` is the duration of a change.
+    A change of `width_s` begins at the start of the new leg, or ends there if the person stops.
     """
     lower = np.minimum(np.searchsorted(plan.leg_end_s, time_s, side="right"), len(legs) - 1)
     upper = lower.copy()
@@ -236,8 +219,7 @@ def heading_course(
 def progress_m(time_s: FloatArray, plan: StepPlan) -> FloatArray:
     """Return the distance walked by the body (N,), which equals the sum of the step lengths at every contact.
 
-    One spline covers a whole bout, because setting off takes several steps. Separate pieces for each step would
-    accelerate the body again in each of them.
+    One spline covers a whole bout, because setting off takes several steps.
     """
     progress = np.zeros_like(time_s)
     begins, ends = np.flatnonzero(plan.first), np.flatnonzero(plan.last) + 1
@@ -259,10 +241,7 @@ def body_path(time_s: FloatArray, plan: StepPlan, travel_rad: FloatArray) -> Flo
 
 
 def rides(time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], travel_rad: FloatArray) -> FloatArray:
-    """Return the displacement (east, north, up) of the person by lifts and escalators, (N, 3).
-
-    The speed is constant except at start and stop.
-    """
+    """Return the displacement (east, north, up) by lifts and escalators, (N, 3), at constant speed between ramps."""
     moved = np.zeros((len(time_s), 3))
     for leg, start_s, end_s in zip(legs, plan.leg_start_s, plan.leg_end_s, strict=True):
         if leg.ride_up_m or leg.ride_m:
@@ -293,10 +272,7 @@ def build_motion(
     rng: np.random.Generator,
     start_heading_rad: float,
 ) -> Motion:
-    """Return the motion of body and phone along the planned steps.
-
-    `places` contains, for each leg, the carrying mode and the place of the phone.
-    """
+    """Return the motion along the planned steps. `places` has carrying mode and place of the phone for each leg."""
     n = round((plan.leg_end_s[-1] + 2 * MARGIN_S) * GRID_HZ) + 1
     time_s = np.arange(n) / GRID_HZ - MARGIN_S
     carrying = [place for _, place in places]
@@ -326,10 +302,7 @@ def _stride_motion(
     gait: Gait,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the motion of the phone by the strides in the body frame, each (N, 3).
-
-    The first array is the displacement (right, forward, up), the second the rotation (pitch, roll, yaw).
-    """
+    """Return displacement (right, forward, up) and rotation (pitch, roll, yaw) of the phone by strides, (N, 3) each."""
     # stride number: the right foot lands at integers
     stride = 0.5 * (through_contacts(time_s, plan, np.ones(len(plan.leg))) - LAG)
     course = np.zeros((len(time_s), 6))

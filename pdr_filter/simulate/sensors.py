@@ -19,16 +19,12 @@ class SensorError:
     ----------
     noise_density : float, default 0.0
         Density of the white noise in unit/sqrt(Hz). A sample has the standard deviation density * sqrt(rate / 2).
-    bias_std : float, default 0.0
-        Standard deviation of the constant bias of each axis.
-    bias_walk : float, default 0.0
-        Random walk of the bias in unit/sqrt(s).
+    bias_std, bias_walk : float, default 0.0
+        Standard deviation of the constant bias of each axis, and random walk of the bias in unit/sqrt(s).
     scale_std : float, default 0.0
         Standard deviation of the relative scale error of each axis.
-    quantum : float, default 0.0
-        Resolution of the output. 0 means no quantisation.
-    full_scale : float, default infinity
-        Largest output. Values beyond it are clipped.
+    quantum, full_scale : float, default 0.0 and infinity
+        Resolution of the output, 0 for no quantisation, and largest output, to which values are clipped.
 
     Examples
     --------

@@ -45,30 +45,16 @@ _ACROSS = [1, 0, 2, 4, 3, 5]
 class Strides:
     """Stride harmonics of P people in one context.
 
-    Strides of one person vary along W common components, and independently in each harmonic.
-
-    Attributes
-    ----------
-    people : (P, N_HARMONICS, N_CHANNELS) complex array
-        Mean stride of each person, the most typical person first.
-    people_rest : (N_HARMONICS, N_CHANNELS) array
-        Standard deviation between people in contexts in which only one person was measured.
-    amplitude_mps2 : (P,) array
-        Amplitude of the vertical specific force at step frequency.
-    level : (P, 2) array
-        Size of the variation of the strides of each person, for forces and for rotations.
-    ways : (W, N_HARMONICS, N_CHANNELS) complex array
-        Components of this variation, relative to `level`.
-    ways_rest : (N_HARMONICS, N_CHANNELS) array
-        Standard deviation of the independent variation of each harmonic, relative to `level`.
+    Strides of one person vary along W common components, and independently in each harmonic. H and C are `N_HARMONICS`
+    and `N_CHANNELS`.
     """
 
-    people: ComplexArray
-    people_rest: FloatArray
-    amplitude_mps2: FloatArray
-    level: FloatArray
-    ways: ComplexArray
-    ways_rest: FloatArray
+    people: ComplexArray  # (P, H, C) mean stride of each person, the most typical person first
+    people_rest: FloatArray  # (H, C) standard deviation between people in contexts with one measured person
+    amplitude_mps2: FloatArray  # (P,) of the vertical specific force at step frequency
+    level: FloatArray  # (P, 2) size of the variation of the strides of each person, for forces and for rotations
+    ways: ComplexArray  # (W, H, C) components of this variation, relative to `level`
+    ways_rest: FloatArray  # (H, C) standard deviation of each harmonic besides, relative to `level`
 
     def scaled(self, factor: FloatArray) -> Strides:
         """Return the strides with all harmonics multiplied by a table (N_HARMONICS, N_CHANNELS)."""
@@ -108,10 +94,7 @@ class Strides:
 
 
 def random_deviations(ways: ComplexArray, rest: FloatArray, rng: np.random.Generator, n: int) -> ComplexArray:
-    """Return n random deviations of strides, (n, N_HARMONICS, N_CHANNELS).
-
-    They have normal factors along the components `ways`, and independent normal values in each harmonic.
-    """
+    """Return n random deviations of strides: normal factors along `ways`, and normal values in each harmonic."""
 
     def z(*shape: int) -> FloatArray:
         return np.clip(rng.standard_normal(shape), -_MAX_Z, _MAX_Z)
@@ -121,10 +104,7 @@ def random_deviations(ways: ComplexArray, rest: FloatArray, rng: np.random.Gener
 
 
 def write_measured(tables: dict[tuple[str, str], Strides]) -> None:
-    """Write the measured tables, by place and context, to `MEASURED`.
-
-    Half precision exceeds the accuracy of the measurements.
-    """
+    """Write the measured tables, by place and context, to `MEASURED`, in half precision, which exceeds theirs."""
     rows: dict[str, NDArray[np.float16]] = {}
     for (place, context), table in tables.items():
         for field in fields(Strides):
@@ -185,10 +165,9 @@ def usual_force_mps2(place: str, context: str) -> float:
 
 
 def of_person(place: str, context: str, habit: int | None, side: float) -> Strides:
-    """Return the strides of one person on one side of the body.
+    """Return the strides of the most typical person if `habit` is None, else of a random one with this seed.
 
-    The person is the most typical one if `habit` is None, else a random one with this seed for all contexts. A side of
-    -1 is the left side.
+    A side of -1 is the left side.
     """
     rng = None if habit is None else np.random.default_rng([habit, *place.encode()])
     own = strides_in(place, context).person(rng)
@@ -198,8 +177,8 @@ def of_person(place: str, context: str, habit: int | None, side: float) -> Strid
 def waveform(stride: FloatArray, mean: ComplexArray, differences: ComplexArray, first: int) -> FloatArray:
     """Return the channels (N, N_CHANNELS) as functions of the stride number `stride` (N,), which increases.
 
-    `differences` (n, N_HARMONICS, N_CHANNELS) are the deviations of the strides from number `first` on. Each applies
-    fully at the beginning of its stride. Raised cosines blend from one to the next.
+    `differences` (n, N_HARMONICS, N_CHANNELS) are the deviations of the strides from number `first` on. Raised cosines
+    blend from the beginning of one to that of the next.
     """
     result = np.empty((len(stride), mean.shape[1]))
     begin = np.searchsorted(stride, first + np.arange(len(differences)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -37,18 +36,8 @@ def phone_motion(
 
     Parameters
     ----------
-    legs : sequence of Leg
-        Stretches of the walk, which starts at east 0, north 0.
-    gait : Gait, optional
-        Person who walks. By default a typical person.
-    carrying_mode : {"texting", "pocket", "swinging", "calling"}, default "texting"
-        Carrying mode until a leg changes it.
-    seed : int, default 0
-        Seed of the random variation of the walk.
-    start_heading_rad : float, default 0.0
-        Heading at the start in rad, clockwise from north.
-    carrying : mapping of str to Carrying, optional
-        Place and attitude of the phone in each carrying mode. By default the typical ones (`motion.CARRYING`).
+    legs, gait, carrying_mode, seed, start_heading_rad, carrying : as in `simulate`
+        Stretches of the walk, person, carrying mode, seed, heading at the start, and place of the phone by mode.
 
     Returns
     -------
@@ -142,13 +131,9 @@ def simulate(
     gait = gait or Gait()
     motion = phone_motion(legs, gait, carrying_mode, seed=seed, start_heading_rad=start_heading_rad, carrying=carrying)
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[2])
-    accelerometer, gyroscope, magnetometer, barometer = _streams(motion, rate_hz, errors or SensorErrors(), rng)
     return Recording(
-        name=name,
-        accelerometer=accelerometer,
-        gyroscope=gyroscope,
-        magnetometer=magnetometer,
-        barometer=barometer,
+        name,
+        *_streams(motion, rate_hz, errors or SensorErrors(), rng),
         truth=_truth(motion, legs, carrying_mode),
         meta=_meta(name, gait, carrying_mode, rate_hz, seed),
         source="simulated",
@@ -196,10 +181,7 @@ def demo_walk(seed: int = 0) -> Recording:
 
 
 def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carrying]) -> list[tuple[str, Carrying]]:
-    """Return the carrying mode of each leg, and the place and attitude of the phone in it.
-
-    ValueError for a carrying mode without a place.
-    """
+    """Return the carrying mode of each leg, and the place of the phone in it. ValueError if it has none."""
     found: list[tuple[str, Carrying]] = []
     for leg in legs:
         carrying_mode = leg.carrying_mode or carrying_mode
@@ -215,10 +197,7 @@ def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carryi
 def _streams(
     motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
 ) -> tuple[Samples, Samples, Samples, Samples | None]:
-    """Return accelerometer, gyroscope, magnetometer and barometer samples.
-
-    Each sensor has its own clock and its own first sample. Without errors of a barometer, the last result is None.
-    """
+    """Return accelerometer, gyroscope, magnetometer and, with its errors, barometer, each with its own clock."""
     end_s = float(motion.plan.leg_end_s[-1])
 
     def clock(rate: float, start_s: float) -> FloatArray:
@@ -228,23 +207,23 @@ def _streams(
     gyroscope_s = clock(rate_hz, 0.3 / rate_hz)
     magnetometer_s = clock(MAGNETOMETER_RATE_HZ, -0.004)
     field = np.tile(MAGNETIC_FIELD_UT, (len(magnetometer_s), 1))
-    exact = [
-        (accelerometer_s, motion.specific_force_mps2(accelerometer_s), rate_hz, errors.accelerometer),
-        (gyroscope_s, motion.angular_rate_radps(gyroscope_s), rate_hz, errors.gyroscope),
-        (magnetometer_s, motion.rotation(magnetometer_s).inv().apply(field), MAGNETOMETER_RATE_HZ, errors.magnetometer),
-    ]
+    seen_field = motion.rotation(magnetometer_s).inv().apply(field)
+    exact = {
+        "accelerometer": (accelerometer_s, motion.specific_force_mps2(accelerometer_s), rate_hz, errors.accelerometer),
+        "gyroscope": (gyroscope_s, motion.angular_rate_radps(gyroscope_s), rate_hz, errors.gyroscope),
+        "magnetometer": (magnetometer_s, seen_field, MAGNETOMETER_RATE_HZ, errors.magnetometer),
+    }
     if errors.barometer is not None:
         barometer_s = clock(BAROMETER_RATE_HZ, 0.02)
         pressure = GROUND_HPA * np.exp(-motion.position_m(barometer_s)[:, 2:] / SCALE_HEIGHT_M)
-        exact.append((barometer_s, pressure, BAROMETER_RATE_HZ, errors.barometer))
-    streams: list[Samples] = []
-    for time_s, values, rate, error in exact:
+        exact["barometer"] = barometer_s, pressure, BAROMETER_RATE_HZ, errors.barometer
+    streams: dict[str, Samples] = {}
+    for name, (time_s, values, rate, error) in exact.items():
         jitter_s = errors.jitter_s * rng.standard_normal(len(time_s))
         if not streams:
             jitter_s[0] = 0.0  # the first accelerometer sample is the origin of time
-        streams.append(Samples(time_s + jitter_s, error.apply(values, rate, rng)))
-    accelerometer, gyroscope, magnetometer, *barometer = streams
-    return accelerometer, gyroscope, magnetometer, barometer[0] if barometer else None
+        streams[name] = Samples(time_s + jitter_s, error.apply(values, rate, rng))
+    return streams["accelerometer"], streams["gyroscope"], streams["magnetometer"], streams.get("barometer")
 
 
 def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
@@ -295,19 +274,17 @@ def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
     )
 
 
-def _meta(name: str, gait: Gait, carrying_mode: str, rate_hz: float, seed: int) -> MappingProxyType[str, Any]:
+def _meta(name: str, gait: Gait, carrying_mode: str, rate_hz: float, seed: int) -> dict[str, Any]:
     """Return the metadata, which state clearly that the walk is simulated."""
-    return MappingProxyType(
-        {
-            "name": name,
-            "dataset": "simulated",
-            "licence": "MIT",
-            "attribution": "pdr_filter.simulate",
-            "subject": {"id": "simulated", "height_m": gait.height_m, "weight_kg": None, "age": None, "gender": None},
-            "device": "simulated phone",
-            "placement": carrying_mode,
-            "nominal_rate_hz": rate_hz,
-            "truth": "exact",
-            "notes": f"Simulated walk without a real person, seed {seed}.",
-        }
-    )
+    return {
+        "name": name,
+        "dataset": "simulated",
+        "licence": "MIT",
+        "attribution": "pdr_filter.simulate",
+        "subject": {"id": "simulated", "height_m": gait.height_m, "weight_kg": None, "age": None, "gender": None},
+        "device": "simulated phone",
+        "placement": carrying_mode,
+        "nominal_rate_hz": rate_hz,
+        "truth": "exact",
+        "notes": f"Simulated walk without a real person, seed {seed}.",
+    }

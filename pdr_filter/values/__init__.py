@@ -3,199 +3,103 @@
 They are frozen, their arrays are read-only, and their names contain units.
 """
 
-from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
-from pdr_filter.values.arrays import (
-    BoolArray,
-    ComplexArray,
-    FloatArray,
-    IntArray,
-    Table,
-    as_floats,
-    check_columns,
-    check_cov,
-    check_transition_prob,
-    make_read_only,
-    median,
-    read_only,
-    reduction,
-    table,
-)
-from pdr_filter.values.checks import (
-    are_numbers,
-    check_array,
-    check_number,
-    check_numbers,
-    check_step_length,
-    check_walked,
-)
-from pdr_filter.values.contexts import (
-    CARRYING_MODES,
-    CONTEXTS,
-    DEFAULT_CONTEXTS,
-    Context,
-    ContextSet,
-    Gait,
-    check_name_of_context,
-)
-from pdr_filter.values.feature_set import (
-    WINDOW_SIGNALS,
-    FeatureFunction,
-    FeatureSet,
-    FunctionFeatures,
-    JoinedFeatures,
-    feature_set_of,
-)
-from pdr_filter.values.fix_error_correlation import (
-    INDEPENDENT_SHARE,
-    N_BEFORE,
-    error_correlation,
-    error_given_before,
-    repeated_cov_m2,
-)
-from pdr_filter.values.fixes import (
-    Fix,
-    FixOutcome,
-    FixResult,
-    GridFix,
-    HeadingFix,
-    Measurement,
-    PositionFix,
-    RangeFix,
-    SpeedFix,
-    Standstill,
-    all_fixes,
-    check_fix,
-    has_frame,
-    has_position,
-    measurement_of,
-    range_log_densities,
-    range_residuals,
-    received_s,
-    repetition,
-    stated_fixes,
-)
-from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
-from pdr_filter.values.heading_drift import HeadingDrift
-from pdr_filter.values.interpolation import interpolated_near, interpolated_rows
-from pdr_filter.values.json_values import as_plain
-from pdr_filter.values.mixtures import softmax
-from pdr_filter.values.notes import Note, NoteSubject
-from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
-from pdr_filter.values.plan import Plan
-from pdr_filter.values.plan_estimate import Cluster, OnPlan
-from pdr_filter.values.plurals import how_many, how_often
-from pdr_filter.values.replace import replace_unchecked
-from pdr_filter.values.rigid_fit import rigid_fit
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
-from pdr_filter.values.schema import check_declared, check_members, check_whole
-from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, reference_headings, step_table, steps_of
-from pdr_filter.values.track_rows import TrackRows
-from pdr_filter.values.uncertainty import MAX_NORTH_STD_RAD, RADIUS_68, RADIUS_95
-from pdr_filter.values.wifi import Wifi, WifiScan, address_text, loudness
-from pdr_filter.values.windows import WindowContext, Windows, known_context
-
-__all__ = [
-    "CARRYING_MODES",
-    "CONTEXTS",
-    "DECLINATION_STD_RAD",
-    "DEFAULT_CONTEXTS",
-    "HARDLY_AGREE",
-    "INDEPENDENT_SHARE",
-    "MAX_NORTH_STD_RAD",
-    "N_BEFORE",
-    "RADIUS_68",
-    "RADIUS_95",
-    "STANDARD_GRAVITY_MPS2",
-    "TRUSTED",
-    "WINDOW_SIGNALS",
-    "BoolArray",
-    "Cluster",
-    "ComplexArray",
-    "Context",
-    "ContextSet",
-    "FeatureFunction",
-    "FeatureSet",
-    "Fix",
-    "FixOutcome",
-    "FixResult",
-    "FloatArray",
-    "FloorPassage",
-    "FunctionFeatures",
-    "Gait",
-    "GridFix",
-    "HeadingDrift",
-    "HeadingFix",
-    "HowClimbed",
-    "ImuBlock",
-    "IntArray",
-    "JoinedFeatures",
-    "Measurement",
-    "Note",
-    "NoteSubject",
-    "OnPlan",
-    "Origin",
-    "Plan",
-    "PositionFix",
-    "RangeFix",
-    "Samples",
-    "SpeedFix",
-    "Standstill",
-    "Step",
-    "Table",
-    "TrackRows",
-    "Wifi",
-    "WifiScan",
-    "WindowContext",
-    "Windows",
-    "address_text",
-    "all_fixes",
-    "are_numbers",
-    "as_floats",
-    "as_plain",
-    "check_array",
-    "check_columns",
-    "check_cov",
-    "check_declared",
-    "check_fix",
-    "check_members",
-    "check_name_of_context",
-    "check_number",
-    "check_numbers",
-    "check_step_length",
-    "check_transition_prob",
-    "check_walked",
-    "check_whole",
-    "circular_mean",
-    "error_correlation",
-    "error_given_before",
-    "feature_set_of",
-    "has_frame",
-    "has_position",
-    "heading_from_yaw",
-    "how_many",
-    "how_often",
-    "interpolated_near",
-    "interpolated_rows",
-    "known_context",
-    "loudness",
-    "make_read_only",
-    "measurement_of",
-    "median",
-    "range_log_densities",
-    "range_residuals",
-    "read_only",
-    "received_s",
-    "reduction",
-    "reference_headings",
-    "repeated_cov_m2",
-    "repetition",
-    "replace_unchecked",
-    "rigid_fit",
-    "softmax",
-    "stated_fixes",
-    "step_table",
-    "steps_of",
-    "table",
-    "wrap_angle",
-    "yaw_from_heading",
-]
+from pdr_filter.values.angles import circular_mean as circular_mean
+from pdr_filter.values.angles import heading_from_yaw as heading_from_yaw
+from pdr_filter.values.angles import wrap_angle as wrap_angle
+from pdr_filter.values.angles import yaw_from_heading as yaw_from_heading
+from pdr_filter.values.arrays import BoolArray as BoolArray
+from pdr_filter.values.arrays import ComplexArray as ComplexArray
+from pdr_filter.values.arrays import FloatArray as FloatArray
+from pdr_filter.values.arrays import IntArray as IntArray
+from pdr_filter.values.arrays import Table as Table
+from pdr_filter.values.arrays import as_floats as as_floats
+from pdr_filter.values.arrays import check_columns as check_columns
+from pdr_filter.values.arrays import check_cov as check_cov
+from pdr_filter.values.arrays import check_transition_prob as check_transition_prob
+from pdr_filter.values.arrays import make_read_only as make_read_only
+from pdr_filter.values.arrays import median as median
+from pdr_filter.values.arrays import read_only as read_only
+from pdr_filter.values.arrays import reduction as reduction
+from pdr_filter.values.arrays import table as table
+from pdr_filter.values.checks import are_numbers as are_numbers
+from pdr_filter.values.checks import check_array as check_array
+from pdr_filter.values.checks import check_number as check_number
+from pdr_filter.values.checks import check_numbers as check_numbers
+from pdr_filter.values.checks import check_step_length as check_step_length
+from pdr_filter.values.checks import check_walked as check_walked
+from pdr_filter.values.contexts import CARRYING_MODES as CARRYING_MODES
+from pdr_filter.values.contexts import CONTEXTS as CONTEXTS
+from pdr_filter.values.contexts import DEFAULT_CONTEXTS as DEFAULT_CONTEXTS
+from pdr_filter.values.contexts import Context as Context
+from pdr_filter.values.contexts import ContextSet as ContextSet
+from pdr_filter.values.contexts import Gait as Gait
+from pdr_filter.values.contexts import check_name_of_context as check_name_of_context
+from pdr_filter.values.feature_set import WINDOW_SIGNALS as WINDOW_SIGNALS
+from pdr_filter.values.feature_set import FeatureFunction as FeatureFunction
+from pdr_filter.values.feature_set import FeatureSet as FeatureSet
+from pdr_filter.values.feature_set import FunctionFeatures as FunctionFeatures
+from pdr_filter.values.feature_set import JoinedFeatures as JoinedFeatures
+from pdr_filter.values.feature_set import feature_set_of as feature_set_of
+from pdr_filter.values.fix_error_correlation import INDEPENDENT_SHARE as INDEPENDENT_SHARE
+from pdr_filter.values.fix_error_correlation import N_BEFORE as N_BEFORE
+from pdr_filter.values.fix_error_correlation import error_correlation as error_correlation
+from pdr_filter.values.fix_error_correlation import error_given_before as error_given_before
+from pdr_filter.values.fix_error_correlation import repeated_cov_m2 as repeated_cov_m2
+from pdr_filter.values.fixes import Fix as Fix
+from pdr_filter.values.fixes import FixOutcome as FixOutcome
+from pdr_filter.values.fixes import FixResult as FixResult
+from pdr_filter.values.fixes import GridFix as GridFix
+from pdr_filter.values.fixes import HeadingFix as HeadingFix
+from pdr_filter.values.fixes import Measurement as Measurement
+from pdr_filter.values.fixes import PositionFix as PositionFix
+from pdr_filter.values.fixes import RangeFix as RangeFix
+from pdr_filter.values.fixes import SpeedFix as SpeedFix
+from pdr_filter.values.fixes import Standstill as Standstill
+from pdr_filter.values.fixes import all_fixes as all_fixes
+from pdr_filter.values.fixes import check_fix as check_fix
+from pdr_filter.values.fixes import has_position as has_position
+from pdr_filter.values.fixes import measurement_of as measurement_of
+from pdr_filter.values.fixes import range_log_densities as range_log_densities
+from pdr_filter.values.fixes import range_residuals as range_residuals
+from pdr_filter.values.fixes import received_s as received_s
+from pdr_filter.values.fixes import repetition as repetition
+from pdr_filter.values.fixes import stated_fixes as stated_fixes
+from pdr_filter.values.floor_passage import FloorPassage as FloorPassage
+from pdr_filter.values.floor_passage import HowClimbed as HowClimbed
+from pdr_filter.values.heading_drift import HeadingDrift as HeadingDrift
+from pdr_filter.values.interpolation import interpolated_near as interpolated_near
+from pdr_filter.values.interpolation import interpolated_rows as interpolated_rows
+from pdr_filter.values.json_values import as_plain as as_plain
+from pdr_filter.values.mixtures import softmax as softmax
+from pdr_filter.values.notes import Note as Note
+from pdr_filter.values.origin import DECLINATION_STD_RAD as DECLINATION_STD_RAD
+from pdr_filter.values.origin import Origin as Origin
+from pdr_filter.values.plan import Plan as Plan
+from pdr_filter.values.plan_estimate import Cluster as Cluster
+from pdr_filter.values.plan_estimate import OnPlan as OnPlan
+from pdr_filter.values.plurals import how_many as how_many
+from pdr_filter.values.plurals import how_often as how_often
+from pdr_filter.values.replace import replace_unchecked as replace_unchecked
+from pdr_filter.values.rigid_fit import rigid_fit as rigid_fit
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2 as STANDARD_GRAVITY_MPS2
+from pdr_filter.values.samples import ImuBlock as ImuBlock
+from pdr_filter.values.samples import Samples as Samples
+from pdr_filter.values.schema import check_declared as check_declared
+from pdr_filter.values.schema import check_members as check_members
+from pdr_filter.values.schema import check_whole as check_whole
+from pdr_filter.values.step import HARDLY_AGREE as HARDLY_AGREE
+from pdr_filter.values.step import Step as Step
+from pdr_filter.values.step import reference_headings as reference_headings
+from pdr_filter.values.step import step_table as step_table
+from pdr_filter.values.step import steps_of as steps_of
+from pdr_filter.values.track_rows import TrackRows as TrackRows
+from pdr_filter.values.uncertainty import MAX_NORTH_STD_RAD as MAX_NORTH_STD_RAD
+from pdr_filter.values.uncertainty import RADIUS_68 as RADIUS_68
+from pdr_filter.values.uncertainty import RADIUS_95 as RADIUS_95
+from pdr_filter.values.wifi import Wifi as Wifi
+from pdr_filter.values.wifi import WifiScan as WifiScan
+from pdr_filter.values.wifi import address_text as address_text
+from pdr_filter.values.wifi import loudness as loudness
+from pdr_filter.values.windows import WindowContext as WindowContext
+from pdr_filter.values.windows import Windows as Windows
+from pdr_filter.values.windows import known_context as known_context

@@ -103,12 +103,7 @@ def circular_mean(angle_rad: FloatArray) -> float:
 
     Notes
     -----
-    psi = atan2(sum sin psi_i, sum cos psi_i) [1]_, also used by Tian et al. [2]_ (section on heading).
-
-    References
-    ----------
-    .. [1] Mardia and Jupp, Directional Statistics, 2000, eq. 2.2.4.
-    .. [2] Tian et al., 2016.
+    psi = atan2(sum sin psi_i, sum cos psi_i) (Mardia and Jupp, Directional Statistics, 2000, eq. 2.2.4).
 
     Examples
     --------

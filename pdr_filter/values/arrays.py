@@ -25,7 +25,7 @@ Table = np.recarray[Any, Any]
 def as_floats(values: ArrayLike, name: str) -> FloatArray:
     """Return values as a float64 array, with NaN in place of masked values.
 
-    ValueError for dates and durations, whose unit is not known, and for values that are not real numbers.
+    ValueError for dates and durations, whose unit is unknown, and for values that are not real numbers.
     """
     if type(values) is np.ndarray and values.dtype == np.float64:
         return values
@@ -65,10 +65,7 @@ def make_read_only(array: FloatArray) -> FloatArray:
 
 
 def reduction(self: Any) -> tuple[Callable[..., Any], tuple[Any, ...]]:
-    """Implement `__reduce__` for a dataclass whose arrays must stay read-only after pickling and copying.
-
-    NumPy does not preserve the read-only flag.
-    """
+    """Implement `__reduce__` for a dataclass with read-only arrays, because NumPy forgets this flag in copies."""
     return _restored_copy, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
 
 
@@ -111,8 +108,7 @@ def table(columns: Mapping[str, ArrayLike]) -> Table:
 def check_columns(rows: Table, kinds: Mapping[str, str], name: str) -> None:
     """Raise ValueError unless a table has the given columns, each of one of the given NumPy kinds.
 
-    `kinds` has the allowed kinds of each column as letters: U for text, b for truth values, i for whole numbers, f for
-    floats.
+    Kinds are letters: U for text, b for truth values, i for whole numbers, f for floats.
     """
     for column, of in kinds.items():
         if column not in (rows.dtype.names or ()) or rows.dtype[column].kind not in of:
@@ -123,10 +119,7 @@ def check_columns(rows: Table, kinds: Mapping[str, str], name: str) -> None:
 
 
 def check_cov(cov: FloatArray, name: str) -> None:
-    """Raise ValueError unless covariances (..., n, n) are finite, symmetric and positive semidefinite.
-
-    Rounding errors are tolerated.
-    """
+    """Raise ValueError unless covariances (..., n, n) are finite, symmetric and semidefinite up to rounding."""
     tolerance = 1e-9 * np.abs(cov).max(initial=0.0)
     if not np.isfinite(cov).all() or np.abs(cov - np.swapaxes(cov, -1, -2)).max(initial=0.0) > tolerance:
         raise ValueError(f"{name} must be finite and symmetric, got {cov}")

@@ -59,10 +59,9 @@ def check_walked(name: str, distance_m: float, duration_s: float) -> None:
 def check_array(
     name: str, value: Any, kind: Kind = "finite", shape: tuple[int, ...] | None = None, remedy: str = ""
 ) -> None:
-    """Raise ValueError unless an array or a number has the given shape and kind. All elements must be finite.
+    """Raise ValueError unless an array or a number is finite and has the given shape (None for any) and kind.
 
-    The kinds are "finite" (any number), "positive", "0 or more", and "increasing" from element to element. Any shape is
-    right if `shape` is None.
+    The kinds are "finite" (any number), "positive", "0 or more", and "increasing" from element to element.
     """
     array = np.asarray(value)
     right = array.dtype.kind in "iuf" and shape in (None, array.shape)

@@ -30,26 +30,13 @@ class Context:
     """Activity that a classifier distinguishes, with its meaning for a pedestrian.
 
     A `filter.imm.motion_model.Mode` defines the meaning. Stages before the filter get it from there.
-
-    Attributes
-    ----------
-    name : str
-        Name of the context.
-    moves : bool
-        True if a step changes the position.
-    climbs : int
-        +1 if steps go up stairs, -1 if they go down, 0 otherwise.
-    gait : {"walking", "running"} or None
-        Kind of steps. None in a context without steps. The default is "walking" for a context that moves.
-    heading_offset_rad : float
-        Walking direction minus facing direction of the body, rad: +pi/2 for steps to the right.
     """
 
     name: str
-    moves: bool = True
-    climbs: int = 0
-    gait: Gait | None = None
-    heading_offset_rad: float = 0.0
+    moves: bool = True  # True if a step changes the position
+    climbs: int = 0  # +1 if steps go up stairs, -1 if they go down
+    gait: Gait | None = None  # None for a context without steps, and by default "walking" for one that moves
+    heading_offset_rad: float = 0.0  # walking minus facing direction of the body, +pi/2 for steps to the right
 
     def __post_init__(self) -> None:
         check_name_of_context(self.name)
@@ -114,23 +101,17 @@ class ContextSet:
 
     @cached_property
     def stands(self) -> BoolArray:
-        """Array (C + 1,) that is True for contexts without steps.
-
-        The last entry, False, is for an unknown context, of index -1.
-        """
+        """Array (C + 1,) that is True for contexts without steps, and False for an unknown one, of index -1."""
         return self._of_each(lambda c: c.stands)
 
     @cached_property
     def runs(self) -> BoolArray:
-        """Array (C + 1,) that is True for running. The last entry, False, is for an unknown context, of index -1."""
+        """Array (C + 1,) that is True for running, and False for an unknown context, of index -1."""
         return self._of_each(lambda c: c.runs)
 
     @cached_property
     def is_turned(self) -> BoolArray:
-        """Array (C + 1,) that is True for walking to the side or backward.
-
-        The last entry, False, is for an unknown context, of index -1.
-        """
+        """Array (C + 1,) that is True for walking to the side or backward, False for an unknown context."""
         return self._of_each(lambda c: c.is_turned)
 
     def _of_each(self, holds: Callable[[Context], bool]) -> BoolArray:
@@ -140,10 +121,9 @@ class ContextSet:
 
     @cached_property
     def in_thirds(self) -> FloatArray | None:
-        """Matrix (C, C) that divides the probability of level walking and stairs into equal thirds.
+        """Matrix (C, C) that divides the probability of level walking and stairs up and down into equal thirds.
 
-        The thirds are level walking, stairs up and stairs down. Probabilities (C,) are multiplied from the left; those
-        of the other contexts stay as they are. None if the contexts do not include all three.
+        Probabilities (C,) are multiplied from the left; others stay. None if the contexts do not include all three.
         """
         kinds = self.level_walking, self.index_where(lambda c: c.climbs > 0), self.index_where(lambda c: c.climbs < 0)
         if not all(map(len, kinds)):

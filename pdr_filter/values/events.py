@@ -30,28 +30,11 @@ class Undecided:
 
 @dataclass(frozen=True, slots=True)
 class Climb:
-    """Climb rate over one window, and the height at its end.
+    """Climb rate over one window, and the height at its end."""
 
-    Attributes
-    ----------
-    time_s : float
-        Time of the last sample of the window, s. The rate is a mean over the window, so it refers to half a window
-        earlier.
-    climb_rate_mps : float
-        Climb rate, up positive, m/s.
-    std_mps : float
-        Standard deviation of the climb rate, m/s.
-    n_samples : int
-        Samples of the window.
-    height_m : float
-        Height of the mean pressure of the last hop above the level of 1013.25 hPa, m.
-    height_std_m : float
-        Standard deviation of the height due to the sensor alone, m.
-    """
-
-    time_s: float
-    climb_rate_mps: float
+    time_s: float  # of the last sample of the window; the rate, a mean over it, refers to half a window earlier
+    climb_rate_mps: float  # up positive
     std_mps: float
     n_samples: int
-    height_m: float
-    height_std_m: float
+    height_m: float  # of the mean pressure of the last hop above the level of 1013.25 hPa
+    height_std_m: float  # due to the sensor alone

@@ -88,9 +88,8 @@ FeatureFunction = Callable[[Mapping[str, FloatArray]], Mapping[str, float]]
 class FunctionFeatures:
     """Features computed by a function, window by window.
 
-    The function gets a dictionary of the signals of a window, by their names in `WINDOW_SIGNALS`, each (N,), at the
-    rate of the windows (100 Hz in the default recipe). It returns a dictionary of the features. Signals of a missing
-    sensor are zeros.
+    The function gets the signals of a window, each (N,), in a dictionary by their names in `WINDOW_SIGNALS`, and
+    returns a dictionary of the features. Signals of a missing sensor are zeros.
     """
 
     function: FeatureFunction
@@ -99,11 +98,7 @@ class FunctionFeatures:
 
     @classmethod
     def of(cls, function: FeatureFunction) -> FunctionFeatures:
-        """Return the features of a function.
-
-        The function is called once, on noise, to get the names of its features. ValueError if it returns no dictionary
-        or an empty one.
-        """
+        """Return the features of a function, which is called once, on noise, for their names. ValueError for none."""
         noise = np.random.default_rng(0).normal(size=(len(WINDOW_SIGNALS), 200))
         found = function(dict(zip(WINDOW_SIGNALS, noise, strict=True)))
         if not (isinstance(found, Mapping) and found):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -118,10 +113,7 @@ class FunctionFeatures:
         return getattr(self.function, "__name__", type(self.function).__name__)
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
-        """Return the features (W, F) of windows with all `WINDOW_SIGNALS`, (W, R, N). `rate_hz` is not used.
-
-        ValueError if the function returns other names than for the first window.
-        """
+        """Return the features (W, F) of windows (W, R, N). ValueError if their names change."""
         found = [self.function(dict(zip(WINDOW_SIGNALS, window, strict=True))) for window in windows]
         for each in found:
             if tuple(each) != self.names:

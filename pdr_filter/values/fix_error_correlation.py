@@ -61,9 +61,8 @@ def error_correlation(time_s: FloatArray, correlation_s: FloatArray, var_m2: Flo
 def error_given_before(fix: PositionFix, before: Sequence[PositionFix]) -> tuple[FloatArray, FloatArray]:
     """Return the regression of the error of a fix on the errors e_i of m earlier fixes.
 
-    The error is sum_i A_i e_i + w. The results are the matrices A_i (m, 2, 2), and the covariance R (2, 2) of w, which
-    is independent of the earlier errors. With the correlations r and S S = cov_m2:
-    A_i = (r_n r^-1)_i S_n S_i^-1 and R = (1 - r_n r^-1 r_n') cov_m2.
+    The error is sum_i A_i e_i + w. The results are A_i (m, 2, 2), and the covariance R (2, 2) of the independent w.
+    With the correlations r and S S = cov_m2: A_i = (r_n r^-1)_i S_n S_i^-1 and R = (1 - r_n r^-1 r_n') cov_m2.
     """
     every = (*before, fix)
     correlation = error_correlation(
@@ -81,9 +80,8 @@ def error_given_before(fix: PositionFix, before: Sequence[PositionFix]) -> tuple
 def repeated_cov_m2(fix: PositionFix, before: Sequence[PositionFix]) -> FloatArray:
     """Return the covariance (2, 2) in m2 with which a fix can be used as if it were independent of earlier fixes.
 
-    It is `fix.cov_m2` times a factor of at least one. The weighted mean of the fixes of a standing pedestrian then has
-    the variance that follows from their full covariance matrix. For fixes at even intervals t, the factor is (1 + r) /
-    (1 - r) with r = exp(-t / T) and the time constant T of the errors.
+    It is `fix.cov_m2` times a factor of at least one, with which the mean of the fixes of a standing pedestrian has the
+    right variance: (1 + r) / (1 - r) at even intervals t, with r = exp(-t / T) and the time constant T of the errors.
     """
     if fix.correlation_s == 0 or not before:
         return fix.cov_m2
@@ -94,9 +92,6 @@ def repeated_cov_m2(fix: PositionFix, before: Sequence[PositionFix]) -> FloatArr
 
 
 def _root(cov: FloatArray) -> FloatArray:
-    """Return the symmetric square root of a covariance P (2, 2), from its determinant det and its trace tr.
-
-    The root is (P + sqrt(det) I) / sqrt(tr + 2 sqrt(det)).
-    """
+    """Return the symmetric root (P + sqrt(det) I) / sqrt(tr + 2 sqrt(det)) of a covariance P (2, 2)."""
     det = np.sqrt(max(float(np.linalg.det(cov)), 0.0))
     return (cov + det * np.eye(2)) / np.sqrt(float(np.trace(cov)) + 2.0 * det)

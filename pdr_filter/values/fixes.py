@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
 from numbers import Real
 from typing import Any, Literal, Protocol, TypeVar, runtime_checkable
 
@@ -45,10 +45,8 @@ class PositionFix:
         means independent errors.
     floor : int, optional
         Storey.
-    altitude_m : float, optional
-        Altitude above the ellipsoid or the sea, as its source defines it, m. Requires `altitude_std_m`.
-    altitude_std_m : float, optional
-        Standard deviation of the altitude, m.
+    altitude_m, altitude_std_m : float, optional
+        Altitude above the ellipsoid or the sea, as its source defines it, and its standard deviation, m.
 
     Raises
     ------
@@ -74,8 +72,7 @@ class PositionFix:
     altitude_std_m: float | None = None
 
     def __post_init__(self) -> None:
-        _take_numbers(self, "time_s", "received_time_s", "correlation_s", "floor", "altitude_m", "altitude_std_m")
-        _take_arrays(self, "position_m", "cov_m2")
+        _prepare(self)
         if self.position_m.shape != (2,) or not (np.abs(self.position_m) <= _MAX_M).all():
             raise ValueError(f"position_m must be (east, north) in m, up to {_MAX_M:g}, got {self.position_m}")
         if not (self.cov_m2.shape == (2, 2) and _is_cov(self.cov_m2)):
@@ -92,7 +89,6 @@ class PositionFix:
             check_array("altitude_m", self.altitude_m, remedy="leave it out if it is not known")
         if self.altitude_std_m is not None:
             _checked_std("altitude_std_m", self.altitude_std_m)
-        _check_times(self.time_s, self.received_time_s)
 
     @property
     def var_m2(self) -> float:
@@ -201,8 +197,7 @@ class GridFix:
     floor: int | None = None
 
     def __post_init__(self) -> None:
-        _take_numbers(self, "time_s", "received_time_s", "cell_m", "correlation_s", "floor")
-        _take_arrays(self, "south_west_m", "log_likelihood")
+        _prepare(self)
         check_array("south_west_m", self.south_west_m, shape=(2,), remedy="give (east, north)")
         check_array("log_likelihood", self.log_likelihood)
         shape = self.log_likelihood.shape
@@ -212,7 +207,6 @@ class GridFix:
             )
         check_array("cell_m", self.cell_m, "positive")
         _check_correlation_and_floor(self)
-        _check_times(self.time_s, self.received_time_s)
 
     def log_likelihood_at(self, position_m: FloatArray) -> FloatArray:
         """Return the log-likelihood at given positions.
@@ -238,8 +232,7 @@ def repetition(fix: PositionFix | GridFix, last_s: float) -> float:
     """Return the factor on the variance with which a fix counts as independent of the previous one, at `last_s`.
 
     The mean of correlated fixes at intervals t has (1 + r) / (1 - r) = coth(t / 2T) times the variance of independent
-    fixes, with r = exp(-t / T). Any number of fixes within a time T therefore has the weight of one. The factor is 1
-    without a previous fix (`last_s` is -inf), and for a fix with independent errors.
+    ones, with r = exp(-t / T). The factor is 1 without a previous fix (`last_s` is -inf), and for independent errors.
     """
     if fix.correlation_s == 0 or math.isinf(last_s):
         return 1.0
@@ -284,8 +277,7 @@ class HeadingFix:
     received_time_s: float | None = None
 
     def __post_init__(self) -> None:
-        _take_numbers(self, "time_s", "received_time_s", "walking_heading_rad", "std_rad")
-        _check_times(self.time_s, self.received_time_s)
+        _prepare(self)
         check_array("walking_heading_rad", self.walking_heading_rad)
         _checked_std("std_rad", self.std_rad)
 
@@ -323,8 +315,7 @@ class SpeedFix:
     received_time_s: float | None = None
 
     def __post_init__(self) -> None:
-        _take_numbers(self, "time_s", "received_time_s", "speed_mps", "std_mps")
-        _check_times(self.time_s, self.received_time_s)
+        _prepare(self)
         check_array("speed_mps", self.speed_mps, "positive", remedy="give a Standstill for a pedestrian who stands")
         _checked_std("std_mps", self.std_mps)
 
@@ -364,8 +355,7 @@ class Standstill:
     received_time_s: float | None = None
 
     def __post_init__(self) -> None:
-        _take_numbers(self, "time_s", "received_time_s", "end_s")
-        _check_times(self.time_s, self.received_time_s)
+        _prepare(self)
         if not self.time_s < self.end_s < np.inf:
             raise ValueError(
                 f"end_s of a Standstill must be finite and after its time_s, got {self.time_s} to {self.end_s} s"
@@ -488,8 +478,7 @@ class RangeFix:
     received_time_s: float | None = None
 
     def __post_init__(self) -> None:
-        _take_numbers(self, "time_s", "received_time_s", "range_m", "std_m")
-        _take_arrays(self, "anchor_m")
+        _prepare(self)
         if self.anchor_m.shape not in ((2,), (3,)) or not (np.abs(self.anchor_m) <= _MAX_M).all():
             raise ValueError(
                 f"anchor_m must be (east, north) in m, or (east, north, up) with the height above the phone, up to "
@@ -498,7 +487,6 @@ class RangeFix:
         if not 0 <= self.range_m <= _MAX_M:
             raise ValueError(f"range_m must be a distance in m, 0 to {_MAX_M:g}, got {self.range_m}; leave the fix out")
         check_number("std_m", self.std_m, _MIN_STD, _MAX_STD, "0.3 m is usual for UWB, 2 m for Wi-Fi")
-        _check_times(self.time_s, self.received_time_s)
 
     @property
     def up_m(self) -> float:
@@ -554,7 +542,7 @@ class RangeFix:
 def range_residuals(
     position_m: FloatArray, anchor_m: FloatArray, up_m: FloatArray | float, range_m: FloatArray | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return predicted minus measured distances (...,) and their derivatives (..., 2) with respect to east and north.
+    """Return predicted minus measured distances (...,) and their derivatives (..., 2) by east and north.
 
     `position_m` and `anchor_m` have the shape (..., 2).
     """
@@ -597,31 +585,24 @@ def _are_variances(values: NDArray[Any]) -> bool:
     return bool(((values >= _MIN_STD**2) & (values <= _MAX_STD**2)).all())
 
 
-_MAY_BE_UNKNOWN = ("received_time_s", "floor", "altitude_m", "altitude_std_m")
+def _prepare(fix: Any) -> None:
+    """Convert the fields of a fix to floats or read-only arrays, and check its times.
 
-
-def _take_numbers(fix: object, *names: str) -> None:
-    """Convert fields of a fix to floats. ValueError for a value that is not a number, or None in a required field."""
-    for name in names:
-        value = getattr(fix, name)
-        if value is not None or name not in _MAY_BE_UNKNOWN:
-            object.__setattr__(fix, name, _taken(fix, name, value, float))
-
-
-def _take_arrays(fix: object, *names: str) -> None:
-    """Convert fields to read-only arrays of floats. ValueError for a value that is not an array of numbers."""
-    for name in names:
-        object.__setattr__(fix, name, _taken(fix, name, getattr(fix, name), read_only))
-
-
-def _taken(fix: object, name: str, value: Any, as_numbers: Callable[[Any], Any]) -> Any:
-    try:
-        if isinstance(value, str | bytes):
-            raise TypeError
-        return as_numbers(value)
-    except (TypeError, ValueError, OverflowError):
-        what = f"{name} of {type(fix).__name__} must be a number or an array of numbers, got {value!r}"
-        raise ValueError(what[:300]) from None
+    ValueError for a value that is not numeric. None is allowed in a field whose default is None.
+    """
+    for field in fields(fix):
+        if field.default is None and getattr(fix, field.name) is None:
+            continue
+        value: Any = getattr(fix, field.name)
+        try:
+            if isinstance(value, str | bytes):
+                raise TypeError
+            numbers = read_only(value) if field.type == "FloatArray" else float(value)
+        except (TypeError, ValueError, OverflowError):
+            what = f"{field.name} of {type(fix).__name__} must be a number or an array of numbers, got {value!r}"
+            raise ValueError(what[:300]) from None
+        object.__setattr__(fix, field.name, numbers)
+    _check_times(fix.time_s, fix.received_time_s)
 
 
 def _checked_std(name: str, value: Any) -> float:
@@ -661,10 +642,7 @@ def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
 
 
 def check_fix(fix: object, has_plan: bool) -> None:
-    """Raise ValueError unless the filter can use an object as a fix.
-
-    `has_plan` is True for a particle filter on a floor plan, without which a GridFix cannot be used.
-    """
+    """Raise ValueError unless a filter, with a particle filter on a plan if `has_plan`, can use an object as a fix."""
     if not isinstance(fix, OWN_FIXES):
         _check_measurement(fix)
     if isinstance(fix, GridFix) and not has_plan:
@@ -697,10 +675,9 @@ def measurement_of(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return residual (k,), Jacobian (k, 3) and covariance (k, k) of a measurement.
 
-    The columns of the Jacobian are the derivatives of the returned residual with respect to east, north and walking
-    direction. The residual is predicted minus measured. If the class returns an innovation (measured minus predicted)
-    with the derivative of the prediction, the innovation is returned unchanged, and the sign of the Jacobian is
-    corrected: a small displacement shows the convention. ValueError names what `measurement` must return.
+    The columns of the Jacobian are the derivatives of the returned residual by east, north and walking direction. If
+    the class returns an innovation (measured minus predicted) with the derivative of the prediction, which a small
+    displacement shows, the sign of the Jacobian is corrected. ValueError names what `measurement` must return.
     """
     name = type(fix).__name__
     if isinstance(fix, RangeFix):
@@ -741,9 +718,8 @@ _SMALL = 1e-4
 def stated_fixes(fix: Measurement) -> tuple[HeadingFix | PositionFix, ...]:
     """Return the heading fix and the position fix that a measurement of both is equivalent to, in this order.
 
-    A measurement of a position or a heading alone gives one fix, any other measurement none. A measurement r = J x - z
-    with covariance C has a constant J, with x = (east, north, heading). The fixes have the least-squares solution x and
-    its covariance (J' C^-1 J)^-1, without the covariance of heading and position.
+    A measurement of one of them gives one fix, any other none. A measurement r = J x - z with covariance C and a
+    constant J has x = (east, north, heading). The fixes have the least-squares x and its covariance (J' C^-1 J)^-1.
     """
     if isinstance(fix, RangeFix):
         return ()

@@ -134,8 +134,8 @@ class Georeference:
     def uses_location(self, recording: Recording, fixes: Sequence[Fix], plan: Plan | None) -> bool:
         """Return whether the locations of the recording are used, given the plan of the configuration.
 
-        ValueError if fixes or plan exclude an argument. MissingSensorError if the recording lacks a stream that an
-        argument requires.
+        ValueError if fixes or plan exclude an argument. MissingSensorError if the recording lacks a stream that one
+        requires.
         """
         sensor = "magnetometer" if self.north == "magnetic" else "attitude"
         for name, given, is_asked, needs in (
@@ -186,10 +186,7 @@ def check_gnss(gnss: str | None) -> None:
 
 
 def texts() -> Mapping[str, str]:
-    """Return the description of each parameter of `Georeference`, by name.
-
-    Empty if Python runs without docstrings.
-    """
+    """Return the description of each parameter of `Georeference`, by name; empty if Python has no docstrings."""
     entries = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", _parameters(), re.MULTILINE)
     return {name: " ".join(text.split()) for name, text in entries}
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import overload
+from typing import Any, TypeVar
 
 import numpy as np
 
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.checks import check_numbers
+
+N = TypeVar("N", float, FloatArray)
 
 
 @dataclass(frozen=True)
@@ -42,30 +44,9 @@ class HeadingDrift:
     def __post_init__(self) -> None:
         check_numbers(self, zero=vars(self))
 
-    @overload
-    def variances_rad2(self, elapsed_s: float, unknown_s: float, yaw_bias_std_radps: float) -> tuple[float, float]: ...
-
-    @overload
     def variances_rad2(
-        self, elapsed_s: float, unknown_s: float, yaw_bias_std_radps: float, besides_rad2_per_s: FloatArray
-    ) -> tuple[FloatArray, float]: ...
-
-    @overload
-    def variances_rad2(
-        self,
-        elapsed_s: FloatArray,
-        unknown_s: FloatArray,
-        yaw_bias_std_radps: FloatArray,
-        besides_rad2_per_s: FloatArray,
-    ) -> tuple[FloatArray, FloatArray]: ...
-
-    def variances_rad2(
-        self,
-        elapsed_s: float | FloatArray,
-        unknown_s: float | FloatArray,
-        yaw_bias_std_radps: float | FloatArray,
-        besides_rad2_per_s: float | FloatArray = 0.0,
-    ) -> tuple[float | FloatArray, float | FloatArray]:
+        self, elapsed_s: N, unknown_s: N, yaw_bias_std_radps: N, besides_rad2_per_s: float | FloatArray = 0.0
+    ) -> tuple[Any, N]:
         """Return the variance gained with and without angular rate.
 
         Parameters
@@ -86,12 +67,11 @@ class HeadingDrift:
         unmeasured_rad2 : float or ndarray
             Variance gained while it was not measured, rad^2.
         """
-        is_number = isinstance(elapsed_s, float) and isinstance(unknown_s, float)
-        unknown = min(unknown_s, elapsed_s) if is_number else np.minimum(unknown_s, elapsed_s)
+        unknown: Any = min(unknown_s, elapsed_s) if isinstance(elapsed_s, float) else np.minimum(unknown_s, elapsed_s)
         rate = self.random_walk_rad_per_sqrt_s**2 + 2 * self.bias_correlation_s * yaw_bias_std_radps**2
         return (rate + besides_rad2_per_s) * (elapsed_s - unknown), self.unmeasured_rad2(unknown)
 
-    def unmeasured_rad2(self, time_s: float | FloatArray) -> float | FloatArray:
+    def unmeasured_rad2(self, time_s: N) -> N:
         """Return the variance gained in a time without angular rate.
 
         Parameters

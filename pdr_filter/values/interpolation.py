@@ -8,10 +8,7 @@ from pdr_filter.values.arrays import FloatArray
 
 
 def interpolated_rows(at_s: FloatArray | float, time_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Return values (..., d) at times (...), interpolated linearly between rows (N, d) at times (N,) in any order.
-
-    Before the first row and after the last row the value is constant.
-    """
+    """Return values (..., d) at times (...), interpolated between rows (N, d) in any order, constant beyond them."""
     if (time_s[1:] < time_s[:-1]).any():
         order = np.argsort(time_s, kind="stable")
         time_s, values = time_s[order], values[order]
@@ -19,10 +16,7 @@ def interpolated_rows(at_s: FloatArray | float, time_s: FloatArray, values: Floa
 
 
 def interpolated_near(at_s: FloatArray, time_s: FloatArray, values: FloatArray, max_gap_s: float) -> FloatArray:
-    """Return linearly interpolated values (M, d), with NaN where the nearest row is further away than `max_gap_s`.
-
-    Rows (N, d) may be in any order. All values are NaN without rows.
-    """
+    """Return linearly interpolated values (M, d), NaN where the nearest row (N, d), in any order, is beyond a gap."""
     if len(time_s) == 0 or len(at_s) == 0:
         return np.full((len(at_s), values.shape[1]), np.nan)
     result = interpolated_rows(at_s, time_s, values)

@@ -11,10 +11,7 @@ import numpy as np
 
 
 def as_plain(value: Any) -> Any:
-    """Return a value or dataclass as dictionaries, lists, numbers and strings.
-
-    Numbers that are not finite become None.
-    """
+    """Return a value or dataclass as dictionaries, lists, texts and numbers, None for those that are not finite."""
     if is_dataclass(value):
         return {f.name: as_plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray | np.generic):

@@ -33,10 +33,8 @@ def posterior_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatA
 
     Parameters
     ----------
-    prior_prob : ndarray, shape (..., M)
-        Prior probabilities.
-    log_likelihood : ndarray, shape (..., M)
-        Log-likelihoods. A constant added to all of them has no effect.
+    prior_prob, log_likelihood : ndarray, shape (..., M)
+        Prior probabilities, and log-likelihoods. A constant added to all of the latter has no effect.
 
     Returns
     -------
@@ -65,9 +63,8 @@ def posterior_prob(prior_prob: FloatArray, log_likelihood: FloatArray) -> FloatA
 def reweighted_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
     """Return the probabilities proportional to p_k exp(e_k), shape (..., K), of K hypotheses.
 
-    p_k is the probability of hypothesis k before, and e_k its finite log evidence of a few nats, or of any size if all
-    probabilities are positive. `posterior_prob` also accepts a hypothesis of probability zero with the largest
-    evidence, but must compute the logarithms of the probabilities.
+    Unlike `posterior_prob` it needs no logarithms of the p_k. The log evidence e_k must be finite, and of a few nats
+    unless all p_k are positive.
     """
     relative = prob * np.exp(log_evidence - np.maximum.reduce(log_evidence, axis=-1, keepdims=True))
     return relative / np.add.reduce(relative, axis=-1, keepdims=True)
@@ -78,19 +75,15 @@ def combine(mean: FloatArray, cov: FloatArray, prob: FloatArray) -> tuple[FloatA
 
     Parameters
     ----------
-    mean : ndarray, shape (..., M, n)
-        Means of the M components.
-    cov : ndarray, shape (..., M, n, n)
-        Covariances of the components.
+    mean, cov : ndarray, shape (..., M, n) and (..., M, n, n)
+        Means and covariances of the M components.
     prob : ndarray, shape (..., M)
         Weights of the components, which sum to 1.
 
     Returns
     -------
-    mean : ndarray, shape (..., n)
-        Mean of the mixture.
-    cov : ndarray, shape (..., n, n)
-        Covariance of the mixture.
+    tuple of ndarray, shape (..., n) and (..., n, n)
+        Mean and covariance of the mixture.
 
     Notes
     -----

@@ -115,10 +115,7 @@ class Origin:
 
     @property
     def _here(self) -> tuple[float, float, float]:
-        """Latitude, longitude and height.
-
-        At a height of 1,000 m, a metre is 0.02 % less in degrees than on the ellipsoid.
-        """
+        """Latitude, longitude and height: at 1,000 m, a metre is 0.02 % less in degrees than on the ellipsoid."""
         return self.latitude_deg, self.longitude_deg, self.height_m or 0.0
 
     def declination_rad(self, year: float = 2025.0) -> float:
@@ -198,10 +195,8 @@ class Origin:
 
         Returns
         -------
-        latitude_deg : ndarray, shape (...)
-            Latitude, degrees.
-        longitude_deg : ndarray, shape (...)
-            Longitude, degrees.
+        tuple of ndarray, shape (...)
+            Latitude and longitude, degrees.
         """
         import pymap3d
 

@@ -16,10 +16,8 @@ class Cluster:
     share : float
         Probability of the group. If the probabilities of all groups do not sum to one, the rest is the probability that
         the walk is in none of them.
-    position_m : ndarray, shape (2,)
-        Mean position, east and north, m.
-    position_cov_m2 : ndarray, shape (2, 2)
-        Covariance within the group, m^2.
+    position_m, position_cov_m2 : ndarray, shape (2,) and (2, 2)
+        Mean position, east and north, m, and covariance within the group, m^2.
 
     Examples
     --------
@@ -44,19 +42,15 @@ class OnPlan:
 
     Attributes
     ----------
-    position_m : ndarray, shape (2,)
-        Mean position of all particles, east and north, m.
-    position_cov_m2 : ndarray, shape (2, 2)
-        Covariance of the position, m^2.
+    position_m, position_cov_m2 : ndarray, shape (2,) and (2, 2)
+        Mean position of all particles, east and north, m, and its covariance, m^2.
     walking_heading_rad : float
         Mean walking direction, rad, clockwise from the north of the plan.
     clusters : tuple of Cluster
         Groups of particles, most probable first. Their shares sum to less than 1 by the probability of particles
         outside of all groups.
-    n_particles : int
-        Number of particles.
-    effective_sample_size : float
-        1 / sum of squared weights.
+    n_particles, effective_sample_size : int and float
+        Number of particles, and 1 / sum of squared weights.
 
     Examples
     --------

@@ -10,10 +10,7 @@ TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 
 
 def wrong_specific_force(median_mps2: float) -> str:
-    """Return the likely error of a median |specific force|, such as a wrong unit.
-
-    The string is empty if the value is plausible.
-    """
+    """Return the likely error of a median |specific force|, such as its unit, or "" if it is plausible."""
     low, high = limits.SPECIFIC_FORCE_RANGE_MPS2
     if low <= median_mps2 <= high:
         return ""
@@ -36,7 +33,7 @@ def wrong_angular_rate(median_radps: float) -> str:
 def wrong_rate(rate_hz: float, is_unit_declared: bool = False) -> str:
     """Return the likely error of the sampling rate of an accelerometer, or an empty string if it is plausible.
 
-    If the unit of the times is declared, another unit is not considered.
+    It is not the unit of the times if that is declared.
     """
     low, high = limits.RATE_RANGE_HZ
     if low <= rate_hz <= high:
@@ -56,20 +53,14 @@ def wrong_rate(rate_hz: float, is_unit_declared: bool = False) -> str:
 
 
 def unit_of_rate(rate_hz: float) -> str:
-    """Return the unit of times, such as "milliseconds", that explains a sampling rate that is too low.
-
-    The string is empty if no unit explains it, or if the rate is not too low.
-    """
+    """Return the unit of times, such as "milliseconds", that explains a low sampling rate, or ""."""
     low, high = limits.RATE_RANGE_HZ
     fits = [unit for unit, factor in TIME_UNITS.items() if low <= rate_hz * factor <= high]
     return fits[0] if fits and rate_hz < low else ""
 
 
 def wrong_time(time_s: float) -> str:
-    """Return why a time cannot be in seconds (since 1970 or any other time), or an empty string if it can.
-
-    The string is also empty for NaN and infinity.
-    """
+    """Return why a time cannot be in seconds since 1970 or later, or "" if it can, or is NaN or infinite."""
     if not limits.MAX_EPOCH_S < abs(time_s) < math.inf:
         return ""
     return f"time_s must be in seconds, got {time_s:.6g}; divide milliseconds by 1e3, nanoseconds by 1e9"

@@ -43,16 +43,10 @@ class Subject:
 
     Attributes
     ----------
-    id : str, optional
-        Identifier of the person.
-    height_m : float, optional
-        Body height, m.
-    weight_kg : float, optional
-        Weight, kg.
-    age : float, optional
-        Age, years.
-    gender : str, optional
-        Gender, as the data set states it.
+    id, gender : str, optional
+        Identifier of the person, and gender, as the data set states them.
+    height_m, weight_kg, age : float, optional
+        Body height in m, weight in kg and age in years.
 
     Examples
     --------
@@ -78,14 +72,10 @@ class Truth:
         Measured positions over time.
     waypoints : Table, optional
         Known points with the times at which the pedestrian passed them. The path between them is unknown.
-    steps : Table, optional
-        Contacts of the true steps.
-    strides : Table, optional
-        Strides of known length.
-    segments : Table, optional
-        Stretches of known distance or number of steps.
-    labels : Table, optional
-        Stretches of known context and carrying mode.
+    steps, strides : Table, optional
+        Contacts of the true steps, and strides of known length.
+    segments, labels : Table, optional
+        Stretches of known distance or number of steps, and of known context and carrying mode.
 
     Examples
     --------
@@ -128,16 +118,10 @@ class Recording:
         Name of the recording.
     accelerometer : Samples, values (N, 3)
         Specific force, m/s^2.
-    gyroscope : Samples, values (N, 3), optional
-        Angular rate, rad/s.
-    magnetometer : Samples, values (N, 3), optional
-        Magnetic field, microtesla.
-    barometer : Samples, values (N, 1), optional
-        Air pressure, hPa.
-    light : Samples, values (N, 1), optional
-        Illuminance, lux.
-    proximity : Samples, values (N, 1), optional
-        Distance to an object in front of the phone, cm.
+    gyroscope, magnetometer : Samples, values (N, 3), optional
+        Angular rate, rad/s, and magnetic field, microtesla.
+    barometer, light, proximity : Samples, values (N, 1), optional
+        Air pressure, hPa, illuminance, lux, and distance to an object in front of the phone, cm.
     attitude : Samples, values (N, 4), optional
         Quaternion wxyz that rotates sensor coordinates into world coordinates, computed by the phone.
     location : Samples, values (N, 4), optional

@@ -14,27 +14,18 @@ def rigid_fit(a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, FloatArray]
 
     Parameters
     ----------
-    a_m : ndarray, shape (N, 2)
-        Points to transform, m.
-    b_m : ndarray, shape (N, 2)
-        Target points, m.
+    a_m, b_m : ndarray, shape (N, 2)
+        Points to transform, and target points, m.
 
     Returns
     -------
-    rotation : ndarray, shape (2, 2)
-        Rotation matrix R.
-    shift : ndarray, shape (2,)
-        Shift t, m.
+    tuple of ndarray, shape (2, 2) and (2,)
+        Rotation matrix R, and shift t, m.
 
     Notes
     -----
-    From the SVD of sum (a_i - a)(b_i - b)^T. The last singular vector is negated if the result would be a reflection
-    [1]_, [2]_ (eq. 40 and 41 with c = 1).
-
-    References
-    ----------
-    .. [1] Kabsch, Acta Cryst. A32, 1976.
-    .. [2] Umeyama, IEEE Trans. Pattern Anal. Mach. Intell. 13, 1991.
+    From the SVD of sum (a_i - a)(b_i - b)^T (Kabsch, Acta Cryst. A32, 1976). The last singular vector is negated if the
+    result would be a reflection (Umeyama, IEEE Trans. Pattern Anal. Mach. Intell. 13, 1991, eq. 40 and 41 with c = 1).
 
     Examples
     --------

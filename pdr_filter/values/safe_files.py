@@ -67,11 +67,7 @@ def inside(path: Path, *folders: Path) -> Path:
 
 
 def beside(path: Path, name: str) -> Path:
-    """Return the path of the file `name` in the folder of the file `path`.
-
-    Raises RecordingError if `name` is a link that leads to another folder. If `path` itself is a link, the folder of
-    its target is allowed, too.
-    """
+    """Return the path of the file `name` beside `path` or its target. RecordingError if that is a link elsewhere."""
     return inside(path.with_name(name), path.parent, path.resolve().parent)
 
 
@@ -79,8 +75,8 @@ def beside(path: Path, name: str) -> Path:
 def whole_file(path: str | Path) -> Generator[IO[bytes]]:
     """Open a file for atomic writing. It appears at the path when the block ends without an error.
 
-    Until then it has another name in the same folder, and whatever is at the path stays as it is. A link stays a link.
-    A path that is not a regular file, such as /dev/stdout, is written to directly.
+    Until then it has another name in the same folder. A link stays a link. A path that is not a regular file, such as
+    /dev/stdout, is written to directly.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
-from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.arrays import FloatArray, read_only, reduction
 
 #: Standard gravity, m/s2.
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -40,6 +39,8 @@ class Samples:
     time_s: FloatArray
     values: FloatArray
 
+    __reduce__ = reduction
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_s", read_only(self.time_s, "time_s"))
         object.__setattr__(self, "values", read_only(self.values))
@@ -52,10 +53,6 @@ class Samples:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy through the constructor, so that the arrays stay read-only."""
-        return type(self), (self.time_s, self.values)
-
     def __repr__(self) -> str:
         return f"Samples({len(self)} x {self.values.shape[1]})"
 
@@ -67,22 +64,12 @@ class ImuBlock:
     NaN marks missing values. A row without specific force is interpolated or becomes a gap. The angular rate may be
     missing for any time.
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (N,)
-        Times, s.
-    specific_force_mps2 : ndarray, shape (N, 3)
-        Accelerometer, m/s^2, with a norm of about 9.81 at rest.
-    angular_rate_radps : ndarray, shape (N, 3)
-        Gyroscope, rad/s.
-    magnetic_field_ut : ndarray, shape (N, 3)
-        Magnetometer, microtesla.
     """
 
-    time_s: FloatArray
-    specific_force_mps2: FloatArray
-    angular_rate_radps: FloatArray
-    magnetic_field_ut: FloatArray
+    time_s: FloatArray  # (N,)
+    specific_force_mps2: FloatArray  # (N, 3), norm about 9.81 at rest
+    angular_rate_radps: FloatArray  # (N, 3)
+    magnetic_field_ut: FloatArray  # (N, 3)
 
     def parts(self, n: int) -> Iterator[ImuBlock]:
         """Yield the block in consecutive pieces of at most n samples."""

@@ -44,10 +44,7 @@ def of_csv_cell(cell: str) -> str:
 
 
 def file_name(name: str) -> str:
-    """Return a file name for the name of a recording: without folders, and short enough for a suffix.
-
-    The removed end of a long name is replaced by a checksum of the whole name, so that two long names stay different.
-    """
+    """Return a file name for the name of a recording: without folders, with a checksum for the end of a long one."""
     clean = re.sub(r'[/\\:*?"<>|]', "_", printable(name)).strip(". ") or "recording"
     if len(clean.encode()) <= _MAX_FILE_NAME_BYTES:
         return clean

@@ -19,8 +19,7 @@ _LARGEST, _LARGEST_WHOLE, _LARGEST_EXACT = 1e30, 2**63 - 1, 2**53
 def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
     """Raise ValueError for the first name that is not a field, or whose value is not of the declared type of its field.
 
-    The message names the field of the dataclass `cls`. Numbers, also in arrays, must not be extremely large, and counts
-    (n_...) must not be negative. Further checks are in the dataclass.
+    Numbers, also in arrays, must not be extremely large, and counts (n_...) not negative.
     """
     declared = _declared(cls)
     for name, value in content.items():
@@ -71,9 +70,9 @@ def _is_a(value: Any, declared: Any) -> bool:
 
 
 def _is_plain(value: Any, kind: type) -> bool:
-    """Return True if a value is of exactly this type. A float may also be an integer that a float holds exactly.
+    """Return True if a value is of exactly this type, and not extremely large.
 
-    The result is False for finite numbers that are extremely large. NaN and infinity are floats.
+    A float may be NaN, infinite, or an integer that a float holds exactly.
     """
     if kind is int:
         return type(value) is int and abs(value) <= _LARGEST_WHOLE
@@ -100,10 +99,7 @@ def _is_collection(value: Any, kind: type, parts: tuple[Any, ...]) -> bool:
 
 
 def _is_part(value: Any, protocol: type) -> bool:
-    """Return True if a value is a part of a recipe with all members of a protocol.
-
-    Files cannot contain classes of other packages, so that a part of another package comes from a caller.
-    """
+    """Return True if a value of this package, or of a caller's, has all members of a protocol."""
     if type(value).__module__.split(".")[0] not in ("builtins", "numpy", "pdr_filter"):
         return not missing_members(value, protocol)
     return is_dataclass(value) and all(

@@ -1,10 +1,9 @@
 """Serialisation of configurations and states as plain values: no code in the bytes is executed.
 
 The bytes are zlib-compressed JSON with a version and a checksum. Arrays are stored as their exact bytes, and
-dataclasses by name. Only dataclasses of this package, and of the first state that the caller gives, are loaded. All
-other types are refused when saving and when loading. Unchanged values of the package's files, such as its trained
-models, are stored by name and checksum. The checksum of the bytes detects damage, and the declared types of fields are
-checked as well. Bytes with a forged checksum can produce a filter with wrong values, but cannot execute code.
+dataclasses by name. Only dataclasses of this package, and of the first state that the caller gives, are loaded.
+Unchanged values of the package's files, such as its trained models, are stored by name and checksum. Bytes with a
+forged checksum can produce a filter with wrong values of the declared types, but cannot execute code.
 """
 
 from __future__ import annotations
@@ -51,10 +50,10 @@ class Shipped:
 
 
 def to_bytes(value: object, first: object = None) -> bytes:
-    """Return a value of arrays, numbers, strings, None, tuples, dicts and dataclasses of this package as bytes.
+    """Return a value of arrays, numbers, strings, None, tuples, dicts and dataclasses as bytes.
 
-    Dataclasses of other packages are saved if they are in `first`, the first state of the part that made the value, or
-    in the declared types of the fields of dataclasses in it. TypeError for any other class.
+    Dataclasses are those of this package, of `first` (the first state of the part that made the value), and of the
+    declared types of their fields. TypeError for any other class.
     """
     return _packed(_encode(value, _classes_in(first)))
 
@@ -62,7 +61,7 @@ def to_bytes(value: object, first: object = None) -> bytes:
 def _classes_in(first: object) -> dict[str, type[Any]]:
     """Return the dataclasses of a value, of its parts, and of the declared types of their fields, by name.
 
-    Raise TypeError for two of one name, such as classes of a function that is called twice.
+    TypeError for two of one name.
     """
     found: dict[str, type[Any]] = {}
     open_parts: list[Any] = [first]
@@ -104,10 +103,7 @@ def _packed(value: Any) -> bytes:
 
 
 def from_bytes(blob: object, first: object = None) -> Any:
-    """Return the value from the bytes of `to_bytes`. ValueError for any other bytes.
-
-    Dataclasses of other packages are those in `first`, as in `to_bytes`. Bytes never import their modules.
-    """
+    """Return the value from the bytes of `to_bytes` with the same `first`. ValueError for any other bytes."""
     if not isinstance(blob, bytes):
         raise ValueError(f"a saved filter must be bytes, got {type(blob).__name__}: give what save returned")
     try:
@@ -219,10 +215,7 @@ def _shipped(node: Mapping[str, Any]) -> Shipped:
 
 
 def _of_type(value: Any, cls: type, what: str) -> Any:
-    """Return the value if its type is `cls`, otherwise raise ValueError.
-
-    `what` is the name of the value in the message, to which `from_bytes` adds the remedy.
-    """
+    """Return the value if its type is `cls`. ValueError, to which `from_bytes` adds the remedy, if not."""
     if type(value) is not cls:
         raise ValueError(f"{what} must be stored as a {cls.__name__}, got {str(value)[:60]}")
     return value

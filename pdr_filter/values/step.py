@@ -29,14 +29,10 @@ class Step:
 
     Attributes
     ----------
-    time_s : float
-        Contact that ends the step, s.
-    detected_time_s : float
-        Time at which the step became known, s.
-    duration_s : float
-        Duration, s.
-    frequency_hz : float
-        1 / `duration_s`, Hz.
+    time_s, detected_time_s : float
+        Contact that ends the step, and time at which the step became known, s.
+    duration_s, frequency_hz : float
+        Duration, s, and 1 / duration, Hz.
     variance : float
         Variance of the magnitude, m^2/s^4 (sigma_f^2 of Martinelli et al. 2018, eq. 12).
     vertical_max_mps2, vertical_min_mps2 : float
@@ -50,8 +46,7 @@ class Step:
     device_heading_rad : float
         Mean heading of the phone during the step, rad, clockwise from its first heading, not wrapped.
     heading_unknown_s : float, default 0.0
-        Time without angular rate since the previous step in which the phone may have turned, s. The heading is constant
-        during that time.
+        Time without angular rate since the previous step, s. The heading is constant during that time.
     walking_heading_rad : float, default 0.0
         Walking direction measured from the samples, without the axes of the phone, rad. It has the zero of
         `device_heading_rad` and is not wrapped.
@@ -60,12 +55,10 @@ class Step:
         states the direction of the step: the heading offset is then that from this direction.
     offset_change_std_rad : float, default 0.0
         Standard deviation of the change of the heading offset (walking direction minus device heading) since the
-        previous step, rad. 0 while the phone stays in its place, large when it was moved.
-    shown_offset_rad : float, default 0.0
-        Heading offset measured from strides, and from the axis of a phone that is being read, rad. A track does not
-        need it, because its frame has the heading offset of the first place of the phone.
-    shown_offset_std_rad : float, default inf
-        Standard deviation of `shown_offset_rad`, rad.
+        previous step, rad. 0 while the phone stays in its place.
+    shown_offset_rad, shown_offset_std_rad : float, default 0.0 and inf
+        Heading offset measured from strides, and from the axis of a phone that is being read, and its standard
+        deviation, rad. A track does not need it: its frame has the offset of the first place of the phone.
     direction_trust : float, default 0.0
         Agreement of the strides on the walking direction, 0 to 1: the squared length of their mean direction.
     carried_since_s : float, default -inf
@@ -75,31 +68,25 @@ class Step:
     yaw_bias_std_radps : float, default 0.0
         Standard deviation of the gyroscope bias about the vertical, after its correction, rad/s.
     vertical_amplitude_mps2 : float, default 0.0
-        Amplitude of the vertical component at the frequency of the step, m/s^2: the bounce of the body without heel
-        strikes.
+        Amplitude of the vertical component at the frequency of the step, without heel strikes, m/s^2.
     stride_amplitude_mps2 : float, default 0.0
-        Mean of `vertical_amplitude_mps2` over this step and the previous one, m/s^2, because in a pocket the two legs
-        differ. After a rest it is the amplitude of this step. 0 if unknown.
-    usual_amplitude_mps2 : float, default 0.0
-        Geometric mean of the amplitude over the last steps of the person, including this one, m/s^2. 0 for the first
-        step of a bout.
-    usual_duration_s : float, default 0.0
-        Geometric mean of the duration of earlier steps of the person, s. 0 if there are none.
+        Its mean over this step and the previous one of a bout, because in a pocket the two legs differ, m/s^2. 0 if
+        unknown.
+    usual_amplitude_mps2, usual_duration_s : float, default 0.0
+        Geometric means of the amplitude over the last steps of the person with this one, m/s^2, and of the duration of
+        earlier ones, s. 0 for the first step of a bout.
     turn_rate_radps : float, default 0.0
         Absolute rotation rate of the phone about the vertical, over this step and the previous one, rad/s. The sway
         within a stride cancels.
-    from_rest : bool, default False
-        True for the first step of a bout or after a pause, which starts with the feet together.
-    is_two : bool, default False
-        True for two steps whose middle contact was missed.
-    north_rad : float, default 0.0
-        Heading of true north in the frame of the attitude, from the magnetic field, rad. Device heading plus heading
-        offset minus this is the walking direction against north.
-    north_std_rad : float, default inf
-        Standard deviation of `north_rad`, rad. Infinite if north is unknown.
+    from_rest, is_two : bool, default False
+        True for the first step of a bout or after a pause, which starts with the feet together, and for two steps whose
+        middle contact was missed.
+    north_rad, north_std_rad : float, default 0.0 and inf
+        Heading of true north in the frame of the attitude, from the magnetic field, and its standard deviation, rad.
+        Device heading plus heading offset minus this is the walking direction against north.
     stepless_s : float, default 0.0
-        Time since the previous step in which the phone moved although no step explains it, s. The pedestrian may have
-        made steps that were not detected, so that the position is less certain.
+        Time since the previous step in which the phone moved although no step explains it, s, so that steps may be
+        missing.
 
     Examples
     --------
@@ -162,10 +149,7 @@ class Step:
 
     @property
     def is_quick_and_soft(self) -> bool:
-        """True if the step is too quick for walking and too soft for running.
-
-        No model of step length or direction holds then.
-        """
+        """True if the step is too quick for walking and too soft for running, so that no model of it holds."""
         return self.frequency_hz > _QUICK_HZ and self.vertical_amplitude_mps2 < _SOFT_MPS2
 
     @property
@@ -175,10 +159,7 @@ class Step:
 
     @property
     def unevenness(self) -> float:
-        """Relative difference between the duration and the usual duration, at most 1.
-
-        0 if there is no usual duration.
-        """
+        """Relative difference between the duration and the usual duration, at most 1. 0 if there is none."""
         if self.usual_duration_s <= 0:
             return 0.0
         return min(abs(self.duration_s / self.usual_duration_s - 1.0), 1.0)

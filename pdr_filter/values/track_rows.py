@@ -81,18 +81,15 @@ class TrackRows:
 
     @property
     def distance_m(self) -> float:
-        """Walked distance after the last step, m.
-
-        With "imm" it is not exactly the sum of the step lengths (see `walked_m`).
-        """
+        """Walked distance after the last step, m, as in `walked_m`."""
         return float(self.walked_m[-1]) if self.n_steps else 0.0
 
     @property
     def position_std_m(self) -> FloatArray:
         """Standard deviation (K,) of each position in its least certain direction, m.
 
-        Reports, tables and summaries give the value at the end. The ellipses of `plot` contain 95 %, and their
-        semi-axes are 2.45 standard deviations long.
+        Reports give its value at the end. The ellipses of `plot` have semi-axes of 2.45 standard deviations, and
+        contain 95 %.
         """
         return worst_std_m(self.position_cov_m2)
 
@@ -140,10 +137,8 @@ class TrackRows:
 
         Returns
         -------
-        latitude_deg : ndarray, shape (...)
-            Latitude, degrees.
-        longitude_deg : ndarray, shape (...)
-            Longitude, degrees.
+        tuple of ndarray, shape (...)
+            Latitude and longitude, degrees.
 
         Raises
         ------
@@ -292,10 +287,7 @@ class TrackRows:
 
     @property
     def is_level(self) -> bool:
-        """True if the track has no significant change of height and no change of storey.
-
-        A change of height is significant if it exceeds one metre and two standard deviations.
-        """
+        """True unless the height changes by over one metre and two standard deviations, or the storey."""
         is_significant = np.abs(self.height_m) > np.maximum(1.0, 2.0 * self.height_std_m)
         return not (is_significant.any() or self.floor_passages or (self.floor != self.floor[:1]).any())
 
@@ -388,17 +380,14 @@ class TrackRows:
 
     @property
     def seconds_without_steps(self) -> float:
-        """Time in windows that have no step although their most probable context is one with steps, s.
-
-        Such contexts are walking, stairs or running. The phone is then in a vehicle, or in a moving hand.
-        """
+        """Time in windows with a context of steps but without a step, as in a vehicle or a moving hand, s."""
         seconds, _, walked = self._of_windows()
         return float(seconds[~walked].sum())
 
     def _of_windows(self) -> tuple[FloatArray, IntArray, BoolArray]:
         """Return duration (W,) in s, index of the most probable context (W,), and consistency with steps (W,).
 
-        The last is True for a window of a context without steps, and for one with a step in it or within half a second.
+        The last is True for a context without steps, or with a step in the window or within half a second.
         """
         end_s = self.windows.time_s
         starts = np.concatenate([[self.start_time_s], end_s[:-1]])

@@ -23,8 +23,7 @@ _HALF_STOREY_M = 1.9
 def floor_prob(height_std_m: FloatArray) -> FloatArray:
     """Return the probability that a storey is right, for standard deviations of the height (...).
 
-    It is the probability of a normally distributed error of the height of less than half a storey. Below 0.5, which is
-    a standard deviation of 2.8 m, the storey counts as unknown.
+    It is that of a normal error of less than half a storey. Below 0.5, at 2.8 m, the storey counts as unknown.
     """
     std_m = np.atleast_1d(height_std_m)
     prob = [math.erf(_HALF_STOREY_M / (math.sqrt(2.0) * std)) if std > 0 else 1.0 for std in std_m.tolist()]
@@ -37,11 +36,7 @@ def is_floor_unknown(height_std_m: FloatArray) -> BoolArray:
 
 
 def worst_std_m(cov_m2: FloatArray) -> FloatArray:
-    """Return the standard deviation along the least certain direction, m, for covariances (..., 2, 2).
-
-    It is sqrt(l), with l = (a + c) / 2 + sqrt((a - c)^2 / 4 + b^2) the larger eigenvalue of the covariance ((a, b), (b,
-    c)).
-    """
+    """Return the standard deviation along the least certain direction, m, of covariances (..., 2, 2)."""
     a, b, c = cov_m2[..., 0, 0], cov_m2[..., 0, 1], cov_m2[..., 1, 1]
     with np.errstate(invalid="ignore"):  # an infinite covariance has no axes
         return np.sqrt(np.maximum(0.5 * (a + c) + np.hypot(0.5 * (a - c), b), 0.0))
@@ -55,10 +50,9 @@ def worst_std_m(cov_m2: FloatArray) -> FloatArray:
 STUDENT_DOF = 4.0
 
 
-def variance_factor(squares: float, n_errors: int, n_before: int = 0) -> float:
-    """Return the factor by which variances exceed their stated values, estimated from normalised squared errors.
+def variance_factor(squares: float, n_errors: int) -> float:
+    """Return the factor by which variances exceed their stated values, given the sum of normalised squared errors.
 
-    The factor is at least one. `squares` is the sum over `n_errors` errors. The prior is worth `STUDENT_DOF` errors
-    with the stated variances, plus `n_before` such errors.
+    It is at least one. The prior is worth `STUDENT_DOF` errors with the stated variances.
     """
-    return max((STUDENT_DOF + n_before + squares) / (STUDENT_DOF + n_before + n_errors), 1.0)
+    return max((STUDENT_DOF + squares) / (STUDENT_DOF + n_errors), 1.0)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray, IntArray, read_only
+from pdr_filter.values.arrays import FloatArray, IntArray, read_only, reduction
 
 # Minimum pause between two scans. A phone listens to one channel after the other and then pauses. In `ms_indoor` the
 # pauses are 0.5 to 0.8 s, and intervals within a scan are less than 0.2 s (0.1 s for 279,000 of 288,000 rows).
@@ -53,6 +52,8 @@ class Wifi:
     rssi_dbm: FloatArray
     frequency_mhz: FloatArray
 
+    __reduce__ = reduction
+
     def __post_init__(self) -> None:
         addresses = np.asarray(self.bssid)
         if addresses.size and addresses.dtype.kind not in "iu":
@@ -76,10 +77,6 @@ class Wifi:
 
     def __len__(self) -> int:
         return len(self.time_s)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy through the constructor, so that the arrays stay read-only."""
-        return type(self), (self.time_s, self.bssid, self.rssi_dbm, self.frequency_mhz)
 
     def __repr__(self) -> str:
         return f"Wifi({len(self)} rows, {self.n_access_points} access points)"
@@ -116,14 +113,10 @@ class WifiScan:
 
     Attributes
     ----------
-    time_s : float
-        Mean time of the receptions, s.
-    end_s : float
-        Time of the last reception, s. An app cannot know the scan earlier.
-    bssid : ndarray of int, shape (A,)
-        Addresses of the access points, in increasing order.
-    rssi_dbm : ndarray, shape (A,)
-        Received power of each access point, dBm.
+    time_s, end_s : float
+        Mean time of the receptions, and time of the last one, before which an app cannot know the scan, s.
+    bssid, rssi_dbm : ndarray, shape (A,)
+        Addresses of the access points, in increasing order, and received power of each, dBm.
 
     Examples
     --------
@@ -145,12 +138,8 @@ class WifiScan:
 
         Parameters
         ----------
-        time_s : ndarray, shape (N,)
-            Times, s.
-        bssid : ndarray of int, shape (N,)
-            Addresses.
-        rssi_dbm : ndarray, shape (N,)
-            Received powers, dBm.
+        time_s, bssid, rssi_dbm : ndarray, shape (N,)
+            Times in s, addresses, and received powers in dBm.
 
         Returns
         -------
@@ -170,11 +159,7 @@ class WifiScan:
 
 
 def loudness(rssi_dbm: FloatArray) -> FloatArray:
-    """Return the squared level above the limit of reception, relative to a level next to the access point.
-
-    The result is 1 for a received power of -30 dBm, and at least 1e-6. The square gives the nearest access points the
-    largest weight.
-    """
+    """Return the squared level above the limit of reception: 1 at -30 dBm, at least 1e-6; the nearest weigh most."""
     return np.clip((rssi_dbm - _SILENT_DBM) / (_LOUD_DBM - _SILENT_DBM), 1e-3, None) ** 2
 
 

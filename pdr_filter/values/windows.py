@@ -31,17 +31,13 @@ class WindowContext:
     ----------
     time_s : float
         End of the window, s.
-    prob : FloatArray
-        Probabilities of the contexts of the stage, shape (C,). They contain the training prior with weight
-        `unknown_share`.
-    training_prior : FloatArray
-        Prior of the classifier, shape (C,).
+    prob, training_prior : FloatArray
+        Probabilities of the contexts of the stage, with the prior of the classifier at weight `unknown_share`, and this
+        prior, shape (C,).
     carrying_prob : FloatArray
         Probabilities of `CARRYING_MODES` after this window, shape (5,).
-    unknown_share : float
-        Dissimilarity of the window to all training windows, 0 to 1.
-    stairs_unknown_share : float
-        Dissimilarity of the window and the place of the phone to stairs in training, 0 to 1.
+    unknown_share, stairs_unknown_share : float
+        Dissimilarity to all training windows, and of window and place of the phone to stairs in training, 0 to 1.
     irregular_prob : float
         Probability of irregular motion: the phone is handled while the person does not walk.
     model : str
@@ -50,10 +46,8 @@ class WindowContext:
         Climb rate from the barometer, up positive, m/s. NaN without barometer.
     has_gyroscope : bool
         True if the angular rate is known throughout the window.
-    start_s : float
-        Time of the first sample of the window, s.
-    hop_s : float
-        Time between the ends of consecutive windows, s.
+    start_s, hop_s : float
+        Time of the first sample of the window, and time between the ends of consecutive windows, s.
     is_unlike : bool
         True if the window is farther from all training windows than nine of ten windows of held-out people.
 
@@ -131,14 +125,11 @@ class Windows:
     ----------
     time_s : ndarray, shape (W,)
         End of each window, s.
-    context_prob : ndarray, shape (W, C)
-        Probability of each context, including the effect of `unknown_share`.
-    contexts : tuple of str
-        Names of the contexts.
-    carrying_prob : ndarray, shape (W, D)
-        Probability of each carrying mode, from this window and all earlier ones.
-    carrying_modes : tuple of str
-        Names of the carrying modes.
+    context_prob, carrying_prob : ndarray, shape (W, C) and (W, D)
+        Probability of each context, with the effect of `unknown_share`, and of each carrying mode, from this window and
+        all earlier ones.
+    contexts, carrying_modes : tuple of str
+        Names of the contexts and of the carrying modes.
     unknown_share : ndarray, shape (W,)
         Dissimilarity of the window to the training windows of the classifier, 0 to 1. `context_prob` already includes
         it.

@@ -35,12 +35,8 @@ class Dataset:
 
     Attributes
     ----------
-    title : str
-        Title and short description.
-    licence : str
-        Licence of the files.
-    attribution : str
-        Publication or owner to cite.
+    title, licence, attribution : str
+        Title and short description, licence of the files, and publication or owner to cite.
     home : str
         Address of the folder of the files. It should contain a commit, so that the files cannot change.
     files : tuple of str
@@ -204,9 +200,9 @@ def cache_folder() -> Path:
 
 
 def _write(name: str, dataset: Dataset, to: Path, plan: Path) -> None:
-    """Convert the downloaded files of a data set, and write its recordings to `to` and its floor plan to `plan`.
+    """Convert the downloaded files of a data set. Write its recordings to `to` and its floor plan to `plan`.
 
-    The licence is added to their metadata. Checksums of the files and the attribution are written last.
+    Their metadata have the licence. The attribution is written last.
     """
     raw = to / _RAW
     for archive in raw.rglob("*.zip"):
@@ -257,10 +253,7 @@ def _download(name: str, dataset: Dataset, raw: Path) -> None:
 
 
 def _unpack(archive: Path) -> None:
-    """Extract the .csv and .txt files of a zip file to a folder of the same name, unless the folder has them.
-
-    The limits of the readers on sizes apply.
-    """
+    """Extract the .csv and .txt files of a zip file to a folder of the same name, within the limits of the readers."""
     with open_members(archive) as members:
         for name in members.names:
             place = archive.with_suffix("") / name

@@ -1,7 +1,6 @@
 """Conversion of published data sets to recordings with person, labels and ground truth.
 
-Each function takes the folder of the raw files. Information about people and routes is in further files of that folder,
-or in the publication.
+Each function takes the folder of the raw files.
 """
 
 from __future__ import annotations
@@ -48,10 +47,9 @@ def as_found(raw: Path) -> Iterator[Recording]:
 
 
 def humolire(raw: Path) -> Iterator[Recording]:
-    """Yield the walks of HuMoLIRe.
+    """Yield the walks of HuMoLIRe, with the passed landmarks and the straight parts between them as ground truth.
 
-    Ground truth are the passed landmarks, and the straight parts between two landmarks along a corridor as segments of
-    known length. RecordingError if a walk has another number of clicks than its route has landmarks.
+    RecordingError if a walk has another number of clicks than its route has landmarks.
     """
     walks = raw / "imus" / "1"
     for references in sorted(walks.rglob("references.txt")):
@@ -93,10 +91,7 @@ def humolire(raw: Path) -> Iterator[Recording]:
 
 
 def motionsense(raw: Path) -> Iterator[Recording]:
-    """Yield the recordings of the first twelve people of MotionSense, one activity each.
-
-    Figures in the documentation are for these people.
-    """
+    """Yield the recordings of the first twelve people of MotionSense, who are those of the documentation."""
     people = {row["code"]: row for row in _csv(raw / "data_subjects_info.csv")}
     for path in sorted(raw.rglob("sub_*.csv")):
         code, trial = path.stem.removeprefix("sub_"), path.parent.name
@@ -122,10 +117,7 @@ def motionsense(raw: Path) -> Iterator[Recording]:
 
 
 def ms_indoor(raw: Path) -> Iterator[Recording]:
-    """Yield the walks of Indoor Location Competition 2.0, with the surveyed points of the floor plan.
-
-    Walks without such points are skipped.
-    """
+    """Yield the walks of Indoor Location Competition 2.0 that have surveyed points of the floor plan."""
     for path in sorted(raw.glob("*/path_data_files/*.txt")):
         recording = read_indoor_location(path)
         waypoints = recording.truth.waypoints
@@ -183,8 +175,7 @@ def _label(begin_s: float, end_s: float, context: str, carrying_mode: str) -> Ta
 def _begin_s(recording: Recording) -> float:
     """Return the time in s at which the person begins to move: half a second before the force first swings.
 
-    The force swings if its norm differs from the median by more than 2 m/s2. The first 0.3 s are skipped. The result is
-    0 if the force never swings.
+    The result is 0 if the force never swings by more than 2 m/s2.
     """
     force = recording.accelerometer
     swing = np.abs(np.linalg.norm(force.values, axis=1) - np.median(np.linalg.norm(force.values, axis=1)))
@@ -200,11 +191,7 @@ def _landmarks(path: Path) -> FloatArray:
 
 
 def _rows(path: Path) -> Iterator[list[float]]:
-    """Iterate over the numeric lines of a text file, as lists of numbers.
-
-    The phone app senslogs wrote the files, with fields that are separated by blanks. Lines that do not begin with a
-    digit are skipped.
-    """
+    """Iterate over the lines of a text file of senslogs that begin with a digit, as lists of numbers."""
     lines = read_small(path, limits.MAX_MEMBER_BYTES).decode("utf-8", "replace").splitlines()
     return (list(map(float, line.split())) for line in lines if line[:1].isdigit())
 

@@ -48,9 +48,8 @@ class Parsed:
     def recording(self) -> Recording:
         """Return the recording of the stored streams. Its time zero is the first accelerometer sample.
 
-        Rows in wrong order are sorted, samples that share one time get individual times, and gravity is added to an
-        acceleration that lacks it (`linear`). RecordingError if there is no accelerometer, or if its values, times or
-        sign are implausible.
+        Rows are sorted, samples of one time spread, and gravity added to an acceleration that lacks it (`linear`).
+        RecordingError if there is no accelerometer, or if its values, times or sign are implausible.
         """
         where = str(self.path)
         if "accelerometer" not in self.streams:
@@ -82,9 +81,9 @@ class Parsed:
         )
 
     def _restore_gravity(self, where: str) -> None:
-        """Add gravity to the stored acceleration, which lacks it (`linear`), with a note.
+        """Add gravity to the stored acceleration, along the vertical of gyroscope and steps, with a note.
 
-        The vertical is estimated from the gyroscope and the steps. RecordingError if the samples do not show it.
+        RecordingError if the samples do not show the vertical.
         """
         gyroscope = Samples(*self.streams["gyroscope"]) if "gyroscope" in self.streams else None
         try:
@@ -116,8 +115,7 @@ class Parsed:
     def _check_up(self, streams: Mapping[str, Samples], where: str) -> None:
         """Raise RecordingError if the sign of the accelerometer contradicts the phone's own attitude.
 
-        The attitude shows the direction of the vertical. A weak agreement gives a note. Without an attitude nothing is
-        checked.
+        A weak agreement gives a note. Without an attitude nothing is checked.
         """
         cosine = up_cosine(streams["accelerometer"], streams["attitude"]) if "attitude" in streams else np.nan
         if np.isnan(cosine):

@@ -25,13 +25,10 @@ def checked_streams(
 ) -> dict[str, Samples]:
     """Return the streams without rows of unknown time, after checks that their values are plausible.
 
-    `found` maps the name of a stream to its parsed times (N,) and values (N, d). `zero_s` becomes time zero. The result
-    has the accelerometer first. Rows and streams that are left out, and repeated or backward times, are added to
-    `notes`. Notes and errors name a stream by its name followed by `suffix`. Raises RecordingError for an implausible
-    stream.
-
-    An unusually low sampling rate is normally refused, as the times may be in another unit. A low rate is accepted if
-    `is_unit_declared` is True, which means that the file states the unit of its times.
+    `found` has times (N,) and values (N, d) by name. `zero_s` becomes time zero. The result has the accelerometer
+    first. What is left out, and repeated or backward times, are added to `notes`. Notes and errors name a stream by its
+    name and `suffix`. RecordingError for an implausible stream. A low sampling rate, which another unit of time would
+    explain, is accepted if `is_unit_declared`: the file states the unit.
     """
     streams: dict[str, Samples] = {}
     for name in sorted(found, key=lambda name: name != "accelerometer"):
@@ -62,10 +59,9 @@ def with_time(time_s: FloatArray, where: str, notes: list[str]) -> BoolArray:
 
 
 def up_cosine(accelerometer: Samples, attitude: Samples) -> float:
-    """Return the mean cosine between up and the specific force that the phone's own attitude rotates into the world.
+    """Return the mean cosine between up and the specific force in the world of the phone's own attitude.
 
-    It is near 1 if the sign of the accelerometer and the sense of the quaternion (sensor to world) are right, and NaN
-    if it is unknown.
+    It is near 1 if the sign of the accelerometer and the sense of the quaternion are right, and NaN if unknown.
     """
     known = ~np.isnan(attitude.values).any(axis=1)
     if known.sum() < 2:

@@ -200,10 +200,7 @@ def letters(name: str) -> str:
 
 
 def words_of(name: str) -> list[str]:
-    """Return the words of a name in lower case and without accents.
-
-    Other characters or `camelCase` separate words.
-    """
+    """Return the words of a name in lower case, without accents, separated by other characters or by `camelCase`."""
     plain = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
     return [word.lower() for word in _WORD.findall(plain)]
 
@@ -237,10 +234,9 @@ def quantity_of_words(words: Sequence[str]) -> tuple[str, int]:
 
 @lru_cache(maxsize=256)
 def quantity_of_file(name: str) -> tuple[str, int]:
-    """Return the quantity that the name of a file or sheet contains, and the preference of the file.
+    """Return the quantity that the name of a file or sheet contains, or "", and the preference of the file.
 
-    The quantity is "" if the name contains none. The preference is 2 for calibrated values, 0 for raw or uncalibrated
-    values, and 1 for others. Of several files of a quantity, that with the largest preference is used.
+    The preference is 2 for calibrated values, 0 for raw or uncalibrated ones, and 1 for others.
     """
     words = words_of(name)
     parts = {"".join(words[i:j]) for i in range(len(words)) for j in range(i + 1, min(i + 4, len(words)) + 1)}
@@ -251,12 +247,10 @@ def quantity_of_file(name: str) -> tuple[str, int]:
 
 
 def _is_within(longer: str, word: str) -> bool:
-    """Return True if `longer`, one word of a file name, consists of the known word `word` joined to something else.
+    """Return True if `longer`, one word of a file name, is the known `word` joined to something else.
 
-    A known word names a quantity. At the start of `longer` it must be followed by a word such as data or raw, or by
-    another known word (gyrodata). Known words in `_GLUED`, except those of an orientation, may also be elsewhere: at
-    the end with at least 4 letters (wristaccel), and anywhere with at least `_LONG` (8) letters. Shorter words at other
-    places are ignored, because a word may contain them by chance.
+    At its start the word must be followed by one such as data or raw, or by another known word (gyrodata). At the end
+    it must have 4 letters (wristaccel), elsewhere `_LONG`: a longer word may contain shorter ones by chance.
     """
     before, found, behind = longer.partition(word)
     is_glued = bool(found) and word in _GLUED and QUANTITY_OF[word] != "orientation"
@@ -286,11 +280,9 @@ def trial_of(name: str) -> str:
 
 
 def _accuracy(name: str, unit: str) -> int | None:
-    """Return a score of how surely a column holds the horizontal accuracy of a location.
+    """Return how surely a column holds the horizontal accuracy of a location. None for a name without accuracy.
 
-    The score is 3 if the name says that the accuracy is horizontal, and 2 if it names an accuracy without a direction.
-    The score is 0 for another accuracy, such as of a height or a speed. The result is None for a name without an
-    accuracy.
+    The score is 3 if the name says horizontal, 2 without a direction, and 0 for another one, as of a height or speed.
     """
     words = words_of(name)
     stem = "".join(words)
@@ -308,10 +300,7 @@ def _accuracy(name: str, unit: str) -> int | None:
 
 @lru_cache(maxsize=256)  # detection and reading ask for the same names
 def column_of(place: int, name: str) -> Column:
-    """Return the quantity, axis and unit that the name of a column states. `place` is the index of the column.
-
-    What the name does not state is "" in the result.
-    """
+    """Return quantity, axis and unit in the name of column number `place`, "" for what it does not state."""
     unit_found = _UNIT.search(name) or _UNIT_WORD.search(name.rstrip())
     unit = normal_unit(unit_found[1]).replace("_", "") if unit_found else ""
     unit = _UNIT_OF_WORD.get(unit, unit)
@@ -346,11 +335,7 @@ def column_of(place: int, name: str) -> Column:
 
 
 def _axes_of(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield each axis that the words of a column name may state, with the words that remain without it.
-
-    The axis is sought at the end of the last word (accx gives x and acc), and then at the start of the first word
-    (xacc). The angles alpha, beta and gamma at the end count as axes, too.
-    """
+    """Yield each axis that a name may state at its end (accx, alpha to gamma, too) or start, with the other words."""
     if not words:
         return
     first, last = words[0], words[-1]
@@ -374,20 +359,14 @@ def is_time(name: str) -> bool:
 
 
 def column_of_nanoseconds(fields: Sequence[str], place: int) -> int | None:
-    """Return the index of the column with the nanoseconds that belong to a column of whole seconds, or None.
-
-    ROS writes a time as stamp.secs and stamp.nsecs.
-    """
+    """Return the index of the nanoseconds of a column of whole seconds, as stamp.nsecs of ROS, or None."""
     found = _WHOLE_SECONDS.fullmatch(fields[place])
     names = [] if found is None else [f"{found[1]}{nano}{found[2]}".lower() for nano in ("n", "nano")]
     return next((i for i, name in enumerate(fields) if name.lower() in names), None)
 
 
 def has_time_unit(name: str) -> bool:
-    """Return True if a name ends with a unit of time in brackets.
-
-    Such a column is a time, even if the language of its name is unknown.
-    """
+    """Return True if a name ends with a unit of time in brackets, which shows a time in any language."""
     found = _UNIT.search(name)
     return found is not None and normal_unit(found[1]) in TIME_UNITS
 

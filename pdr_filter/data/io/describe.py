@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, Samples, how_many, limits
+from pdr_filter.values import FloatArray, Samples, as_plain, how_many, limits
 from pdr_filter.values.recording import Recording
 
 # A stream is reported as slow if its mean rate is below this fraction of the requested rate. Phones often deliver half.
@@ -44,21 +43,15 @@ class StreamDescription:
 
     Attributes
     ----------
-    name, unit : str
-        Name and unit of the stream.
-    n_samples : int
-        Number of samples.
-    rate_hz : float or None
-        Delivered rate in Hz, 1 / median positive interval.
-    mean_rate_hz : float or None
-        Mean delivered rate in Hz, number of intervals / duration. Unlike `rate_hz`, it includes gaps and is correct
-        for rounded timestamps.
+    name, unit, n_samples : str, str and int
+        Name and unit of the stream, and number of samples.
+    rate_hz, mean_rate_hz : float or None
+        Delivered rate in Hz, 1 / median positive interval, and number of intervals / duration, which includes gaps and
+        is correct for rounded timestamps.
     first_s, last_s : float or None
         First and last time in s.
-    n_gaps : int
-        Number of intervals longer than 0.3 s and longer than 2.5 median intervals.
-    longest_gap_s : float
-        Longest gap in s, zero if there is none.
+    n_gaps, longest_gap_s : int and float
+        Number of intervals longer than 0.3 s and 2.5 median intervals, and the longest of them in s, or zero.
     n_duplicates, n_backward : int
         Number of times equal to, and before, the previous time.
     n_missing_rows : int
@@ -106,14 +99,10 @@ class Description:
     ----------
     name, source : str
         Name of the recording, and the file or app that it comes from.
-    duration_s : float
-        Duration in s.
-    streams : tuple of StreamDescription
-        Statistics of each sensor stream.
-    height_m : float or None
-        Height of the person in m, on which step lengths depend.
-    placement : str or None
-        Placement of the phone, as stated by the recording.
+    duration_s, streams : float and tuple of StreamDescription
+        Duration in s, and statistics of each sensor stream.
+    height_m, placement : float or None, and str or None
+        Height of the person in m, on which step lengths depend, and placement of the phone, as the recording states.
     units : tuple of str
         A sentence about the plausibility of the unit of each stream.
     truth_rows : dict of str to int
@@ -148,7 +137,7 @@ class Description:
         dict
             Fields of the description.
         """
-        return json.loads(json.dumps(asdict(self)))
+        return as_plain(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +205,7 @@ class ReadingReport:
         dict
             Fields of the report.
         """
-        return json.loads(json.dumps(asdict(self)))
+        return as_plain(self)
 
 
 def describe(recording: Recording) -> Description:

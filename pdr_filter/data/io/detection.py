@@ -25,8 +25,8 @@ BINARIES = (".sqlite", ".db", ".mat")  # files in a zip or folder whose content 
 def detect(path: Path) -> str:
     """Return the name of the format of a file or folder, such as "sensor_logger" or "table".
 
-    It is "own" for missing files and unknown contents, because the reader of the project's own format explains the
-    error. RecordingError if the file cannot be opened.
+    It is "own" for missing files and unknown contents, because that reader explains the error. RecordingError if the
+    file cannot be opened.
     """
     try:
         with open_members(path) as members:
@@ -40,9 +40,8 @@ def detect(path: Path) -> str:
 def _detect_among(members: Members) -> str:
     """Return the format of a zip file or a folder, from the names and first bytes of its files.
 
-    Some names and signatures decide first, such as a spreadsheet, `accelerometer.csv` or a ROS bag. Of other files, the
-    first that shows the format of an app decides. Otherwise the result is "table" if a file looks like a table of
-    sensors or of unknown numbers, and "own" if none does.
+    Signatures decide first, then the first file of an app. Otherwise it is "table" if a file looks like a table of
+    sensors or of unknown numbers, else "own".
     """
     by_name = {PurePosixPath(name).name: name for name in members.names}
     if is_spreadsheet(members):
@@ -68,10 +67,7 @@ def _detect_among(members: Members) -> str:
 
 
 def _is_unknown_table(members: Members, name: str) -> bool:
-    """Return True for a text file with rows of numbers but without a known layout.
-
-    The table reader then refuses it with a message that says what is missing.
-    """
+    """Return True for a text with numbers in no known layout, which the table reader refuses with the reason."""
     head = members.head(name)
     if not name.lower().endswith(TEXTS) or head.startswith((b"time_s,", b"\xef\xbb\xbftime_s,")):
         return False
@@ -81,10 +77,7 @@ def _is_unknown_table(members: Members, name: str) -> bool:
 
 
 def _detect_alone(members: Members) -> str:
-    """Return the format of a single file.
-
-    It is "generic_csv" if a column mapping lies beside the file, except for formats that have their own TOML file.
-    """
+    """Return the format of a single file: "generic_csv" if a column mapping lies beside it, with two exceptions."""
     path, name = members.path, members.names[0]
     found = detect_file(members, name)
     if mapping_beside(path).is_file() and mapping_beside(path) != path:
@@ -100,10 +93,7 @@ def _detect_alone(members: Members) -> str:
 
 
 def detect_file(members: Members, name: str) -> str:
-    """Return the format that the first bytes of a file show.
-
-    The result is "" for files of the project's own format and for unknown contents.
-    """
+    """Return the format that the first bytes of a file show, "" for the own format and unknown contents."""
     head = members.head(name)
     if head.startswith(SIGNATURE):
         return "ronin"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,6 @@ from pdr_filter.values.safe_files import read_json, read_small
 # Standard deviations in m of fixes and loop closures in files without the column std_m.
 FIX_STD_M, LOOP_CLOSURE_STD_M = 1.0, 0.5
 _MOST_FLOORS = 1000
-_HEADING = ("heading_deg", "heading_std_deg")
 # Anchors in degrees span less than 5.6 km, and anchors in metres more than 5 cm.
 _MOST_DEG = 0.05
 
@@ -58,38 +57,23 @@ def fixes_of_file(path: str | Path, std_m: float = FIX_STD_M) -> list[PositionFi
     [(12.5, [3.0, 4.0])]
     """
     file = Path(path)
-    rows = _rows(file, ("time_s", "east_m", "north_m"), "fixes", std_m)
-    floors, headings = _optional(file, ("floor",), len(rows)), _optional(file, _HEADING, len(rows))
-    found: list[PositionFix | HeadingFix] = []
-    for k, ((t, east, north, std), (floor,)) in enumerate(zip(rows, floors, strict=True)):
+    optional = (("floor",), ("heading_deg", "heading_std_deg"))
+    rows = _rows(file, ("time_s", "east_m", "north_m"), "fixes", std_m, optional)
+    fixes: list[PositionFix] = []
+    headings: list[HeadingFix] = []
+    for k, (t, east, north, std, floor, heading_deg, heading_std_deg) in enumerate(rows, 1):
         if math.isfinite(floor) and (floor != round(floor) or abs(floor) > _MOST_FLOORS):
             raise ValueError(
-                f"{file}, row {k + 1}: floor is {floor:g}; write the number of the storey, such as 0, or leave it empty"
+                f"{file}, row {k}: floor is {floor:g}; write the number of the storey, such as 0, or leave it empty"
             )
         storey = int(floor) if math.isfinite(floor) else None
-        found.append(PositionFix(t, np.array([east, north]), std**2 * np.eye(2), floor=storey))
-    for k, (row, (heading_deg, heading_std_deg)) in enumerate(zip(rows, headings, strict=True)):
+        fixes.append(PositionFix(t, np.array([east, north]), std**2 * np.eye(2), floor=storey))
         if math.isfinite(heading_deg):
             try:
-                found.append(HeadingFix(row[0], math.radians(heading_deg), math.radians(heading_std_deg)))
+                headings.append(HeadingFix(t, math.radians(heading_deg), math.radians(heading_std_deg)))
             except ValueError as error:
-                raise ValueError(
-                    f"{file}, row {k + 1}: heading_std_deg must be positive and finite ({error})"
-                ) from None
-    return found
-
-
-def _optional(file: Path, names: tuple[str, ...], n_rows: int) -> list[list[float]]:
-    """Return the values of optional columns in each row: NaN in empty cells, and in a file without the first column.
-
-    ValueError if a cell is not a number, or if the file has only the first of several columns.
-    """
-    table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
-    values = np.full((n_rows, len(names)), np.nan)
-    if names[0] in table.fields:
-        known = table.parse(table.places(names), []).values[:n_rows]  # a last line that is cut off is missing here
-        values[: len(known)] = known
-    return values.tolist()
+                raise ValueError(f"{file}, row {k}: heading_std_deg must be positive and finite ({error})") from None
+    return [*fixes, *headings]
 
 
 def ranges_of_file(
@@ -195,15 +179,21 @@ def loop_closures_of_file(path: str | Path, std_m: float = LOOP_CLOSURE_STD_M) -
     return [LoopClosure(*row) for row in rows]
 
 
-def _rows(file: Path, names: tuple[str, ...], what: str, std_m: float) -> list[list[float]]:
-    """Return the values of the columns `names` in each row, followed by a standard deviation in m.
+def _rows(
+    file: Path, names: tuple[str, ...], what: str, std_m: float, optional: Sequence[tuple[str, ...]] = ()
+) -> list[list[float]]:
+    """Return the values of the columns `names` in each row, a standard deviation in m, and groups of optional columns.
 
-    It comes from the column `std_m`, or is the given value in a file without that column. `what` names the rows in
-    messages. ValueError if a value is missing, a standard deviation is not positive, or the table has no row.
+    The standard deviation is `std_m` in a file without that column. Optional values are NaN in empty cells, and in a
+    file without the first column of the group. `what` names the rows in messages. ValueError if a value is missing, a
+    standard deviation is not positive, or the table has no row.
     """
     table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
     columns = (*names, *(("std_m",) if "std_m" in table.fields else ()))
-    values = table.parse(table.places(columns), []).values
+    groups = [group for group in optional if group[0] in table.fields]
+    places = [place for group in (columns, *groups) for place in table.places(group)]
+    parsed = table.parse(places, []).values
+    values = parsed[:, : len(columns)]
     unknown = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(unknown):
         raise ValueError(f"{file}, row {unknown[0] + 1}: {','.join(columns)} must all be numbers; leave the row out")
@@ -218,4 +208,7 @@ def _rows(file: Path, names: tuple[str, ...], what: str, std_m: float) -> list[l
     wrong = np.flatnonzero(~(values[:, -1] > 0))
     if len(wrong):
         raise ValueError(f"{file}, row {wrong[0] + 1}: std_m is {values[wrong[0], -1]:g}; write a positive number")
-    return values.tolist()
+    found = iter(parsed[:, len(columns) :].T)
+    unknowns = np.full(len(values), np.nan)
+    more = [next(found) if group in groups else unknowns for group in optional for _ in group]
+    return np.column_stack([values, *more]).tolist()

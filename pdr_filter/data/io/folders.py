@@ -25,11 +25,7 @@ _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 
 
 def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
-    """Return the absolute paths of all recordings that the given paths stand for, each once and in order.
-
-    A file stands for itself. A folder that is not itself a recording stands for all recordings in it (`recordings_in`),
-    or for itself if there is none.
-    """
+    """Return the absolute paths of the recordings in given files and folders, each once; an empty folder is one."""
     found: list[Path] = []
     for path in [paths] if isinstance(paths, str | Path) else paths:
         path = Path(path)
@@ -40,18 +36,20 @@ def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
 def recordings_in(folder: str | Path) -> list[Path]:
     """Return the sorted paths of the recordings in a folder and in its subfolders.
 
-    If the folder itself is one recording, the result is the path of the folder. Hidden files and linked folders are
-    skipped. Every zip and hdf5 file counts as a
-    recording, so that a broken file is reported later. A text file counts if it looks like a known format, or if a TOML
-    file beside it describes its columns. A file that holds several recordings gives one path for each, such as
-    `export.zip/walk_2`. Files such as `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` give the paths
+    If the folder itself is one recording, the result is its path. Hidden files and linked folders are skipped. Every
+    zip and hdf5 file counts, so that a broken one is reported later. A text file counts if it looks like a known
+    format, or if a TOML file beside it describes its columns. A file with several recordings gives a path for each,
+    such as `export.zip/walk_2`, and files such as `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` give
     `walk1` and `walk2`.
     """
     folder = Path(folder)
     if folder.is_file():
         return [folder / part for part in _parts_in(folder)] or [folder]
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    parts = _parts_in(folder) if not any(map(_is_mapped, inside)) else []
+    is_mapped = any(
+        mapping_beside(path).is_file() for path in inside if path.suffix.lower() in _TEXTS and path.is_file()
+    )
+    parts = [] if is_mapped else _parts_in(folder)
     if "." in parts:
         return [folder]
     trials = [part for part in parts if not (folder / part).exists()]
@@ -67,10 +65,10 @@ def recordings_in(folder: str | Path) -> list[Path]:
 
 
 def only_recording_in(path: Path) -> Path:
-    """Return the path of a file with one recording, or the path of the only recording in a folder.
+    """Return the path of a file with one recording, or of the only recording in a folder.
 
-    The path itself is returned for a folder that has links or very many files, which is not searched. RecordingError if
-    a folder or file holds several recordings, or if a folder holds none.
+    A folder that has links or very many files is not searched and returned itself. RecordingError for several
+    recordings, or for a folder without any.
     """
     # A search of a whole home folder would take long, and links lead to files that were not given.
     below = list(islice(path.rglob("*"), limits.MAX_MEMBERS)) if path.is_dir() else []
@@ -96,10 +94,7 @@ def only_recording_in(path: Path) -> Path:
 
 
 def parts_of(path: Path) -> list[str]:
-    """Return the names of the recordings in a file that holds several recordings.
-
-    A name is appended to the path of the file to read its recording. The list is empty for a file with one recording.
-    """
+    """Return the names of the recordings in a file with several, to append to its path; empty for one recording."""
     if not path.exists():
         return []
     with open_members(path) as members:
@@ -113,10 +108,9 @@ def parts_of(path: Path) -> list[str]:
 def recordings_among(members: Members, names: Iterable[str]) -> list[str]:
     """Return the paths of those folders and files among the names that are one recording each.
 
-    "." stands for the folder that holds all names. A folder with a typical file of an export, such as
-    `Accelerometer.csv`, is a recording. In any other folder, each file that has an acceleration and another sensor is a
-    recording. If sensors are in separate files, the whole folder is one recording. If the names of these files show
-    several trials, such as `walk1_acc.csv` and `walk2_acc.csv`, each trial is a recording (`_of_one_sensor`).
+    "." stands for the folder of all names. A folder with a typical file of an export, such as `Accelerometer.csv`, is a
+    recording. In others, each file that has an acceleration and another sensor is one. Sensors in separate files make
+    the folder one recording, or each trial if their names show several (`_of_one_sensor`).
     """
     by_folder: dict[str, list[str]] = {}
     for name in list(names)[: limits.MAX_MEMBERS]:
@@ -148,14 +142,11 @@ def recordings_among(members: Members, names: Iterable[str]) -> list[str]:
 
 
 def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -> list[str]:
-    """Return the recordings in a folder, for the files that hold only one sensor each.
+    """Return the recordings in a folder, for its files of one sensor each, which `of_sensors` has by name.
 
-    `of_sensors` maps the name of a file to its sensors. `is_all` is True if no file of the folder is a recording by
-    itself. Three cases are tried in this order:
-
-    - At least two trials have both an acceleration and a gyroscope: the result is the path of each trial.
-    - There is an acceleration and another sensor, or one acceleration file alone (`is_all`): the result is the folder.
-    - Otherwise each file with an acceleration that includes gravity is a recording.
+    These are the trials, if two or more have an acceleration and a gyroscope; else the folder, if it has an
+    acceleration and another sensor, or one acceleration file alone (`is_all`: no file is a recording by itself); else
+    each file with an acceleration that includes gravity.
     """
     trials: dict[str, set[str]] = {}
     for name, sensors in of_sensors.items():
@@ -173,11 +164,7 @@ def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -
 
 
 def _parts_in(path: Path) -> list[str]:
-    """Return the names of the recordings in a file, or among the files of a folder itself.
-
-    The names are relative to `path`. "." in the result means that the files of the folder are together one recording.
-    The list is empty for a file with a single recording, and if a file cannot be read.
-    """
+    """Return the relative names of the recordings in a file or a folder, "." for the folder; empty if unreadable."""
     try:
         if path.is_file():
             found = path.stat()
@@ -190,26 +177,13 @@ def _parts_in(path: Path) -> list[str]:
 
 @lru_cache(maxsize=20_000)
 def _parts_of_version(path: Path, n_bytes: int, changed_ns: int) -> tuple[str, ...]:
-    """Return the names of the recordings in a file with several, or none for a file with one recording.
-
-    The result is cached for this size and time of change.
-
-    A program may scan a large folder again and again.
-    """
+    """Return `parts_of` a file of this size and time of change, cached, because programs scan large folders again."""
     del n_bytes, changed_ns
     return tuple(parts_of(path))
 
 
-def _is_mapped(path: Path) -> bool:
-    """Return True for a text file that has a TOML file with the mapping of its columns."""
-    return path.suffix.lower() in _TEXTS and path.is_file() and mapping_beside(path).is_file()
-
-
 def _is_known(path: Path) -> bool:
-    """Return True for a text file that looks like a recording, and for one that cannot be read.
-
-    A table without acceleration, and a file of the project's own format, are no recordings by themselves.
-    """
+    """Return True for a text file that looks like a recording by itself, and for one that cannot be read."""
     if path.suffix.lower() not in _TEXTS:
         return False
     try:

@@ -87,8 +87,7 @@ def read(path: str | Path, format: str | None = None, platform: str | None = Non
 
     Examples
     --------
-    >>> import pdr_filter as pdr
-    >>> import tempfile
+    >>> import tempfile, pdr_filter as pdr
     >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     pdr.read(walk.save(f"{folder}/walk.zip"))

@@ -25,10 +25,9 @@ _LOST = 1.5
 def in_order(streams: Streams, suffix: str, notes: list[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Return the streams, with rows sorted by time if rows were moved within the table by an edit.
 
-    Rows can also be out of order because the clock of the phone jumped backward. Such rows stay as recorded, because
-    the filter itself handles clock jumps. Sorting tells both cases apart: moved rows then fill a gap, while rows after
-    a clock jump fall between other rows or leave a gap. If the times of the accelerometer show a clock jump, no stream
-    is sorted. Sorted streams are named in `notes`, with `suffix` after the name.
+    Rows after a backward jump of the clock stay as recorded, because the filter handles such jumps: moved rows fill a
+    gap when sorted, rows after a jump do not. If the accelerometer shows a jump, no stream is sorted. `notes` names
+    sorted streams, with `suffix` after the name.
     """
     found = dict(streams)
     late = {name: n_late for name, (time_s, _) in streams.items() if (n_late := _n_late(time_s))}
@@ -50,13 +49,12 @@ def in_order(streams: Streams, suffix: str, notes: list[str]) -> dict[str, tuple
 def streams_with_own_times(
     streams: Streams, is_clock: bool, rate_hz: float, notes: list[str]
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Return streams in which samples that share one time get individual times.
+    """Return streams in which samples that share one time get individual times, with a note on their rate.
 
-    Bluetooth sensors send several samples in one packet with a single time, which is the time of the last sample.
-    `rate_hz` is the sampling rate of the samples, or 0 to estimate it from the packets. `is_clock` is True if the
-    times were read from dates or times of day. A spreadsheet rounds these to tenths or whole seconds, and such rounded
-    times are left unchanged. So are streams in which at most a third of the rows repeat a time with other values. A
-    note states the rate of the streams that were changed.
+    Bluetooth sensors send several samples in a packet with the time of the last one. `rate_hz` is their sampling rate,
+    or 0 to estimate it. Streams in which at most a third of the rows repeat a time with other values are unchanged, and
+    so are times that a spreadsheet rounded: to whole seconds, or to tenths if they are dates or times of day
+    (`is_clock`).
     """
     found, said = dict(streams), dict[str, list[str]]()
     for name in ("accelerometer", "gyroscope", "magnetometer"):

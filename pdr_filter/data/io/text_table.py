@@ -107,10 +107,7 @@ class TextTable:
         texts: Sequence[int] = (),
         decimal: str = ".",
     ) -> NumberTable:
-        """Return the columns with the indices `places` as floats, `whole` as integers and `texts` as texts.
-
-        Without `whole` the integers are zeros. The table can be parsed only once. See `parse_blocks` for refused rows.
-        """
+        """Return columns as floats, one as integers (zeros without `whole`) and some as texts. Works once."""
         names = tuple(self.fields[place] for place in places)
         layout = Layout(tuple(places), whole, self.separator, decimal, names, tuple(texts))
         return parse_blocks(chain([self.first_rows], self._rest), layout, self.where, notes)
@@ -128,10 +125,7 @@ def decode(content: bytes, where: str, first_line: int = 1) -> str:
 
 
 def text_rows(content: bytes, where: str) -> list[list[str]]:
-    """Return the rows of a small text table as lists of fields, with the header and without empty rows.
-
-    RecordingError if the text is not UTF-8 or not CSV.
-    """
+    """Return the rows of a small CSV text as lists of fields, with the header and without empty rows."""
     text = decode(content.replace(b"\x00", b""), where)
     separator = find_separator(text.partition("\n")[0])
     try:
@@ -145,9 +139,9 @@ def parse_blocks(
 ) -> NumberTable:
     """Parse the lines of all blocks, of which only the last may lack its final line feed.
 
-    Empty, infinite and absurd values become NaN. A last line that is cut off is left out with a note, and so are rows
-    without the whole number. RecordingError for any other line with too few fields, or with text in a number column. It
-    names the number of the line, counted from `first_line`.
+    Empty, infinite and absurd values become NaN. A last line that is cut off, and rows without the whole number, are
+    left out with a note. RecordingError for any other line with too few fields or text in a number column names the
+    line, counted from `first_line`.
     """
     parts: list[NumberTable] = []
     for block in blocks:
@@ -213,10 +207,7 @@ def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], lin
 
 
 def _by_arrow(block: bytes, layout: Layout, columns: Sequence[int]) -> list[NDArray[Any]]:
-    """Return columns of a large block by pyarrow, which gives the same bits as numpy in a third of the time.
-
-    ImportError, KeyError or ValueError if pyarrow is not installed, or if anything in the block is unusual.
-    """
+    """Return columns of a large, plain block by pyarrow, with the bits of numpy in a third of the time, or fail."""
     if len(block) < LARGE_BYTES or not block.isascii() or b'"' in block or len(set(columns)) < len(columns):
         raise ValueError
     import pyarrow as pa
@@ -238,10 +229,7 @@ def _by_arrow(block: bytes, layout: Layout, columns: Sequence[int]) -> list[NDAr
 
 
 def _by_numpy(block: bytes, layout: Layout, columns: Sequence[int]) -> list[NDArray[Any]]:
-    """Return columns of a block whose fields are numbers, or empty if no whole numbers are asked for.
-
-    ValueError if a field is not a number.
-    """
+    """Return columns of numbers, or empty fields if no whole numbers are asked for. ValueError for anything else."""
     text = block.decode("utf-8-sig")
     if layout.decimal != ".":
         text = text.replace(layout.decimal, ".")
@@ -263,10 +251,9 @@ def _by_numpy(block: bytes, layout: Layout, columns: Sequence[int]) -> list[NDAr
 
 
 def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: int, is_whole: bool) -> NumberTable:
-    """Return the table in the text of a block, parsed row by row, so that a message can name the line and the field.
+    """Return the table in the text of a block row by row, so that a message can name the line and the field.
 
-    `line` is the number of the first line. `is_whole` is False if the last line may be cut off. RecordingError as in
-    `parse_blocks`.
+    `line` is the number of the first line. `is_whole` is False if the last line may be cut off.
     """
     values: list[list[float]] = []
     whole: list[int] = []
@@ -341,9 +328,8 @@ def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingE
             f"{where}: the header is there again, so two recordings are one behind the other; cut the file there"
         )
     return RecordingError(
-        f"{where}, column {name}: {row[layout.picked[i]].strip()[:60]!r} is not a number; "
-        f"use {layout.decimal!r} as decimal point, no mark between thousands, leave unknown values empty, and take out "
-        "lines that are no samples"
+        f"{where}, column {name}: {row[layout.picked[i]].strip()[:60]!r} is not a number; use {layout.decimal!r} as "
+        "decimal point, no mark between thousands, leave unknown values empty, and take out lines that are no samples"
     )
 
 
@@ -361,10 +347,7 @@ def to_number(field: str) -> float | None:
 
 
 def whole_number(field: str) -> int | None:
-    """Return the whole number in a field with all digits, or None for an empty field, null, NA or NaN.
-
-    A fraction is cut off. ValueError for other text and for numbers beyond int64.
-    """
+    """Return a whole number with all digits, without its fraction, None if unknown. ValueError for other text."""
     field = field.strip()
     if not field or field in ("nan", "NaN", *UNKNOWN):
         return None

@@ -1,7 +1,6 @@
 """Conversion of Wi-Fi rows: addresses as integers, times of reception, and removal of unusable rows.
 
-An address stands in a file as text. It is made a number before the table is parsed, so that a table of Wi-Fi is one of
-numbers like any other, with the same limits and messages.
+Addresses become numbers before parsing, so that a table of Wi-Fi is one of numbers like any other.
 """
 
 from __future__ import annotations
@@ -31,12 +30,10 @@ def with_whole_addresses(blocks: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def lines_of_log(pattern: bytes, separator: bytes, lines: bytes) -> bytes:
-    """Return the numbers in the log lines that match a pattern, as lines of text with `separator` between numbers.
+    """Return the numbers in the log lines that match a pattern, as lines of text with `separator` between them.
 
-    Addresses become decimal numbers. Other lines are left out.
-
-    The names of networks may contain separators and quotes. `pattern` has a group for each number, and ADDRESS in place
-    of the address of the access point.
+    `pattern` has a group for each number, and ADDRESS in place of the address, which becomes a decimal number. A
+    pattern is needed because names of networks may contain separators and quotes.
     """
     found = re.finditer(pattern.replace(b"ADDRESS", _ADDRESS), lines, re.MULTILINE)
     rows = (separator.join(_ANY_ADDRESS.sub(_whole, group or b"") for group in match.groups()) for match in found)
@@ -46,9 +43,8 @@ def lines_of_log(pattern: bytes, separator: bytes, lines: bytes) -> bytes:
 def heard_s(reported_s: FloatArray, claimed_s: FloatArray, notes: list[str]) -> FloatArray:
     """Return the times (N,) in s at which the phone received the signals of access points.
 
-    `reported_s` are the times at which the phone reported the signals, `claimed_s` the times of reception that it
-    states. The stated times are used if they are between 1 s after and 60 s before the reports, in the median over all
-    rows. Otherwise all times are the times of the reports, with a note.
+    The phone reported them at `reported_s`, and states times of reception, `claimed_s`. These are used if the median
+    report is 1 s before to 60 s after them, otherwise the times of the reports, with a note.
     """
     late_s = reported_s - claimed_s
     median_s = float(np.nanmedian(late_s)) if np.isfinite(late_s).any() else np.nan
@@ -62,8 +58,7 @@ def heard_s(reported_s: FloatArray, claimed_s: FloatArray, notes: list[str]) -> 
 def wifi_of(time_s: FloatArray, rows: FloatArray, where: str, notes: list[str]) -> Wifi | None:
     """Return the Wi-Fi scans from times (N,) and rows (N, 3) of address, dBm and MHz, or None if no row is usable.
 
-    Rows without time, address or power are left out with a note. Phones repeat an access point with the time at which
-    they received it, so a row with the address and time of another row is left out.
+    Rows without time, address or power are left out with a note, and so are repeated receptions without one.
     """
     bssid, rssi_dbm, frequency_mhz = rows.T
     whole = (bssid >= 0) & (bssid <= LARGEST_ADDRESS) & (bssid == np.floor(bssid))

@@ -113,10 +113,9 @@ def _check_columns(header: list[str], where: str) -> None:
 
 
 def _clock_offset_s(values: FloatArray, tag: str, where: str, notes: list[str]) -> float:
-    """Return the median of app time minus sensor time, s.
+    """Return the median of app time minus sensor time, s, which are the first two columns. NaN if unknown.
 
-    NaN with fewer than two rows, or if the sensor time is constant. `values` (N, d) begin with app time and sensor
-    time. RecordingError if the rates of the two clocks differ.
+    RecordingError if the rates of the two clocks differ.
     """
     known = np.isfinite(values[:, :2]).all(axis=1)
     app_s, sensor_s = values[known, 0], values[known, 1]
@@ -160,10 +159,7 @@ def _check_unit(parsed: Parsed, where: str) -> None:
 
 
 def _unit_beside(path: Path) -> str:
-    """Return the unit of the accelerometer, "g" or "m/s2", as declared in the TOML file of the log.
-
-    The result is "" if there is no TOML file or if it declares no unit.
-    """
+    """Return the unit of the accelerometer, "g" or "m/s2", in the TOML file of the log, or ""."""
     toml = beside(path, path.with_suffix(".toml").name)
     if path.is_dir() or toml == path or not toml.is_file():
         return ""
@@ -174,10 +170,7 @@ def _unit_beside(path: Path) -> str:
 
 
 def _read_positions(values: FloatArray, parsed: Parsed) -> None:
-    """Store the reference positions in `parsed`, as metres east and north of the first one.
-
-    Rows without a valid latitude and longitude are left out with a note.
-    """
+    """Store the reference positions in `parsed`, as metres east and north of the first valid one."""
     import pymap3d
 
     known = np.isfinite(values[:, :3]).all(axis=1) & (np.abs(values[:, 1]) <= 90) & (np.abs(values[:, 2]) <= 180)

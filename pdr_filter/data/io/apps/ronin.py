@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
-from pdr_filter.data.io.files.archive import json_object
+from pdr_filter.data.io.files.archive import json_object, most_unpacked
 from pdr_filter.data.io.text_table import finite
 from pdr_filter.values import FloatArray, limits
 from pdr_filter.values.errors import RecordingError
@@ -47,8 +47,7 @@ ARRAYS = {
 def read_ronin(path: str | Path) -> Recording:
     """Return the recording in an hdf5 file of RoNIN or in its folder; the visual position is `truth.position`.
 
-    The calibration in info.json is applied if the file exists. RecordingError if the times or the accelerometer are
-    missing, if a data set has another shape, or if h5py is not installed.
+    The calibration in info.json is applied if it exists. RecordingError for missing arrays, or other shapes.
     """
     path = Path(path)
     file = inside(path / "data.hdf5", path) if path.is_dir() else path
@@ -114,10 +113,9 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
 
 
 def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> FloatArray | None:
-    """Return a data set of an HDF5 file as floats, or None if the file does not have it.
+    """Return a data set (N,) or (N, columns) of an HDF5 file as floats, or None if the file does not have it.
 
-    The shape is (N,) for one column and (N, columns) otherwise. Infinite and absurd values become NaN, with a note in
-    `notes`. RecordingError for another shape, for text and for too many rows.
+    RecordingError for another shape, for text and for too many rows.
     """
     found: Any = _inside_file(data, name, file)
     if found is None:
@@ -138,10 +136,7 @@ def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> 
 
 
 def _inside_file(data: Any, name: str, file: Path) -> Any:
-    """Return the data set of this name, or None if it does not exist.
-
-    RecordingError for a link, and for values that are kept in other files.
-    """
+    """Return the data set of this name, or None. RecordingError for a link, and for values in other files."""
     import h5py  # pyright: ignore[reportMissingImports]
 
     found = data
@@ -164,17 +159,14 @@ def _inside_file(data: Any, name: str, file: Path) -> Any:
 
 
 def _check_storage(found: Any, name: str, file: Path) -> None:
-    """Raise RecordingError for a data set that needs much more memory than its file has bytes.
-
-    Rows that were declared but never written are an example. Unknown compression filters are refused, too.
-    """
+    """Raise RecordingError for unknown filters, and for a data set far larger than its file, as if unwritten."""
     filters: Any = found.id.get_create_plist()
     names = [filters.get_filter(i)[0] for i in range(filters.get_nfilters())]
     if not set(names) <= set(FILTERS) or len(set(names)) < len(names):
         raise RecordingError(f"{file}: {name} is packed with the filters {names}; pack it with gzip (h5repack)")
     claimed = max(math.prod(found.shape) * 8, math.prod(found.chunks or (0,)) * found.dtype.itemsize)
     stored = min(found.id.get_storage_size(), file.stat().st_size)
-    if claimed > max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * stored):
+    if claimed > most_unpacked(stored):
         raise RecordingError(
             f"{file}: {name} claims {claimed} bytes and {stored} are stored, unlike sensor data; write the file again"
         )
@@ -183,10 +175,7 @@ def _check_storage(found: Any, name: str, file: Path) -> None:
 
 
 def _check_chunks(found: Any, name: str, file: Path) -> None:
-    """Raise RecordingError for a chunk that unpacks to more than its declared size.
-
-    The hdf5 library itself does not check this.
-    """
+    """Raise RecordingError for a chunk that unpacks to more than its declared size, which hdf5 does not check."""
     most = math.prod(found.chunks) * found.dtype.itemsize + 4  # a checksum has 4 bytes
     for i in range(found.id.get_num_chunks()):
         mask, piece = found.id.read_direct_chunk(found.id.get_chunk_info(i).chunk_offset)

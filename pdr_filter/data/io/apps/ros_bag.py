@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
-from pdr_filter.data.io.files.archive import Members, open_members
+from pdr_filter.data.io.files.archive import Members, most_unpacked, open_members
 from pdr_filter.data.io.files.sqlite_file import SQLITE, open_database
 from pdr_filter.data.io.text_table import finite
 from pdr_filter.values import FloatArray, IntArray, limits
@@ -27,6 +27,8 @@ from pdr_filter.values.recording import Recording
 MCAP = b"\x89MCAP0\r\n"
 _BAGS = (".mcap", ".db3")
 _MAX_TOPICS = 1000
+# Errors of the library at damaged bytes, besides its own.
+_MCAP_ERRORS = (struct.error, ValueError, EOFError, LookupError, OverflowError, TypeError, AttributeError)
 IMU, FIELD, PRESSURE, PLACE = (
     f"sensor_msgs/msg/{name}" for name in ("Imu", "MagneticField", "FluidPressure", "NavSatFix")
 )
@@ -74,7 +76,7 @@ class _Topic:
     def add(self, received_ns: int, content: bytes, where: str) -> None:
         """Add a message with its own time, or with the time of its arrival if it has none.
 
-        RecordingError if the message is damaged, if its time is absurd, or if there are too many messages.
+        RecordingError if it is damaged or its time absurd, or for too many messages.
         """
         if len(self._ns) >= limits.MAX_ARRAY_ROWS:
             raise RecordingError(f"{where}: more than {limits.MAX_ARRAY_ROWS} messages; cut the bag")
@@ -97,11 +99,10 @@ class _Topic:
 
 
 def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> None:
-    """Store the topics as streams in `parsed`.
+    """Store the topic with the most messages as each stream of `parsed`.
 
-    For each stream, the topic with the most messages is taken. Imu topics are skipped if all values of the stream are
-    zero. An attitude without unit quaternions is left out. `seen` has the type of every topic in the bag, for messages.
-    RecordingError if no topic has an acceleration.
+    Imu values that are all zero, and an attitude without unit quaternions, are left out. `seen` has the type of every
+    topic, for messages. RecordingError without an acceleration.
     """
     imus = {name: topic for name, topic in topics.items() if topic.kind == IMU}
     parts = {"accelerometer": slice(7, 10), "gyroscope": slice(4, 7), "attitude": slice(0, 4)}
@@ -141,8 +142,8 @@ def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> No
 def _decoded(kind: str, content: bytes) -> tuple[int, tuple[float, ...]]:
     """Return the time stamp of a message in ns, and the numerical values of the message.
 
-    The values of an Imu message are the quaternion (x, y, z, w), angular rate and acceleration. Those of a location are
-    latitude, longitude, altitude and accuracy in m, NaN if unknown. ValueError for a message that is too short.
+    Imu: quaternion (x, y, z, w), angular rate, acceleration. Location: latitude, longitude, altitude, accuracy in m or
+    NaN. ValueError for a message that is too short.
     """
     if len(content) < 16:
         raise ValueError("too short")
@@ -199,7 +200,7 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
     except ImportError as error:
         raise RecordingError(f'{where}: an MCAP file needs a package; install "pdr_filter[ros]"') from error
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
-    left = max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * len(content))
+    left = most_unpacked(len(content))
     schemas: dict[int, str] = {}
     topics: dict[int, tuple[str, str]] = {}
 
@@ -225,16 +226,7 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
                     topics[record.id] = (record.topic, kind)
             elif isinstance(record, Message) and record.channel_id in topics:
                 yield *topics[record.channel_id], record.log_time, record.data
-    except (
-        McapError,
-        struct.error,
-        ValueError,
-        EOFError,
-        LookupError,
-        OverflowError,
-        TypeError,
-        AttributeError,
-    ) as error:
+    except (McapError, *_MCAP_ERRORS) as error:
         if isinstance(error, RecordingError):
             raise
         words = str(error)[:100] or type(error).__name__
@@ -244,7 +236,7 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
 def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str) -> bytes:
     """Return the unpacked records of a chunk, which states their size as `claimed` bytes.
 
-    RecordingError if `claimed` is over `most`, or if the compression is unknown. ValueError if the size is another.
+    RecordingError if that is over `most`, or for an unknown compression. ValueError for another size.
     """
     if not compression:
         return data

@@ -63,11 +63,7 @@ STALE_S = 60.0
 
 @dataclass
 class _Export:
-    """Content of a Sensor Logger export.
-
-    `sensors` holds a table for each sensor, with times in nanoseconds since 1970 and values. `metadata` describes the
-    recording, `annotations` are the user's remarks with their times, and `notes` are problems found while reading.
-    """
+    """Content of a Sensor Logger export. Times are nanoseconds since 1970."""
 
     sensors: dict[str, NumberTable] = field(default_factory=dict[str, NumberTable])
     metadata: dict[str, str] = field(default_factory=dict[str, str])
@@ -85,10 +81,7 @@ def is_sensor_logger(header: str) -> bool:
 
 
 def is_without_seconds_elapsed(members: Members) -> bool:
-    """Return True for an export of 2021, which has no column of elapsed seconds.
-
-    It is recognised by an Accelerometer.csv with the columns time, x, y, z and metadata that name the platform.
-    """
+    """Return True for an export of 2021, without elapsed seconds: time, x, y, z, and metadata with the platform."""
     by_stem = {PurePosixPath(name).stem.lower(): name for name in members.names if name.lower().endswith(".csv")}
     if not {"metadata", "accelerometer"} <= by_stem.keys():
         return False
@@ -97,19 +90,13 @@ def is_without_seconds_elapsed(members: Members) -> bool:
 
 
 def looks_like_export(head: bytes) -> bool:
-    """Return True if a file begins like an export of Sensor Logger, judged by its first bytes.
-
-    An export is a JSON file, a file of messages that the app pushed, or a database.
-    """
+    """Return True if a file begins like JSON or pushed messages of Sensor Logger, or like a database."""
     is_json = head.lstrip()[:1] == b"[" and b'"sensor"' in head[:4096]
     return is_json or is_push(head) or head.startswith(SQLITE)
 
 
 def sessions_of(members: Members) -> list[str]:
-    """Return the names of the sessions (recordings) in a file of messages that Sensor Logger pushed.
-
-    The list is empty for any other file, and if the path already names a session.
-    """
+    """Return the names of the sessions in a file of pushed messages, unless its path names one; empty for others."""
     name = members.names[0]
     if members.inside or not is_push(members.head(name)):
         return []
@@ -120,8 +107,7 @@ def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recordi
     """Return the recording in a zip file, folder, JSON file, database or file of pushed messages of Sensor Logger.
 
     `platform`, ios or android, is for an export whose Metadata is lost. Gravity is added to an acceleration that lacks
-    it, with a note. RecordingError if the sign of the specific force is not known: no Metadata to name the platform and
-    no attitude to show it, or an attitude that contradicts the sign.
+    it, with a note. RecordingError if neither Metadata nor the attitude show the sign of the specific force.
     """
     path = Path(path)
     with open_members(path) as members:
@@ -184,9 +170,8 @@ def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recordi
 def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
     """Return the name of the sensor that measured the acceleration, and the specific force with Android's sign.
 
-    TotalAcceleration of Android is preferred, then the sum of Accelerometer and Gravity, then the uncalibrated
-    accelerometer. Accelerometer alone lacks gravity, which `parsed.linear` then states. RecordingError if none is
-    there, or if the platform, which decides the sign, is unknown.
+    TotalAcceleration of Android is preferred, then Accelerometer plus Gravity, then the uncalibrated one, then
+    Accelerometer alone, which lacks gravity (`parsed.linear`). RecordingError without any, or if the sign is unknown.
     """
     path, sensors = parsed.path, export.sensors
     platform = export.about("platform").lower()
@@ -222,8 +207,8 @@ def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
 def _platform_by_content(export: _Export, parsed: Parsed, named: str) -> str:
     """Return the platform, "ios" or "android", that the sensors show. RecordingError if they do not show it.
 
-    TotalAcceleration exists on Android alone. Otherwise gravity shows its sign in the phone's attitude. `named` is the
-    unusable platform in the metadata, for messages.
+    TotalAcceleration is Android's. Otherwise gravity shows its sign in the attitude. `named` is the one in the
+    metadata.
     """
     gravity, attitude = export.sensors.get("Gravity"), export.sensors.get("Orientation")
     if "TotalAcceleration" in export.sensors:
@@ -251,10 +236,7 @@ def _at_times(sensor: NumberTable, time_ns: IntArray) -> FloatArray:
 
 
 def _requested_hz(export: _Export) -> dict[str, float]:
-    """Return the sampling rates in Hz that the user chose in the app, by sensor.
-
-    Sensors that were to be read as fast as possible are not in the result.
-    """
+    """Return the sampling rates in Hz that the user chose in the app, by sensor, without "as fast as possible"."""
     names = [name.replace(" ", "") for name in export.about("sensors").split("|")]
     periods = export.about("sampleRateMs").split("|")
     rates: dict[str, float] = {}
@@ -320,9 +302,7 @@ def _read_tables(members: Members) -> _Export:
 def _member(names: Sequence[str], sensor: str, members: Members) -> str:
     """Return the file of a sensor, or an empty string if there is none.
 
-    A file with exactly the name of the sensor is preferred. Otherwise the name may have text before or after that of
-    the sensor, separated by something other than letters, as `walk_Gravity (1).csv`. RecordingError if several files
-    have the exact name, or if there is none of that name and several of the others fit.
+    Its exact name is preferred to one within others, as `walk_Gravity (1).csv`. RecordingError if several fit.
     """
     stems = {name: PurePosixPath(name).stem.lower() for name in names}
     exact = [name for name, stem in stems.items() if stem == sensor.lower()]
@@ -390,11 +370,7 @@ def _begun_ns(times: Iterable[tuple[str, str]]) -> int | None:
 
 
 def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: list[str]) -> NumberTable:
-    """Return a table without the rows from more than 60 s before the recording, and add a note about them.
-
-    The phone delivers such stored values when a sensor starts. `begun_ns` is the start of the recording. If it is None,
-    the table is unchanged.
-    """
+    """Return a table without rows from 60 s before the start, which a phone has stored, with a note."""
     if begun_ns is None:
         return sensor
     kept = sensor.whole.astype(np.float64) >= begun_ns - STALE_S * 1e9
@@ -405,10 +381,7 @@ def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: 
 
 
 def _annotations(rows: list[list[str]]) -> list[tuple[int, str]]:
-    """Return time (ns since 1970) and text of the annotations in table rows below a header.
-
-    The list is empty if the header does not name the columns time and text. Rows without a time are skipped.
-    """
+    """Return time (ns since 1970) and text of the annotations in table rows below a header with time and text."""
     if not rows or "time" not in rows[0] or "text" not in rows[0]:
         return []
     at, text = rows[0].index("time"), rows[0].index("text")

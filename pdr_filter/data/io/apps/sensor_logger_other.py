@@ -41,10 +41,9 @@ def messages_of(members: Members, name: str) -> dict[str, list[Message]]:
 
 
 def push_tables(members: Members, name: str, columns: Columns) -> dict[str, NumberTable]:
-    """Return a table for each sensor of a session of pushed messages.
+    """Return a table for each sensor of the session of pushed messages that the path names, or the only one.
 
-    The session is the one that the path names, or the only one in the file. Rows are sorted by time. RecordingError if
-    the file has several sessions and the path names none of them.
+    RecordingError if the file has several sessions and the path names none of them.
     """
     where = members.where(name)
     sessions = messages_of(members, name)
@@ -79,10 +78,7 @@ def push_tables(members: Members, name: str, columns: Columns) -> dict[str, Numb
 def database_tables(
     members: Members, name: str, columns: Columns, notes: list[str]
 ) -> tuple[dict[str, NumberTable], dict[str, str]]:
-    """Return a table for each sensor in a database of Sensor Logger, and the metadata by name.
-
-    RecordingError if no table has the name and the columns of a sensor in `columns`.
-    """
+    """Return a table for each sensor in a database of Sensor Logger, and the metadata by name."""
     where = members.where(name)
     sensors: dict[str, NumberTable] = {}
     metadata: dict[str, str] = {}

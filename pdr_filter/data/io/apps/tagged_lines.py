@@ -13,10 +13,7 @@ from pdr_filter.values import FloatArray, limits
 
 
 class TaggedLog:
-    """Text file of a recording in which the first or second field of each line is the type of its data.
-
-    The comment lines at the start of the file begin with `comment`. `header` has their text.
-    """
+    """Text file in which a field of each line is its type. `header` has the text of the first comment lines."""
 
     def __init__(self, members: Members, comment: str) -> None:
         self.name = members.only_text()
@@ -27,10 +24,7 @@ class TaggedLog:
         self._members = members
 
     def header_values(self, separator: str = "\n") -> dict[str, str]:
-        """Return the values of `key: value` in the comment lines. The first value of a key counts.
-
-        A line may hold several pairs with `separator` between them.
-        """
+        """Return the first value of each `key: value` in the comment lines, with `separator` between pairs."""
         values: dict[str, str] = {}
         for line in self.header:
             for part in line.split(separator):
@@ -48,10 +42,9 @@ class TaggedLog:
     ) -> tuple[dict[str, NumberTable], int]:
         """Return a table for each type of line in `layouts`, and the total number of lines of all other types.
 
-        `layouts` maps the type of a line to the layout of its columns. All layouts have the same separator, and columns
-        are counted from the start of the line. `tag_field` (0 or 1) is the field of a line that holds its type.
-        `rewritten` maps a type to a function that changes the bytes of its lines before they are parsed. Repairs, such
-        as a last line that was left out, are added to `notes`.
+        `layouts` have one separator, and columns counted from the start of the line. `tag_field` (0 or 1) is the field
+        of the type. `rewritten` has functions that change the lines of a type before they are parsed. `notes` get
+        repairs.
         """
         separator = next(iter(layouts.values())).separator.encode()
         parts: dict[str, list[NumberTable]] = {tag: [] for tag in layouts}
@@ -91,8 +84,8 @@ class TaggedLog:
 def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
     """Return the quaternions (w, x, y, z) of Android's rotation vectors (N, 3).
 
-    The norm of a rotation vector is the sine of half the angle, so w = sqrt(1 - x^2 - y^2 - z^2), not negative. Vectors
-    that are longer than one by more than rounding give NaN.
+    Their norm is the sine of half the angle, so w = sqrt(1 - x^2 - y^2 - z^2). NaN if it exceeds one by more than
+    rounding.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         rest = 1 - np.square(vector).sum(axis=1)
@@ -102,11 +95,7 @@ def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
 
 
 def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str, int]) -> bytes | None:
-    """Return the last line of a file with a line feed, if it is complete.
-
-    The result is b"" if the type of the line is not in `n_fields`, so that it is ignored. The result is None if the
-    line has fewer fields than the previous line of its type (`n_fields`), which means that it was cut off.
-    """
+    """Return the last line with a line feed, b"" for another type, and None if it has fewer fields than its type."""
     fields = line.split(separator)
     tag = fields[tag_field].decode("latin-1") if len(fields) > tag_field else ""
     if tag not in n_fields:
@@ -115,19 +104,13 @@ def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str,
 
 
 def _after_first(bytes_: NDArray[np.uint8], starts: NDArray[np.int64], separator: bytes) -> NDArray[np.int64]:
-    """Return the index of the byte at which the second field of each line begins.
-
-    For a line with one field, the index lies in a later line or after the last byte.
-    """
+    """Return the index at which the second field of each line begins, or a later one if it has one field."""
     at = np.append(np.flatnonzero(bytes_ == separator[0]), len(bytes_))
     return at[np.searchsorted(at, starts)] + 1
 
 
 def _begins(bytes_: NDArray[np.uint8], tags: NDArray[np.int64], wanted: bytes) -> NDArray[np.bool_]:
-    """Return True for each index in `tags` (N,) at which the text `bytes_` continues with the bytes `wanted`.
-
-    `tags` are the indices of the line types in a block of lines, and `wanted` is one line type.
-    """
+    """Return True for each index in `tags` (N,) at which the text `bytes_` continues with the bytes `wanted`."""
     fits = np.ones(len(tags), dtype=bool)
     for i, byte in enumerate(wanted):
         at = tags + i

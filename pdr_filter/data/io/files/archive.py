@@ -43,18 +43,17 @@ _OTHERS = {
 }
 _ABOUT = re.compile(r"(?i)(readme|licen[cs]e|notes?)[^/]*$|\.(md|pdf|html?|png|jpe?g|docx?|mp4|m4a)$|(^|/)\.[^/]*$")
 _TABLES = (".csv", ".txt", ".tsv", ".log", ".dat", ".json", ".jsonl", ".ndjson")
-_TAR_AT, _TAR = 257, b"ustar"
+_TAR_AT, _TAR, _BEGIN_BYTES = 257, b"ustar", 512
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 class Members:
     """Files of one recording: in a zip file or a folder, or a single file, also in a gz file.
 
-    Nothing is unpacked to disk. Text in UTF-16 with a byte order mark is converted to UTF-8.
-
-    `inside` selects one recording of several. In a zip file it is a folder or a file, and in a log a session. In a
-    folder with files such as `walk1_acc.csv` and `walk1_gyro.csv` it is the name of a trial, walk1. If each sensor has
-    its own folder with one file, such as `Accelerometer/data.csv`, the file has the name `Accelerometer.csv` here.
+    Nothing is unpacked to disk. Text in UTF-16 with a byte order mark becomes UTF-8. `inside` selects one recording of
+    several: a folder or file of a zip file, a session of a log, or the trial `walk1` among files such as
+    `walk1_acc.csv`. If each sensor has a folder with one file, such as `Accelerometer/data.csv`, that is
+    `Accelerometer.csv` here.
     """
 
     def __init__(
@@ -70,12 +69,12 @@ class Members:
         self._most = limits.MAX_READ_BYTES
         self._open = gzip.open if is_gzip else open_regular
         if is_gzip:
-            self._most = min(self._most, _most_unpacked(path.stat().st_size))
+            self._most = min(self._most, most_unpacked(path.stat().st_size))
         name = path.stem if is_gzip and path.suffix.lower() == ".gz" else path.name
         self._files = _files_below(path) if self._folder else {name: path}
         names = list(self._files if archive is None else self._infos)  # with forward slashes
         if inside and self.is_container:
-            of_trial = [name for name in names if _trial_path(name) == inside]
+            of_trial = [name for name in names if str(PurePosixPath(name).parent / trial_of(name)) == inside]
             names = [name for name in names if name == inside or name.startswith(f"{inside}/")] or of_trial
             self.is_container = names != [inside]
             if not names:
@@ -90,10 +89,7 @@ class Members:
         return f"{self.path}" if self.path.name == name else f"{self.path}: {name}"
 
     def only_text(self) -> str:
-        """Return the name of the only file that can be a log or a table.
-
-        It is the file itself, or the only text in a zip file or folder. RecordingError if there are several or none.
-        """
+        """Return the name of the file itself, or of the only text among several. RecordingError otherwise."""
         names = [name for name in self.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(self.names)
         if len(names) != 1:
             raise RecordingError(
@@ -122,10 +118,7 @@ class Members:
         return b"".join(parts)
 
     def file(self, most: int) -> bytes:
-        """Return the bytes of the file that was opened. For a zip file these are the packed bytes.
-
-        A zip file inside another one gives its own packed bytes.
-        """
+        """Return the bytes of the opened file. For a zip file, also one inside another, these are the packed bytes."""
         if self._archive is None or self._archive.fp is None:
             return self.whole(self.names[0], most)
         self._archive.fp.seek(0)
@@ -135,10 +128,7 @@ class Members:
         return content
 
     def pieces(self, name: str) -> Iterator[bytes]:
-        """Yield the bytes of a file in pieces without byte order mark. A piece may end anywhere in a line.
-
-        RecordingError for a binary file.
-        """
+        """Yield a text in pieces without byte order mark, which end anywhere in a line. RecordingError if binary."""
         for i, part in enumerate(self.parts(name)):
             # UTF-16 without byte order mark, UTF-32 and binary files have zero bytes
             if i == 0 and b"\x00" in part[:4096]:
@@ -148,10 +138,7 @@ class Members:
             yield part.removeprefix(b"\xef\xbb\xbf") if i == 0 else part
 
     def blocks(self, name: str) -> Iterator[bytes]:
-        """Yield the bytes of a text file in blocks of complete lines, with line feeds as line ends.
-
-        A last line without line end is a block of its own.
-        """
+        """Yield a text in blocks of complete lines with line feeds. A last line without one is a block of its own."""
         rest = b""
         for part in self.pieces(name):
             if b"\r" in part or rest.endswith(b"\r"):
@@ -173,7 +160,7 @@ class Members:
     def parts(self, name: str, size: int = limits.BLOCK_BYTES) -> Iterator[bytes]:
         """Yield the bytes of a file in parts of `size` bytes, so that no more is unpacked at once.
 
-        The checksum (CRC) is tested at the end. RecordingError if the file is damaged, encrypted or too large.
+        RecordingError if the file is damaged, encrypted or too large.
         """
         where = self.where(name)
         try:
@@ -211,8 +198,8 @@ class Members:
 def open_members(path: Path) -> Generator[Members]:
     """Context manager that opens a zip file, a folder or one file, and yields its files as `Members`.
 
-    RecordingError if it does not exist, is a file of 0 bytes, or cannot be opened. An empty folder has no members.
-    The path may go on inside a file: `export.zip/walk_2` is the folder walk_2 of the zip.
+    The path may go on inside a file: `export.zip/walk_2` is the folder walk_2 of the zip. RecordingError if it does not
+    exist, is empty, or cannot be opened.
     """
     try:
         path, inside = outside(path)
@@ -222,21 +209,16 @@ def open_members(path: Path) -> Generator[Members]:
             yield Members(path, inside=inside)
             return
         with open_regular(path) as file:
-            begin = file.read(2)
-            _check_any(path, "the file", begin)
-            if begin == _GZIP:
+            head, is_gzip = file.read(_BEGIN_BYTES), False
+            _refuse_others(path, "the file", head)
+            if head.startswith(_GZIP):
                 packed = Members(path, is_gzip=True)
-                begin = packed.head(packed.names[0], 2)
-                _check_any(path, "the file in it", begin)
-                if begin == _ZIP:
+                head, is_gzip = packed.head(packed.names[0], _BEGIN_BYTES), True
+                _refuse_others(path, "the file in it", head)
+                if head.startswith(_ZIP):
                     file = io.BytesIO(packed.whole(packed.names[0], limits.MAX_UNPACKED_BYTES))
-                else:
-                    _refuse_others(path, packed.head(packed.names[0], 512))
-                    yield Members(path, inside=inside, is_gzip=True)
-                    return
-            elif begin != _ZIP:
-                _refuse_others(path, begin + file.read(512))
-                yield Members(path, inside=inside)
+            if not head.startswith(_ZIP):
+                yield Members(path, inside=inside, is_gzip=is_gzip)
                 return
             with _in_zip(file, path, inside) as members:
                 yield members
@@ -248,11 +230,7 @@ def open_members(path: Path) -> Generator[Members]:
 
 @contextmanager
 def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) -> Generator[Members]:
-    """Open the files in a zip file.
-
-    If the only content is another zip file, the files in that inner zip file are opened. If there are several, the
-    inner zip file that `inside` names is opened.
-    """
+    """Open the files in a zip file, or in the zip file inside it that is alone there or that `inside` names."""
     try:
         archive = zipfile.ZipFile(file)
     except _ZIP_ERRORS as error:
@@ -271,13 +249,10 @@ def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) ->
             yield members
 
 
-def _check_any(path: Path, what: str, begin: bytes) -> None:
-    if not begin:
+def _refuse_others(path: Path, what: str, head: bytes) -> None:
+    """Raise RecordingError, which names the kind, for an empty file and a known kind that cannot be a recording."""
+    if not head:
         raise RecordingError(f"{path}: {what} is empty (0 bytes); copy or export the recording again")
-
-
-def _refuse_others(path: Path, head: bytes) -> None:
-    """Raise RecordingError, which names the kind, for a known kind of file that cannot be a recording."""
     kind = next((words for begin, words in _OTHERS.items() if head.lower().lstrip().startswith(begin.lower())), "")
     if head[_TAR_AT:].startswith(_TAR):
         kind = "a tar archive; unpack it and give the folder"
@@ -286,10 +261,7 @@ def _refuse_others(path: Path, head: bytes) -> None:
 
 
 def zips_among(names: Sequence[str]) -> list[str]:
-    """Return the names of zip files and .xlsx spreadsheets among the names of files.
-
-    The list is empty if one of the other files may hold samples. Files such as a readme, a licence or an image do not.
-    """
+    """Return the zip files and .xlsx spreadsheets among names, or none if another file may hold samples."""
     others = [name for name in names if not name.lower().endswith((".zip", ".xlsx"))]
     return [] if any(_ABOUT.search(name) is None for name in others) else [n for n in names if n not in others]
 
@@ -297,8 +269,7 @@ def zips_among(names: Sequence[str]) -> list[str]:
 def outside(path: Path) -> tuple[Path, str]:
     """Split a path into a file or folder that exists on disk, and the rest of the path inside it.
 
-    The rest of `export.zip/walk_2` is `walk_2`. In a folder, the rest may be the name of a trial: `walk1` stands for
-    all files such as `walk1_acc.csv` and `walk1_gyro.csv`. In all other cases the rest is "".
+    The rest of `export.zip/walk_2` is `walk_2`, that of the trial `walk1` of files such as `walk1_acc.csv` is `walk1`.
     """
     if not path.exists():
         for parent in path.parents:
@@ -311,11 +282,6 @@ def outside(path: Path) -> tuple[Path, str]:
         ):
             return path.parent, path.name
     return path, ""
-
-
-def _trial_path(name: str) -> str:
-    """Return the folder of a file followed by the name of its trial (see `trial_of`)."""
-    return str(PurePosixPath(name).parent / trial_of(name))
 
 
 def json_object(content: bytes, where: str) -> dict[str, Any]:
@@ -339,10 +305,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _files_below(path: Path) -> dict[str, Path]:
-    """Return the files in a folder by path, including the files in its folder `meta` and in the folders of its sensors.
-
-    Deeper folders are not searched, because the folder may be a home folder with very many files.
-    """
+    """Return the files in a folder by path, with those in `meta` and in folders of sensors, but no deeper ones."""
     found: dict[str, Path] = {}
     below = [entry for entry in path.iterdir() if entry.is_dir() and not entry.is_symlink() and entry.name != "meta"]
     for folder in (path, path / "meta", *(below if _are_of_sensors(entry.name for entry in below) else ())):
@@ -358,10 +321,9 @@ def _files_below(path: Path) -> dict[str, Path]:
 
 
 def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
-    """Return new names for files of sensors that each have a folder of their own, as a mapping from the old names.
+    """Return new names by the old ones for files of sensors that are alone in folders named after them.
 
-    `Accelerometer/data.csv` becomes `Accelerometer.csv` if it is the only table in its folder. Names that stay the same
-    are not in the result. No file is renamed on disk.
+    `Accelerometer/data.csv` becomes `Accelerometer.csv`.
     """
     by_folder: dict[PurePosixPath, list[PurePosixPath]] = {}
     for name in map(PurePosixPath, names):
@@ -383,7 +345,7 @@ def _are_of_sensors(folders: Iterable[str]) -> bool:
     return len(sensors) > 1 and not sensors.isdisjoint((ACCELERATION, LINEAR))
 
 
-def _most_unpacked(size: int) -> int:
+def most_unpacked(size: int) -> int:
     """Return the largest number of bytes that a packed file of this size may unpack to."""
     return max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * size)
 
@@ -391,14 +353,14 @@ def _most_unpacked(size: int) -> int:
 def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """Return the files in a zip file by their path inside it, with slashes whatever system packed it.
 
-    RecordingError for a path that leads out of the zip file, and for too many files or two of one path. A zip file that
-    claims to unpack to much more than its size is refused, too.
+    RecordingError for paths that lead out of it, too many files, two of one path, or if it claims to unpack to too
+    much.
     """
     if len(archive.infolist()) > limits.MAX_MEMBERS:
         raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")
     claimed = sum(info.file_size for info in archive.infolist())
     size = archive.fp.seek(0, io.SEEK_END) if archive.fp else 0  # the zip may be inside another one
-    if claimed > _most_unpacked(size):
+    if claimed > most_unpacked(size):
         raise RecordingError(
             f"{path} claims to unpack to {claimed} bytes, {claimed / size:.0f} times its size: no sensor data is like "
             "that; unpack it yourself and give the folder, if you trust it"

@@ -33,10 +33,9 @@ OTHERS = ("meta.json", "gyroscope.csv")  # a recording has at least one of them
 def read_recording(path: str | Path) -> Recording:
     """Return the recording in a zip file or folder of the project's own format.
 
-    Columns are found by name, in any order; other columns and files are ignored. Values stay as recorded, except that
-    infinite ones become NaN and rows without a time are left out. Rows that an edit has put out of order are sorted by
-    time. `Recording.notes` says so, and counts repeated and backward times. A sensor without any value is left out with
-    a note. A RecordingError (a ValueError) names the file, the column, the value and the remedy.
+    Other columns and files are ignored. Values stay as recorded, except that infinite ones become NaN, rows without a
+    time are left out, and rows out of order are sorted. `Recording.notes` says so. A RecordingError names the file, the
+    column, the value and the remedy.
     """
     path = Path(path)
     notes: list[str] = []
@@ -97,8 +96,7 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
 
     Examples
     --------
-    >>> import tempfile
-    >>> import pdr_filter as pdr
+    >>> import tempfile, pdr_filter as pdr
     >>> from pdr_filter.data.io.files.own_format import write_recording
     >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -110,10 +108,7 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
 
 
 def _folder(members: Members) -> str:
-    """Return the folder of the recording inside a zip file, with its slash, or "" if its files are in no folder.
-
-    RecordingError unless exactly one folder has an accelerometer.csv.
-    """
+    """Return the folder of the only accelerometer.csv among the files, with its slash, or "". Else RecordingError."""
     path = members.path
     if not members.is_container and path.name == REQUIRED:
         raise RecordingError(
@@ -183,10 +178,7 @@ def _is_usable(name: str) -> bool:
 def _read_stream(
     members: Members, name: str, columns: tuple[str, ...], notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times (N,) in s and values (N, d) of one sensor. An empty file gives no rows.
-
-    An empty accelerometer.csv raises RecordingError.
-    """
+    """Return times (N,) in s and values (N, d) of one sensor, none if empty, except for accelerometer.csv."""
     rows = TextTable(members.blocks(name), members.where(name), ",")
     if rows.is_empty and PurePosixPath(name).name != REQUIRED:
         return np.empty(0), np.empty((0, len(columns)))
@@ -204,10 +196,7 @@ def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:
 
 
 def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: list[str]) -> Table | None:
-    """Return the rows of a truth table that have all their times, or None for an empty file.
-
-    Rows without a time, and contexts that the default recipe does not have, are added to `notes`.
-    """
+    """Return the rows of a truth table that have all their times, or None for an empty file."""
     rows = TextTable(members.blocks(name), members.where(name), ",")
     if rows.is_empty:
         return None

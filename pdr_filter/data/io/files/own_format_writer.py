@@ -7,13 +7,12 @@ import io
 import json
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, Samples, Table, Wifi, address_text
+from pdr_filter.values import FloatArray, Samples, Table, Wifi, address_text, as_plain
 from pdr_filter.values.safe_files import whole_file, write_files
 
 STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
@@ -114,14 +113,8 @@ def _number_format(column: str) -> str:
 
 
 def _plain(value: object) -> object:
-    """Return a mapping, dataclass or NumPy value as plain Python values that json can write.
-
-    TypeError for a value of another type.
-    """
-    if isinstance(value, Mapping):
-        return dict(cast("Mapping[str, object]", value))
-    if is_dataclass(value) and not isinstance(value, type):
-        return asdict(value)
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
+    """Return a mapping, dataclass or NumPy value as plain values that json can write. TypeError for another type."""
+    plain = as_plain(value)
+    if plain is not value:
+        return plain
     raise TypeError(f"meta holds a {type(value).__name__}, which JSON cannot; give numbers, text, lists and dicts")

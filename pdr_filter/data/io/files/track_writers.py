@@ -27,8 +27,7 @@ _NOT_ON_EARTH = "local, not on Earth"
 def write_csv(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
     """Write one line for each step under a header with units, and return the path; only the header if no step.
 
-    `origin` gives the track a geographic origin. A track with an origin also has columns of latitude and longitude. If
-    the origin has an altitude, there is a column of altitudes.
+    `origin` gives the track a geographic origin, with which it has columns of latitude, longitude and altitude, if any.
     """
     columns = _columns(track if origin is None else track.placed(origin))
     text = io.StringIO()
@@ -41,10 +40,9 @@ def write_csv(track: TrackRows, path: str | Path, origin: Origin | tuple[float, 
 
 
 def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
-    """Write the columns of `write_csv` with all their digits, and return the path.
+    """Write the columns of `write_csv` with all their digits, and return the path. Needs pandas and pyarrow.
 
-    Name, notes, frame and origin of the track are metadata of the file, which pandas returns as `attrs` of the
-    DataFrame. Needs pandas and pyarrow.
+    Name, notes, frame and origin of the track are metadata of the file: `attrs` of the DataFrame in pandas.
     """
     pandas_for_parquet(path)
     frame = track_frame(track, origin)
@@ -120,15 +118,11 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
 def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
     """Write a FeatureCollection with the track as one LineString in WGS 84, and return the path.
 
-    The line begins at the start of the walk and has one vertex for each step. A track without steps is a Point.
-    `origin` is the latitude and longitude in degrees of the point with east and north zero. This point is the start of
-    the walk, or the origin of the fixes if the track is in the frame of its fixes. `origin` is not needed for a track
-    that was placed by the locations of its recording, because this track has an origin. Properties for each vertex are
-    `coordTimes` (seconds of the recording), `covariance_m2` ([ee, en, nn]) and, with a third coordinate, `floor` (the
-    storey, or null where it is unknown).
-
-    The third coordinate is the altitude if the origin has an altitude. Otherwise it is the height above the start in m,
-    if the height changes. The property `height` states which of both it is.
+    The line has a vertex for the start and for each step. A track without steps is a Point. `origin` is the latitude
+    and longitude in degrees of the point with east and north zero, if the track has none. Properties for each vertex
+    are `coordTimes` (seconds of the recording), `covariance_m2` ([ee, en, nn]) and, with a third coordinate, `floor`
+    (null where unknown). The third coordinate is the altitude if the origin has one, else the height above the start in
+    m, if it changes; the property `height` says which.
     """
     placed = track if origin is None else track.placed(origin)
     return _write_geojson(placed, path, track.name, placed.about_frame)
@@ -137,9 +131,8 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
 def write_local_geojson(track: TrackRows, path: str | Path) -> Path:
     """Write the shape of a track that has no place on Earth, and return the path, which ends in .local.geojson.
 
-    Maps need degrees. The origin of the track is therefore drawn at latitude and longitude 0, in the open sea, where
-    lengths and angles are undistorted. Name, `frame` and `about` of the file state that the track was not walked there.
-    ValueError for a track with a place on Earth.
+    Maps need degrees, so the origin is drawn at latitude and longitude 0, in the open sea, where lengths and angles are
+    undistorted. Name, `frame` and `about` say that nobody walked there. ValueError for a track with a place on Earth.
     """
     if track.origin is not None:
         raise ValueError(f"the track {track.name!r} has a place on Earth: write it with to_geojson")
@@ -187,9 +180,9 @@ def write_gpx(
 ) -> Path:
     """Write a GPX 1.1 track from the start of the walk through all steps, and return the path.
 
-    `origin` is the geographic origin of the track, as in `write_geojson`. Points have an elevation if the origin has an
-    altitude. `epoch_s` is the unix time of time zero of the recording (`Recording.epoch_s`). With 0, the walk is in
-    January 1970. ValueError if the track has no geographic origin, or if a time is not from 1970 to 9999.
+    `origin` is that of `write_geojson`; with an altitude, points have an elevation. `epoch_s` is the unix time of time
+    zero (`Recording.epoch_s`); with 0, the walk is in January 1970. ValueError without origin, or for a time not in
+    1970 to 9999.
     """
     times_s = _vertex_times(track)
     if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= limits.MAX_EPOCH_S):
@@ -219,8 +212,7 @@ def write_gpx(
 def write_kml(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
     """Write a KML 2.2 document, for example for Google Earth, with track, start and end, and return the path.
 
-    `origin` is the geographic origin of the track, as in `write_geojson`. The description contains distance, number of
-    steps, position error of the end, and notes.
+    `origin` is that of `write_geojson`. The description has distance, steps, position error of the end, and notes.
     """
     placed = track if origin is None else track.placed(origin)
     vertices = _vertices(placed)
@@ -280,8 +272,7 @@ def write_tum(track: TrackRows, path: str | Path) -> Path:
     """Write lines `timestamp tx ty tz qx qy qz qw` with strictly ascending times, and return the path.
 
     The position is east, north and zero, in m. The quaternion rotates the x axis about up into the walking heading (yaw
-    = pi/2 - heading). The first line is the start of the walk, with the heading of the first step. A step whose time is
-    not after that of the line before is left out.
+    = pi/2 - heading). The first line is the start, with the heading of the first step.
     """
     heading_rad = np.concatenate([track.walking_heading_rad[:1], track.walking_heading_rad])
     half_yaw_rad = yaw_from_heading(heading_rad if track.n_steps else np.zeros(1)) / 2

@@ -51,9 +51,9 @@ class Tables:
 def read_any_table(path: str | Path, platform: str | None = None) -> Recording:
     """Return the recording in the tables of an app, which are recognised by their columns.
 
-    `platform` ("ios" or "android") determines the sign of the acceleration if the app writes different signs on the two
-    systems. Gravity is added to an acceleration that lacks it, with a note. RecordingError if there is no acceleration,
-    if its sign or unit is unknown, or if `platform` is given although the file or the app decides the sign.
+    `platform` ("ios" or "android") determines the sign of the acceleration if the app writes different signs. Gravity
+    is added to an acceleration that lacks it, with a note. RecordingError if there is no acceleration, if its sign or
+    unit is unknown, or if the file or the app decides the sign, too.
     """
     return read_guessed(Path(path), platform).recording
 
@@ -62,15 +62,14 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
     """Read a recording, and return it with the column mapping that was guessed and the evidence for it."""
     with open_members(path) as members:
         parsed = Parsed(path, "")
-        sheets = sheets_of(members, notes=parsed.notes)
+        sheets = list(sheets_of(members, notes=parsed.notes))
         where = sheets[0].where if len(sheets) == 1 else str(path)
         groups = [group for i, sheet in enumerate(sheets) for group in groups_of(sheet, i)]
         if not groups:
             raise RecordingError(f"{where}: {_nothing(sheets, path)}")
-        used = [
-            {p for group in groups if group.sheet == i for p in (*group.places, group.time)} for i in range(len(sheets))
-        ]
-        sheets = [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
+        for i, sheet in enumerate(sheets):
+            used = {place for group in groups if group.sheet == i for place in (*group.places, group.time)}
+            sheets[i] = sheet.using(used, parsed.notes)
         shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
         dialect = dialect_of(shown)
         if dialect is None or dialect.sign is None:
@@ -99,10 +98,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
 
 
 def read_generic_csv(path: str | Path) -> Recording:
-    """Return the recording in a table whose columns a TOML file of the same name in its folder describes.
-
-    RecordingError if there is no such file.
-    """
+    """Return the recording in a table whose columns a TOML file of the same name in its folder describes."""
     path = Path(path)
     if not (mapping := mapping_beside(path)).is_file():
         raise RecordingError(
@@ -112,12 +108,9 @@ def read_generic_csv(path: str | Path) -> Recording:
     return read_mapped(path, read_mapping(mapping))
 
 
-def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Recording:
-    """Read a recording from tables whose columns a mapping describes. `source` names the format in the report.
-
-    RecordingError if a column or table of the mapping is missing, or if the recording is implausible.
-    """
-    parsed = Parsed(path, source)
+def read_mapped(path: Path, mapping: Mapping) -> Recording:
+    """Read a recording from tables whose columns a mapping describes, each of which must be there once."""
+    parsed = Parsed(path, "generic CSV")
     with open_members(path) as members:
         sheets = sheets_of(members, mapping.separator or None, parsed.notes)
         if decimal := mapping.decimal:
@@ -125,9 +118,8 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
             sheets = [replace(s, parse=texts.get(s, s.parse)) for s in sheets]
         names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
         used = [{i for i, name in enumerate(sheet.fields) if name in names} for sheet in sheets]
-        fill_streams(
-            parsed, mapping, [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
-        )
+        sheets = [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
+        fill_streams(parsed, mapping, sheets)
     for stream in mapping.streams:
         columns = ", ".join(stream.columns)
         unit = stream.unit or "unit as it is"
@@ -139,9 +131,8 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
 def sheets_of(members: Members, separator: str | None = None, notes: list[str] | None = None) -> Sequence[Sheet]:
     """Return the tables among the files of a recording: text, JSON, spreadsheet or MATLAB.
 
-    A text table with rows of several sensors is split into one table for each sensor. `separator` separates the
-    columns of texts, and is detected if None. Notes on what was skipped are added to `notes`. RecordingError if there
-    is no table, or if a table has rows of several devices.
+    A text with rows of several sensors gives a table for each. `separator` is that of texts, detected if None. `notes`
+    get what was skipped. RecordingError if there is no table, or if one has rows of several devices.
     """
     found: Sequence[Sheet]
     if is_spreadsheet(members):
@@ -197,11 +188,7 @@ def _check_one_device(sheet: Sheet) -> None:
 
 
 def _by_sensor(sheet: Sheet) -> Sequence[Sheet]:
-    """Split a table whose rows belong to different sensors into one table for each sensor.
-
-    One column names the sensor of each row. The table is returned alone and unchanged if there is no such column, or if
-    the column names no acceleration.
-    """
+    """Split a table by the column that names the sensor of each row, if there is one that names an acceleration."""
     column = next((i for i, text in sheet.texts.items() if quantity_of_file(text)[0] in VECTORS), None)
     if column is None:
         column = next((i for i, name in enumerate(sheet.fields) if "".join(words_of(name)) in _TYPES), None)
@@ -218,11 +205,7 @@ def _is_text(name: str, members: Members) -> bool:
 
 
 def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
-    """Return the error message for tables without a known sensor.
-
-    If the first table has column names, the message contains a column mapping for the user to complete. Otherwise it
-    asks for a line of names.
-    """
+    """Return the error for tables without a known sensor, with a mapping to complete, or the missing line of names."""
     sheet = sheets[0]
     if all(name.startswith("column ") for name in sheet.fields):
         head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""
@@ -241,10 +224,9 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
 
 
 def sensors_of(members: Members, name: str) -> set[str]:
-    """Return the set of sensors that the columns of a text or JSON file name.
+    """Return the set of sensors that the columns of a text or JSON file name, empty without a table.
 
-    The set is empty for a text without a table. It holds only the acceleration if the columns of the accelerometer have
-    an unknown unit or lack an axis.
+    It is the acceleration alone if the columns of the accelerometer have an unknown unit or lack an axis.
     """
     sheets: Sequence[Sheet]
     try:

@@ -27,11 +27,7 @@ _PLATFORM = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Dialect:
-    """How to recognise the tables of an app, and what their headers leave open.
-
-    Open are the units, the sign of the acceleration, the time between rows, and what to record instead if the
-    acceleration lacks gravity.
-    """
+    """How to recognise the tables of an app, and what their headers leave open."""
 
     app: str
     shows: str  # regular expression, looked for in the lines above the table, its header and the names of the files
@@ -106,18 +102,14 @@ DIALECTS = (
 
 
 def dialect_of(text: str) -> Dialect | None:
-    """Return the conventions of the app that wrote a table, or None if the app is unknown.
-
-    `text` holds the lines above the table, its header and the names of the files.
-    """
+    """Return the app that wrote a table, by the lines above it, its header and the names of the files, or None."""
     return next((dialect for dialect in DIALECTS if re.search(dialect.shows, text, re.IGNORECASE)), None)
 
 
 def said_platform(members: Members, about: str = "") -> str:
-    """Return the platform (ios or android) that the metadata files or the lines above a table name, or an empty string.
+    """Return the platform (ios or android) that the metadata files or the lines above a table name, or "".
 
-    The platform decides the sign of the acceleration. A recording from iOS counts as android if its metadata say that
-    the app has standardised the signs. `about` holds the lines above the table.
+    It decides the sign of the acceleration: iOS counts as android if the app says that it has standardised the signs.
     """
     names = [name for name in members.names if _METADATA.fullmatch(PurePosixPath(name).name)]
     contents = [(members.small(name), name) for name in names if members.is_container]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from pdr_filter.data.io.column_names import (
     ACCELERATION,
@@ -34,43 +33,22 @@ _ANGLES = ("roll", "pitch", "yaw")
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Columns of one sensor.
+    """Columns of one sensor."""
 
-    Attributes
-    ----------
-    sheet : int
-        Number of the table.
-    quantity : str
-        Quantity as in `column_names`, or "location".
-    places : tuple of int
-        Number of the column of each value, or -1 for a missing value.
-    time : int or None
-        Number of the column of times, or None if there is none.
-    time_unit : str
-        Unit that the name of the column of times states, or an empty string.
-    unit : str
-        Unit that the names of the columns state, as in `UNITS`, or an empty string.
-    name : str
-        Names of the columns, for messages.
-    preference : int
-        2 if the names state calibrated values, 0 for uncalibrated ones, 1 otherwise.
-    """
-
-    sheet: int
-    quantity: str
-    places: tuple[int, ...]
-    time: int | None
-    time_unit: str
-    unit: str
-    name: str
-    preference: int = 1
+    sheet: int  # number of the table
+    quantity: str  # as in `column_names`, or "location"
+    places: tuple[int, ...]  # column of each value, or -1 for a missing value
+    time: int | None  # column of times
+    time_unit: str  # as the name of the column of times states, or empty
+    unit: str  # as in `UNITS`, as the names of the columns state, or empty
+    name: str  # names of the columns, for messages
+    preference: int = 1  # 2 if the names state calibrated values, 0 for uncalibrated ones
 
 
 def groups_of(sheet: Sheet, at: int) -> list[Group]:
-    """Return a `Group` of columns for each sensor, orientation and location that the columns of a table show.
+    """Return a `Group` of columns for each sensor, orientation and location that table number `at` shows.
 
-    `at` is the number of the table, which the groups store. RecordingError if an accelerometer lacks an axis, or if the
-    unit of a vector is unknown.
+    RecordingError if an accelerometer lacks an axis, or if the unit of a vector is unknown.
     """
     is_named = not all(name.startswith("column ") for name in sheet.fields)
     times = _times(sheet, is_named)
@@ -104,11 +82,7 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
 
 
 def _times(sheet: Sheet, is_named: bool) -> list[int]:
-    """Return the indices of the columns of times.
-
-    A column with the nanoseconds of a column of whole seconds is left out. If there is no date and no name of a time,
-    the first column with a unit of time in brackets is the only one.
-    """
+    """Return the indices of the columns of times, not of nanoseconds of whole seconds: dates, names, or a unit."""
     times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
     nanoseconds = {column_of_nanoseconds(sheet.fields, i) for i in times}
     times = [i for i in times if i not in nanoseconds]
@@ -116,10 +90,7 @@ def _times(sheet: Sheet, is_named: bool) -> list[int]:
 
 
 def _named_columns(sheet: Sheet) -> list[Column]:
-    """Return quantity, axis and unit of each column of a table with column names.
-
-    Three columns such as value1, value2, value3 are the axes x, y and z.
-    """
+    """Return the columns of a table with column names. Three such as value1, value2, value3 are x, y and z."""
     columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
     numbered = [i for i, name in enumerate(sheet.fields) if re.fullmatch(r"(?i)v(al(ue)?s?)?[\W_]*[0-3]\W*", name)]
     if len(numbered) == len(_AXES):
@@ -134,11 +105,7 @@ def _numbers(sheet: Sheet) -> list[int]:
 
 
 def _without_names(sheet: Sheet, times: Sequence[int]) -> list[Column]:
-    """Return the columns of the sensor in a table without column names: its three axes, or its single value.
-
-    They are the first columns of numbers after the first column of times. The name of the file states the sensor. The
-    list is empty if it states none, or if too few columns follow.
-    """
+    """Return the axes or value of the sensor that the file names, in the columns of numbers after the first time."""
     quantity, _ = quantity_of_file(sheet.name)
     axes = _AXES if quantity in VECTORS else ("",)
     after = [i for i in _numbers(sheet) if i > times[0]][: len(axes)] if times else []
@@ -159,56 +126,32 @@ def _unit(sheet: Sheet, quantity: str, axes: Sequence[Column]) -> str:
     return unit
 
 
-class _Vector(NamedTuple):
-    """Columns of the three axes of a sensor.
+def _vectors(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:
+    """Return quantity, axes and preference of the sensors with three axes, in the order of the table.
 
-    `quantity` is the measured quantity. `preference` is 2 if the columns have calibrated values, 0 for uncalibrated
-    values and 1 if unknown. The sensor with the highest preference is used.
-    """
-
-    quantity: str
-    axes: list[Column]
-    preference: int
-
-
-class _Sensor(NamedTuple):
-    """Sensor to which an axis belongs. `stem` is the name of its columns without the axis.
-
-    `number` counts from 0 the sensors whose columns have the same names.
-    """
-
-    quantity: str
-    stem: str
-    number: int
-
-
-def _vectors(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[_Vector]:
-    """Return the sensors with three axes, in the order of the table. Sensors that lack an axis are left out.
-
-    RecordingError if it is an accelerometer whose columns have more than the axis in their names. Axes whose names
-    state no sensor may appear again, for the next sensor.
+    RecordingError if a named accelerometer lacks an axis. Axes whose names state no sensor may come again for another.
     """
     # Names such as ax and wx, which distinguish sensors, state more than the name of the file.
     is_distinct = len({column.quantity for column in columns if column.quantity in VECTORS}) > 1
-    found: dict[_Sensor, dict[str, Column]] = {}
+    found: dict[tuple[str, str, int], dict[str, Column]] = {}  # by quantity, stem, and number of those of one stem
     for column in columns:
         is_vague = not column.quantity or (len(column.stem) == 1 and not is_distinct)
         quantity = _quantity_of_vague_axis(sheet, column, times) if is_vague else column.quantity
         if column.axis not in _AXES or not quantity:
             continue
         number = 0
-        while column.axis in found.get(_Sensor(quantity, column.stem, number), {}):
+        while column.axis in found.get((quantity, column.stem, number), {}):
             number += 1
-        found.setdefault(_Sensor(quantity, column.stem, number), {})[column.axis] = column
-    vectors: list[_Vector] = []
-    for sensor, by_axis in found.items():
+        found.setdefault((quantity, column.stem, number), {})[column.axis] = column
+    vectors: list[tuple[str, list[Column], int]] = []
+    for (quantity, stem, _), by_axis in found.items():
         missing = [axis for axis in _AXES if axis not in by_axis]
         if not missing:
             axes = [by_axis[axis] for axis in _AXES]
             is_named = any(axis.quantity for axis in axes)
             preference = min(axis.preference for axis in axes) if is_named else quantity_of_file(sheet.name)[1]
-            vectors.append(_Vector(sensor.quantity, axes, preference))
-        elif sensor.quantity in (ACCELERATION, LINEAR) and sensor.stem:
+            vectors.append((quantity, axes, preference))
+        elif quantity in (ACCELERATION, LINEAR) and stem:
             raise RecordingError(
                 f"{sheet.where}: {next(iter(by_axis.values())).name!r} is one axis of the accelerometer, and there is "
                 f"no column for {', '.join(missing)}; export all three axes"
@@ -219,9 +162,8 @@ def _vectors(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> l
 def _quantity_of_vague_axis(sheet: Sheet, column: Column, times: Sequence[int]) -> str:
     """Return the quantity of an axis whose own name states it not at all, or with one letter.
 
-    The name of the column of times before the axis decides, then the name of the file, the name of the axis, and its
-    unit. If none of them states a quantity, the result is the acceleration. An empty string means that the name of the
-    file states a sensor without axes.
+    The name of the time before it decides, then the file, the axis, its unit, and else it is an acceleration. "" if the
+    file is of a sensor without axes.
     """
     of_file, _ = quantity_of_file(sheet.name)
     if of_file and of_file not in VECTORS:
@@ -233,10 +175,7 @@ def _quantity_of_vague_axis(sheet: Sheet, column: Column, times: Sequence[int]) 
 
 
 def _single_values(sheet: Sheet, columns: Sequence[Column]) -> dict[str, Column]:
-    """Return the preferred column of each quantity with one value, by quantity.
-
-    Such quantities are pressure, light, distance, and the parts of a location. Of equal columns, the first is taken.
-    """
+    """Return the preferred column of each quantity with one value: pressure, light, distance, parts of a location."""
     of_file, _ = quantity_of_file(sheet.name)
     found: dict[str, Column] = {}
     for column in columns:
@@ -250,11 +189,9 @@ def _single_values(sheet: Sheet, columns: Sequence[Column]) -> dict[str, Column]
 
 
 def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence[int]) -> int | None:
-    """Return the index of the column of times of a sensor, or None if the table has no times.
+    """Return the index of the column of times of a sensor with columns `places`, or None without times.
 
-    A column named after the sensor is preferred. Next come shared columns, numbers before dates, and last the columns
-    of other sensors. `places` are the indices of the columns of the sensor, and `times` the indices of the columns of
-    times.
+    One named after the sensor is preferred, then shared ones, numbers before dates, and last those of other sensors.
     """
     if not times:
         return None
@@ -271,7 +208,7 @@ def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence
 
 
 def _sensor_of_time(name: str) -> str:
-    """Return the quantity whose times a column holds, if the name of the column states it, or an empty string."""
+    """Return the quantity whose times the name of a column states, or an empty string."""
     stem = letters(name)
     if stem.startswith("location"):
         return "location"

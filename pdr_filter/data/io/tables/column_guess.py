@@ -1,6 +1,6 @@
 """Mapping of undescribed tables, guessed from the names of their columns, the app and the values.
 
-Notes and evidence report each guess, such as a unit that comes from the values, or a sign that nothing shows.
+Notes and evidence report each guess.
 """
 
 from __future__ import annotations
@@ -96,10 +96,9 @@ def guess(
 ) -> Guess:
     """Return the guessed mapping of the columns of these tables.
 
-    `dialect` holds the conventions of the app, if known. `platform` ("ios" or "android") decides the sign of the
-    acceleration if the app does not. `where` names the file in messages. An acceleration without gravity becomes the
-    stream of linear acceleration. RecordingError if there is no acceleration, if its unit is unknown, or if it is in g
-    with an unknown sign. A table without times and with an unknown rate is refused, too.
+    `dialect` is the app, if known. `platform` ("ios" or "android") decides the sign of the acceleration if the app does
+    not. `where` names the file in messages. RecordingError if there is no acceleration, if its unit is unknown, if it
+    is in g with an unknown sign, or if a table has neither times nor a known rate.
     """
     app = "" if dialect is None else dialect.app
     result = Guess(Mapping(()), source=f"table of {app}" if app else "table")
@@ -157,8 +156,7 @@ def guess(
 def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
     """Guess the columns of time and accelerometer from the values of a table.
 
-    Returns the name of the column of times, its unit, the names of the three axes, and their unit. The name is "?" for
-    a column that the values do not show.
+    Returns the names of time, its unit, the three axes and their unit, "?" for a column that the values do not show.
     """
     numbers = [i for i in range(len(sheet.fields)) if i not in sheet.dates and i not in sheet.texts]
     time, time_unit = next(((sheet.fields[i], "date") for i in sheet.dates), ("?", "s"))
@@ -183,9 +181,9 @@ def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
 
 
 def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect | None, where: str) -> float:
-    """Return the sampling rate of tables without a column of times, in Hz, or zero if all tables have one.
+    """Return the sampling rate in Hz of tables without a column of times, or zero if all tables have one.
 
-    The rate comes from the lines above the first table, or is usual for the app. RecordingError if it is unknown.
+    It is in the lines above the first table, or usual for the app, else RecordingError.
     """
     if all(group.time is not None for group in groups):
         return 0.0
@@ -225,8 +223,7 @@ def _stream(group: Group, sheet: Sheet, dialect: Dialect | None, rate_hz: float)
 def _time_unit(ticks: FloatArray) -> str:
     """Return the unit of times whose header states none.
 
-    Times since 1970 show their unit by their size. Other times are compared with the usual sampling rates of phones.
-    The unit is "s" if none fits.
+    Times since 1970 show it by their size, others by the usual sampling rates of phones. It is "s" if none fits.
     """
     ticks = ticks[~np.isnan(ticks)]
     median = float(np.median(ticks)) if len(ticks) else 0.0
@@ -240,10 +237,9 @@ def _time_unit(ticks: FloatArray) -> str:
 
 
 def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, where: str) -> list[_Stream]:
-    """Return the streams that give the specific force, with their units.
+    """Return the streams that give the specific force: the accelerometer, or linear acceleration and gravity.
 
-    The list has the accelerometer alone, or linear acceleration and gravity. If there is neither, it has the linear
-    acceleration alone. RecordingError if there is no acceleration, or if its unit is unknown.
+    If there is neither, the linear acceleration alone. RecordingError without any, or if its unit is unknown.
     """
     app = "this table" if dialect is None else f"this looks like {dialect.app}, whose table"
     found = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
@@ -305,11 +301,7 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
 
 
 def _with_force_unit(s: _Stream) -> _Stream:
-    """Return the stream of an acceleration with its unit.
-
-    If neither the header nor the app states a unit, the size of the constant part decides between m/s2 and g. The unit
-    stays empty if it fits neither.
-    """
+    """Return an acceleration with its unit, by the size of the constant part if nothing states it; "" if none fits."""
     if s.is_unit_declared:
         return s
     constant = s.constant
@@ -321,11 +313,7 @@ def _with_force_unit(s: _Stream) -> _Stream:
 
 
 def _has_gravity(s: _Stream) -> bool:
-    """Return True if an acceleration contains gravity.
-
-    The result is also True if the header states m/s2 for values in g. The checks of every reader refuse such a unit
-    later.
-    """
+    """Return True if an acceleration contains gravity, or would in g if it states m/s2, which is refused later."""
     low, high = _G_OF_GRAVITY
     if s.constant * s.factor >= _LEAST_GRAVITY_MPS2:
         return True
@@ -342,11 +330,10 @@ def _force_words(s: _Stream) -> str:
 
 
 def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess) -> _Stream:
-    """Return the stream of a sensor other than the accelerometer with its unit.
+    """Return the stream of a sensor other than the accelerometer with its unit, guessed if nothing states it.
 
-    The unit is guessed from the values if neither the header nor the app states it.
-    `force` and `time_s` are the specific force in m/s2 and its times. The evidence in `result` gets a line. For a
-    gyroscope the line says how far gravity turns compared with the rotation that the gyroscope predicts.
+    `force` and `time_s` are the specific force in m/s2 and its times. `result` gets evidence: for a gyroscope, how far
+    gravity turns compared with what it predicts.
     """
     quantity, name = s.group.quantity, s.group.name
     if quantity == RATE:
@@ -374,11 +361,10 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
 
 
 def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
-    """Return a stream called rotation as a gyroscope stream if it holds an angular rate. Any other one is unchanged.
+    """Return a stream called rotation as a gyroscope stream if it holds an angular rate, others unchanged.
 
-    It does so if gravity turns as far as it predicts, in rad/s or deg/s. Where gravity hardly turns or is unknown, the
-    constant part of an angular rate is small. A rotation that is no angular rate is an orientation, and is not used.
-    `force` has no rows if gravity is unknown.
+    Gravity then turns as far as it predicts. Where gravity hardly turns or is unknown (no rows of `force`), the
+    constant part of an angular rate is small. Other rotations are orientations, which are not used.
     """
     if s.group.quantity != ROTATION:
         return s
@@ -392,33 +378,25 @@ def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
 
 
 def _force(forces: Sequence[_Stream]) -> FloatArray:
-    """Return the sum of the given accelerations (N, 3) in m/s2, at the times of the first one.
-
-    It is the specific force if gravity is in one of them.
-    """
+    """Return the sum of accelerations (N, 3) in m/s2 at the times of the first: the specific force with gravity."""
     at_s = forces[0].time_s
-    same = [np.array_equal(s.time_s, at_s) for s in forces]
-    values = [
-        s.values if is_same else interpolated_rows(at_s, s.time_s, s.values)
-        for s, is_same in zip(forces, same, strict=True)
-    ]
-    return np.asarray(sum(s.factor * v for s, v in zip(forces, values, strict=True)))
+    total = np.zeros_like(forces[0].values)
+    for s in forces:
+        is_same = np.array_equal(s.time_s, at_s)
+        total += s.factor * (s.values if is_same else interpolated_rows(at_s, s.time_s, s.values))
+    return total
 
 
 def _is_of_earth(s: _Stream) -> bool:
-    """Return False for a magnetic field whose strength is implausible for the field of the Earth, else True.
-
-    An uncalibrated field, with the magnets of the phone in it, is usually implausible.
-    """
+    """Return False for a magnetic field that is not as strong as the Earth's, such as with a magnet in the phone."""
     low, high = limits.MAGNETIC_FIELD_RANGE_UT
     return s.group.quantity != FIELD or low <= median_norm(s.values) * s.factor <= high
 
 
 def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:
-    """Return the factor 1 or -1 that gives acceleration and gravity Android's sign.
+    """Return the factor 1 or -1 that gives acceleration and gravity Android's sign, by the app or the platform.
 
-    The app decides, then the platform. Without both, the factor is 1 and a note says so. RecordingError if a platform
-    is given for an app with one sign on all platforms, or if values in g have an unknown sign.
+    Without both it is 1, with a note. RecordingError if both decide, or if values in g have an unknown sign.
     """
     if dialect is not None and dialect.sign is not None:
         if platform is not None:

@@ -76,10 +76,7 @@ class Mapping:
 
 
 def mapping_beside(path: Path) -> Path:
-    """Return the path of the column mapping of a file, which need not exist.
-
-    For walk.csv it is walk.csv.toml in the same folder if that exists, otherwise walk.toml.
-    """
+    """Return the path of the column mapping beside walk.csv: walk.csv.toml if it exists, else walk.toml, if or not."""
     longer = beside(path, path.name + ".toml")
     return longer if longer.is_file() else beside(path, path.with_suffix(".toml").name)
 

@@ -19,10 +19,9 @@ LEAST_S = 10.0
 
 
 def constant_part(time_s: FloatArray, values: FloatArray) -> float:
-    """Return the median norm of the mean vectors of windows of 2 s, in the unit of the values.
+    """Return the median norm of the mean vectors of windows of 2 s: of an accelerometer, gravity.
 
-    For an accelerometer it is the size of gravity. Rows with NaN and windows with fewer than 5 rows are skipped, unless
-    all windows have fewer. NaN if there is no complete row.
+    Rows with NaN, and windows of fewer than 5 rows if others have more, are skipped. NaN without a complete row.
     """
     time_s, values = _complete(time_s, values)
     if not len(values):
@@ -39,9 +38,8 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
     """Return the rotation of gravity in the phone divided by the rotation that the gyroscope predicts, or None.
 
     A direction u that is fixed in the world obeys du/dt = -w x u in the phone, with the angular rate w. The factor is 1
-    if w is in rad/s and has the axes and the sense of the accelerometer. It is pi/180 = 0.017 if w is in deg/s, and
-    near 0 or below if the axes differ. The sign of the accelerometer does not matter. The result is None if the
-    recording does not show the rotation.
+    for w in rad/s with the axes of the accelerometer, whose sign does not matter, pi/180 for deg/s, and near 0 or below
+    for other axes. None if the recording does not show it.
     """
     time_s, force = _complete(time_s, force)
     rate_time_s, rate = _complete(rate_time_s, rate)

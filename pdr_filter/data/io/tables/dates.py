@@ -45,10 +45,7 @@ _MOST_DAYS = 32  # in a block of rows; each takes a look at all of them
 
 
 def is_date(text: str) -> bool:
-    """Return True if a field holds a date with a time of day, a time of day, minutes and seconds, or a duration.
-
-    A duration is a text such as 0.02 sec.
-    """
+    """Return True for a date with a time of day, a time of day, minutes and seconds, or a duration as 0.02 sec."""
     return _found_in(text.strip()) is not None
 
 
@@ -57,10 +54,9 @@ def _found_in(text: str) -> re.Match[str] | None:
 
 
 def nanoseconds_of(text: str) -> int:
-    """Return a date as whole nanoseconds since 1970, or a time of day as nanoseconds since midnight.
+    """Return a date as nanoseconds since 1970, a time of day since midnight, and a duration as its own.
 
-    Minutes and seconds such as 23:02.844, and durations such as 0.02 sec, become their nanoseconds. ValueError for
-    another text.
+    ValueError for another text.
     """
     found = _found_in(text.strip())
     if found is None:
@@ -74,10 +70,7 @@ def nanoseconds_of(text: str) -> int:
 
 
 def as_nanoseconds(rows: bytes, separator: bytes, place: int) -> bytes:
-    """Return rows of text in which the dates and times of one column are replaced by nanoseconds.
-
-    `place` is the index of the column. Other texts in the column are unchanged.
-    """
+    """Return rows of text with the dates and times in column number `place` as nanoseconds, other texts unchanged."""
     mark = re.escape(separator)
     column = re.compile(rb'(?m)^((?:[^\n%b]*%b){%d})"?([^\n"%b]*)"?' % (mark, mark, place, mark))
 
@@ -89,12 +82,9 @@ def as_nanoseconds(rows: bytes, separator: bytes, place: int) -> bytes:
 
 
 def column_nanoseconds(rows: bytes, separator: bytes, place: int) -> IntArray | None:
-    """Return the dates of one column as nanoseconds (N,), for N complete rows whose dates all have one form.
+    """Return the dates of column number `place` as nanoseconds (N,) as `nanoseconds_of`, ten times as fast.
 
-    `place` is the index of the column. A date with time gives nanoseconds since 1970, a time of day those since
-    midnight, and a duration its own. The result is None if a row is incomplete, contains quotes, or has a date of
-    another width or form. It is also None for dates with a time zone, am or pm. `as_nanoseconds` reads such rows, but
-    takes ten times as long.
+    None unless N rows are complete, without quotes, and their dates have one width and form, without zone, am or pm.
     """
     if not rows.endswith(b"\n") or b'"' in rows:
         return None
@@ -132,10 +122,7 @@ def column_nanoseconds(rows: bytes, separator: bytes, place: int) -> IntArray | 
 
 
 def _digits(fields: NDArray[np.uint8], begin: int, end: int) -> IntArray | None:
-    """Return the whole numbers (N,) in the columns `begin` to `end` of characters `fields` (N, width).
-
-    None if any character is not a digit.
-    """
+    """Return the whole numbers (N,) in some columns of characters (N, width), or None if one is not a digit."""
     digits = fields[:, begin:end].astype(np.int64) - ord("0")
     if ((digits < 0) | (digits > 9)).any():
         return None
@@ -143,10 +130,9 @@ def _digits(fields: NDArray[np.uint8], begin: int, end: int) -> IntArray | None:
 
 
 def _days(fields: NDArray[np.uint8], found: re.Match[str]) -> IntArray | None:
-    """Return the start of the day of each date, in ns since 1970, or zeros for times of day without a date.
+    """Return the start of the day of each date in ns since 1970, zeros without a date, None for over 32 days.
 
-    `fields` (N, width) holds the characters of the dates, `found` the form of the first. The result is None if there
-    are more than 32 different days.
+    `fields` (N, width) holds the characters of the dates, `found` the form of the first.
     """
     days = np.zeros(len(fields), dtype=np.int64)
     left = np.ones(len(fields), dtype=bool)
@@ -163,10 +149,9 @@ def _days(fields: NDArray[np.uint8], found: re.Match[str]) -> IntArray | None:
 
 
 def without_midnights(ns: IntArray) -> IntArray:
-    """Return times of day in ns without the backward jumps at midnight, or at the full hour for times mm:ss.
+    """Return times of day in ns without the backward jumps at midnight, or at the full hour for mm:ss.
 
-    After each jump, a day is added to all later times, or an hour if all times are below one hour. Dates (nanoseconds
-    since 1970) are unchanged.
+    Dates (nanoseconds since 1970) are unchanged.
     """
     if len(ns) == 0 or ns.max() >= _NS_OF_DAY:
         return ns
@@ -177,10 +162,10 @@ def without_midnights(ns: IntArray) -> IntArray:
 
 @lru_cache(maxsize=1000)
 def _day_ns(first: str, middle: str, last: str) -> int:
-    """Return the nanoseconds from 1970 to the start of a day, or zero if all three parts of the date are empty.
+    """Return the nanoseconds from 1970 to the start of a day, or zero for three empty parts.
 
-    The parts are year, month, day, or day, month, year. If the second part exceeds 12, month and day are exchanged.
-    ValueError if they are no date from 1900 to 2200.
+    They are year, month, day, or the reverse; month and day are exchanged if only that is a date. ValueError for no
+    date from 1900 to 2200.
     """
     if not first:
         return 0

@@ -47,8 +47,7 @@ def is_json(head: bytes) -> bool:
 def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> list[Sheet]:
     """Return the tables in a JSON text, one for each sensor. Tables without numbers are left out.
 
-    If the text is damaged and `notes` is a list, the rows before the damage are returned with a note. RecordingError
-    if `notes` is None, or if no complete object comes before the damage.
+    If it is damaged, the rows before that are returned with a note; without `notes` or any object, RecordingError.
     """
     where = members.where(name)
     tables: dict[str, _Columns] = {}
@@ -62,11 +61,7 @@ def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> 
 
 
 def json_fields(members: Members, name: str) -> list[Sheet]:
-    """Return the tables in a JSON text with the names of their columns, but without values.
-
-    Only the objects in the first bytes of the text are read. If the first object is longer, the whole text is read. A
-    text that is damaged gives the tables before the damage.
-    """
+    """Return the tables of JSON without values, from the first bytes, or from all if no object ends in them."""
     head, found = members.head(name), dict[str, dict[str, None]]()
     for pieces in ([head], members.pieces(name)):
         with suppress(RecordingError):
@@ -84,9 +79,8 @@ def json_fields(members: Members, name: str) -> list[Sheet]:
 def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = None) -> Iterator[Row]:
     """Iterate over the JSON objects in a text, which are elements of an array or follow one another.
 
-    If the text is damaged or ends within an object, the objects before it are returned and a note is added to `notes`.
-    Raises RecordingError instead if `notes` is None, or if no complete object comes before the damage. A text that is
-    not UTF-8 always raises it.
+    Damage ends them with a note, or with RecordingError if `notes` is None, if no object comes before it, or if the
+    text is not UTF-8.
     """
     decoder, utf_8 = json.JSONDecoder(), codecs.getincrementaldecoder("utf-8")()
     text, n_found, n_open, wanted = "", 0, 0, 0
@@ -132,8 +126,8 @@ def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = No
 def _rows_of(item: Row, name: str = "", depth: int = 0) -> Iterator[tuple[str, list[Row] | dict[str, list[Any]]]]:
     """Yield the name and the rows or columns of the tables in a JSON object.
 
-    The name is the sensor that a row names. Otherwise it is the key of the table, or `name` for keys such as "data". An
-    object that is a row itself is a table of one row. Objects in which lists are nested are searched, too.
+    The name is the sensor that a row names, else the key, or `name` for keys such as "data". An object that is a row
+    itself is a table of one row. Nested objects are searched, too.
     """
     lists = {key: cast("list[Any]", value) for key, value in item.items() if isinstance(value, list)}
     tables = {key: [cast("Row", row) for row in rows if isinstance(row, dict)] for key, rows in lists.items()}
@@ -166,9 +160,9 @@ def _sensor_of(row: Row) -> str:
 
 
 def _flat(item: Row, before: str = "", depth: int = 0) -> Row:
-    """Return the values in a nested object by name, with points between the names of the levels.
+    """Return the values in a nested object by name, with points between levels, except keys such as "values".
 
-    A list of three values becomes x, y and z. Other lists are left out. Keys such as "values" add no level.
+    A list of three values becomes x, y and z. Other lists are left out.
     """
     found: Row = {}
     for key, value in item.items():
@@ -189,8 +183,7 @@ class _Columns:
     def __init__(self, where: str) -> None:
         self._where = where
         self._rows: list[Row] = []
-        self._lengths: list[int] = []
-        self._parts: list[dict[str, _Column]] = []
+        self._parts: list[tuple[int, dict[str, _Column]]] = []  # number of rows, and columns
 
     def add(self, rows: list[Row] | dict[str, list[Any]]) -> None:
         if isinstance(rows, dict):
@@ -206,16 +199,12 @@ class _Columns:
         self._keep_rows()
         columns: dict[str, FloatArray | IntArray] = {}
         places: dict[str, list[int]] = {"": [], "date": [], "exact": []}
-        for i, field in enumerate(dict.fromkeys(key for part in self._parts for key in part)):
-            parts = zip(self._parts, self._lengths, strict=True)
-            known = [part.get(field, (np.full(n, np.nan), "")) for part, n in parts]
+        for i, field in enumerate(dict.fromkeys(key for _, part in self._parts for key in part)):
+            known = [part.get(field, (np.full(n, np.nan), "")) for n, part in self._parts]
             kinds = {kind for _, kind in known}
             kind = kinds.pop() if len(kinds) == 1 else ""
-            column = np.concatenate([column for column, _ in known])
-            whole = column.astype(np.int64) if kind else None
-            columns[field] = (
-                column.astype(float) if whole is None else without_midnights(whole) if kind == "date" else whole
-            )
+            column: Any = np.concatenate([column for column, _ in known]).astype(np.int64 if kind else float)
+            columns[field] = without_midnights(column) if kind == "date" else column
             places[kind].append(i)
         if not columns:
             return None
@@ -231,8 +220,7 @@ class _Columns:
 
     def _keep(self, columns: dict[str, list[Any]], n: int) -> None:
         found = {key: _column(values, self._where) for key, values in columns.items()}
-        self._parts.append({key: column for key, column in found.items() if column is not None})
-        self._lengths.append(n)
+        self._parts.append((n, {key: column for key, column in found.items() if column is not None}))
 
 
 _Column = tuple[FloatArray | IntArray, str]  # values, and whether they are dates or exact whole numbers
@@ -241,8 +229,8 @@ _Column = tuple[FloatArray | IntArray, str]  # values, and whether they are date
 def _column(values: list[Any], where: str) -> _Column | None:
     """Return the values of a column and their kind, or None for a column of text.
 
-    The kind is "date" for dates, as int64 nanoseconds, and "exact" for int64 numbers that a float would round. It is ""
-    for floats, with NaN for missing values. Dates and exact numbers with a missing value become floats, too.
+    The kind is "date" for int64 nanoseconds, "exact" for int64 numbers that a float would round, and "" for floats,
+    which all others and those with a missing value become.
     """
     first = next((value for value in values if value not in (None, "", "null")), None)
     try:
@@ -264,8 +252,7 @@ def _column(values: list[Any], where: str) -> _Column | None:
 def table_of_rows(rows: Sequence[Row], columns: Sequence[str], where: str, notes: list[str]) -> NumberTable:
     """Return a table of JSON objects: the key `time` as whole numbers, and the keys in `columns` as floats.
 
-    Objects whose time is null or empty are left out. RecordingError if the first object lacks one of the keys, or if a
-    value is not a number.
+    Objects without a time are left out. RecordingError for a missing key, or a value that is not a number.
     """
     if rows and (missing := [key for key in ("time", *columns) if key not in rows[0]]):
         found = ", ".join(map(str, rows[0]))[:120]
@@ -287,10 +274,7 @@ def table_of_rows(rows: Sequence[Row], columns: Sequence[str], where: str, notes
 
 
 def _wholes(texts: list[str]) -> list[int | None]:
-    """Convert texts of numbers to integers without their fractions, and empty texts and words such as null to None.
-
-    ValueError for any other text.
-    """
+    """Convert texts of numbers to integers without fractions, and empty ones or null to None. ValueError for others."""
     return [*map(int if _WHOLE.fullmatch(",".join(texts)) else whole_number, texts)]
 
 

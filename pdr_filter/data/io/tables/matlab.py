@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.data.io.files.archive import Members
+from pdr_filter.data.io.files.archive import Members, most_unpacked
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.text_sheets import unlike
 from pdr_filter.values import FloatArray, IntArray, limits
@@ -58,10 +58,7 @@ def matlab_sheets(members: Members, name: str) -> list[Sheet]:
 
 @dataclass(frozen=True, slots=True)
 class _Opaque:
-    """Variable of a MATLAB file that is an object of the class `kind`.
-
-    `value` holds the integers with which the file refers to the object; `number` identifies it among the objects.
-    """
+    """Variable of a MATLAB file that is an object of the class `kind`; `value` are the integers that refer to it."""
 
     name: str
     kind: str
@@ -79,7 +76,7 @@ class _File:
         if len(content) < 128:
             raise ValueError("too short")
         self._order = "<" if content[126:128] == b"IM" else ">"
-        self._unpacked_left = max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * len(content))
+        self._unpacked_left = most_unpacked(len(content))
         self._elements_left = _MAX_ELEMENTS
         (self._objects_at,) = struct.unpack_from(self._order + "q", content, 116)
         self.variables: dict[str, Any] = {}
@@ -96,10 +93,7 @@ class _File:
                 self.variables[found[0]] = found[1]
 
     def sheets(self, where: str) -> list[Sheet]:
-        """Return a table for each timetable, and one for each length of the other columns.
-
-        An array with three columns gives the axes x, y and z. RecordingError if there is no table.
-        """
+        """Return a table for each timetable, and one for each length of other columns, where three are x, y and z."""
         found: list[Sheet] = []
         plain: dict[int, dict[str, FloatArray]] = {}
         for name, value in list(self.variables.items())[: limits.MAX_TABLES]:
@@ -172,9 +166,9 @@ class _File:
     # ------------------------------------------------------------------------------------------- elements
 
     def _elements(self, content: bytes, at: int) -> Iterator[tuple[int, int, bytes]]:
-        """Yield the start index, kind and bytes of consecutive data elements, which begin at the index `at`.
+        """Yield the start index, kind and bytes of consecutive data elements from the index `at` on.
 
-        The elements in a compressed element are yielded in its place, all with its start index.
+        Those in a compressed element come in its place, with its start index.
         """
         while at + 8 <= len(content):
             self._elements_left -= 1
@@ -202,7 +196,7 @@ class _File:
     def _matrix(self, content: bytes, depth: int) -> tuple[str, Any] | None:
         """Return name and value of a matrix element, or None for a kind that no table needs.
 
-        The value is an array, a text, a list of cells, the dict of a structure, or the `_Opaque` of an object.
+        The value is an array, a text, a list of cells, the dict of a structure, or an `_Opaque` object.
         """
         if depth > _MAX_DEPTH:
             raise ValueError("too deep")
@@ -253,9 +247,6 @@ def _is_object(value: Any) -> bool:
 
 
 def _object_number(value: Any) -> int:
-    """Return the number of a MATLAB object, from the integers with which the file refers to it.
-
-    The integers are a mark, the number n of dimensions, n sizes, and then the number of the object.
-    """
+    """Return the number of a MATLAB object from the integers that refer to it: a mark, n, n sizes, and the number."""
     words = np.asarray(value.value if isinstance(value, _Opaque) else value).ravel().astype(int)
     return int(words[2 + words[1]])

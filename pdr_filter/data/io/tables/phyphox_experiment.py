@@ -1,11 +1,8 @@
 """phyphox (iOS, Android): wall clock, pauses and phone, which the app writes into the folder `meta` beside its tables.
 
-The reader of a whole export is `data.io.tables.any_table.read_table`: it finds the columns by their headers, takes
-units and sign from the dialect `phyphox` of `data.io.tables.app_dialects`, and calls `read_experiment` for the folder
-`meta`. `apps.live.sources.Phyphox` reads from a phone whose remote access is on.
-
-Layout after the app's export code (github.com/phyphox/phyphox-android, DataExport.java). Time is in seconds of the
-experiment, which stands still while it is paused.
+`any_table` reads the tables. `apps.live.sources.Phyphox` reads from a phone whose remote access is on. Layout after the
+app's export code (github.com/phyphox/phyphox-android, DataExport.java). Time is in seconds of the experiment, which
+stands still while it is paused.
 """
 
 from __future__ import annotations
@@ -20,11 +17,7 @@ from pdr_filter.values import how_often
 
 
 def read_experiment(members: Members, parsed: Parsed) -> None:
-    """Add what the folder `meta` of a phyphox export says about the experiment to `parsed`.
-
-    time.csv gives the wall clock time of the start and the number of pauses. device.csv gives the phone model and the
-    version of the app. Without both files `parsed` does not change.
-    """
+    """Add start, pauses (time.csv), phone model and app version (device.csv) of a phyphox export to `parsed`."""
     names = {PurePosixPath(name).name: name for name in members.names if PurePosixPath(name).parent.name == "meta"}
     if not {"time.csv", "device.csv"} & names.keys():
         return

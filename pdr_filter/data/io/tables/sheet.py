@@ -56,10 +56,7 @@ class Sheet:
         return cls(name, where, tuple(columns), parse, dates=frozenset(dates), exact=frozenset(exact))
 
     def using(self, places: Set[int | None], notes: list[str]) -> Sheet:
-        """Return a copy of the sheet that parses the given columns together, and adds repairs to `notes`.
-
-        `places` are indices of columns. A place that is negative or None stands for a missing column and is ignored.
-        """
+        """Return a sheet that parses the given columns together, with repairs in `notes`. -1 and None are none."""
         used = {place for place in places if place is not None and place >= 0}
         beside = {place for p in used if (place := column_of_nanoseconds(self.fields, p)) is not None}
         return replace(self, used=(used | beside) - self.dates, notes=notes)
@@ -67,10 +64,8 @@ class Sheet:
     def stream(self, places: Sequence[int], time: int | None) -> tuple[IntArray | FloatArray, FloatArray]:
         """Return the times (N,) and the values (N, d) of those rows that have a value in one of the given columns.
 
-        `places` are the indices of the columns. A place that the table does not have (-1) gives NaN. `time` is the
-        index of the column of times. Times are integers if a float would lose digits, as for nanoseconds. If `time` is
-        None, the times are row numbers from 0. Rows without a value occur if sensors of different rates share a table.
-        The table is parsed once for each column of integer times, and the result is kept.
+        A place that the table does not have (-1) gives NaN. Times are integers if a float would lose digits, and row
+        numbers if `time` is None. The table is parsed once for each column of integer times.
         """
         exact = time if time is not None and time in self.dates | self.exact else None
         numbers = sorted(self.used)

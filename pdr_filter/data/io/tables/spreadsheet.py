@@ -35,10 +35,7 @@ def is_spreadsheet(members: Members, name: str = "") -> bool:
 
 
 def spreadsheet_sheets(members: Members) -> list[Sheet]:
-    """Return the tables in the sheets of a spreadsheet. Sheets without a table are left out.
-
-    RecordingError if the spreadsheet is damaged, or if the package that reads it is not installed.
-    """
+    """Return the tables in the sheets of a spreadsheet. RecordingError if it is damaged or its package is missing."""
     path = members.path
     if importlib.util.find_spec("python_calamine") is None:
         raise RecordingError(

@@ -22,11 +22,7 @@ def plain(value: Any) -> Any:
 
 
 def print_sheets() -> None:
-    """Write the names and rows of the sheets of a spreadsheet as JSON to the standard output.
-
-    The function is the entry point of the child process. The spreadsheet comes from the standard input, and the first
-    argument is the largest number of sheets.
-    """
+    """Write names and rows of the sheets of a spreadsheet on standard input as JSON. Argument: the most sheets."""
     from python_calamine import CalamineWorkbook
 
     with contextlib.suppress(ImportError, ValueError, OSError):  # not on every system

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +16,9 @@ from pdr_filter.values import BoolArray, FloatArray, IntArray, interpolated_near
 from pdr_filter.values.errors import RecordingError
 
 
-class _MappedStream(NamedTuple):
-    """Values (N, d) of a stream at times (N,) that are counted in ticks of `unit_s` seconds.
-
-    Integer ticks keep all digits of long times, such as nanoseconds since 1970.
-    """
+@dataclass(frozen=True, slots=True, eq=False)
+class _MappedStream:
+    """Values (N, d) of a stream at times (N,) in ticks of `unit_s` seconds, integers if a float would lose digits."""
 
     ticks: IntArray | FloatArray
     unit_s: float
@@ -36,8 +35,8 @@ class _Zero(NamedTuple):
 def fill_streams(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
     """Fill `parsed` with the streams of a mapping, read from the tables, and with the properties of their times.
 
-    If there is only an acceleration without gravity, `parsed.linear` gets the names of its columns. RecordingError
-    unless each column of the mapping is in its table once.
+    `parsed.linear` gets the columns of an acceleration without gravity. RecordingError unless each column is there
+    once.
     """
     _describe_clock(parsed, mapping)
     found = {stream.stream: _read(stream, mapping, sheets) for stream in mapping.streams}
@@ -68,10 +67,7 @@ def _describe_clock(parsed: Parsed, mapping: Mapping) -> None:
 
 
 def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _MappedStream:
-    """Return a stream of a mapping from its table, in the units and with the signs of `Recording`.
-
-    Of repeated locations, only the first is kept.
-    """
+    """Return a stream of a mapping in the units and with the signs of `Recording`, without repeated locations."""
     sheet = _sheet_of(stream, mapping, sheets)
     time = _place(stream.time, sheet, mapping) if stream.time else None
     ticks, values = sheet.stream([_place(name, sheet, mapping) if name else -1 for name in stream.columns], time)
@@ -84,10 +80,9 @@ def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Mapp
 
 
 def _combined(found: dict[str, _MappedStream]) -> dict[str, _MappedStream]:
-    """Return the streams of a recording.
+    """Return the streams of a recording, with the angles as quaternions of the stream "attitude".
 
-    A missing accelerometer is the sum of linear acceleration and gravity, or the linear acceleration if there is no
-    gravity either. Angles become the quaternions of the stream "attitude".
+    A missing accelerometer is the sum of linear acceleration and gravity, or the former if there is no gravity.
     """
     streams = {name: stream for name, stream in found.items() if name not in (GRAVITY, LINEAR, ANGLES)}
     if GRAVITY in found and LINEAR in found and "accelerometer" not in found:
@@ -95,8 +90,7 @@ def _combined(found: dict[str, _MappedStream]) -> dict[str, _MappedStream]:
     elif LINEAR in found and "accelerometer" not in found:
         streams["accelerometer"] = found[LINEAR]
     if ANGLES in found:
-        angles = found[ANGLES]
-        streams["attitude"] = angles._replace(values=quaternion_of(*angles.values.T))
+        streams["attitude"] = replace(found[ANGLES], values=quaternion_of(*found[ANGLES].values.T))
     return streams
 
 
@@ -105,10 +99,7 @@ def _has_whole_ticks(stream: _MappedStream) -> bool:
 
 
 def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
-    """Return quaternions (w, x, y, z), from sensor to world with z up, from the angles of CoreMotion.
-
-    The rotation matrix is R = Rz(yaw) Rx(pitch) Ry(roll).
-    """
+    """Return quaternions (w, x, y, z), sensor to world, of CoreMotion's angles: R = Rz(yaw) Rx(pitch) Ry(roll)."""
     with np.errstate(invalid="ignore"):
         (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a / 2), np.sin(a / 2)) for a in (roll_rad, pitch_rad, yaw_rad))
     # q_z(yaw) q_x(pitch) = (cy cp, cy sp, sy sp, sy cp); times q_y(roll) = (cr, 0, sr, 0)
@@ -117,35 +108,25 @@ def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArr
 
 
 def is_new_position(values: FloatArray) -> BoolArray:
-    """Return True for each row whose location is known and differs from the location of the row before, shape (N,).
-
-    `values` (N, d) begin with latitude and longitude. Tables with a row for each sample repeat locations. Latitude 0
-    with longitude 0 is not a location.
-    """
+    """Return a mask of rows (latitude, longitude, ...) that are known, not (0, 0), and not as the row before."""
     changes = np.ones(len(values), dtype=bool)
     changes[1:] = (values[1:, :2] != values[:-1, :2]).any(axis=1)
     return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)
 
 
 def _summed(linear: _MappedStream, gravity: _MappedStream) -> _MappedStream:
-    """Return the sum of linear acceleration and gravity at the times of the linear acceleration.
-
-    Gravity is interpolated if its times differ. The sum is NaN in gaps of gravity.
-    """
+    """Return linear acceleration plus gravity, interpolated if its times differ, and NaN in its gaps."""
     zero = _Zero(linear.ticks[0].item() if len(linear.ticks) else 0, linear.unit_s)
     at_s, known_s = _seconds(linear, zero), _seconds(gravity, zero)
     if np.array_equal(at_s, known_s):
-        return linear._replace(values=linear.values + gravity.values)
+        return replace(linear, values=linear.values + gravity.values)
     known = ~np.isnan(known_s)
     at_linear = interpolated_near(at_s, known_s[known], gravity.values[known], limits.GRAVITY_GAP_S)
-    return linear._replace(values=linear.values + at_linear)
+    return replace(linear, values=linear.values + at_linear)
 
 
 def _seconds(stream: _MappedStream, zero: _Zero) -> FloatArray:
-    """Return the times of a stream since `zero`, in s.
-
-    Differences of whole numbers keep all digits, so they are taken before the conversion to seconds.
-    """
+    """Return the times of a stream since `zero`, in s. Differences of whole numbers come first, to keep all digits."""
     if stream.unit_s == zero.unit_s or zero.tick == 0:
         return np.asarray(stream.ticks - zero.tick, dtype=np.float64) * stream.unit_s
     return stream.ticks.astype(np.float64) * stream.unit_s - float(zero.tick) * zero.unit_s

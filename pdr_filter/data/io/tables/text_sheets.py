@@ -49,10 +49,7 @@ class TextRows:
     only: tuple[int, str] | None = None  # a column and its text in the selected rows
 
     def __call__(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
-        """Return the columns with the indices `numbers` as floats, and the column `whole` as integers.
-
-        `whole` is usually a column of times. Dates become nanoseconds. If `whole` is None, the integers are zeros.
-        """
+        """Return the columns `numbers` as floats, and `whole` as integers: nanoseconds of dates, zeros for None."""
         names = tuple(self.fields[i] for i in numbers)
         layout = Layout(tuple(numbers), whole, self.separator, self.decimal, names)
         if whole is None or whole not in self.dates:
@@ -68,11 +65,7 @@ class TextRows:
         return NumberTable(without_midnights(found.whole), found.values)
 
     def _dated(self, rows: bytes, layout: Layout, dates: int, notes: list[str], line: int) -> NumberTable:
-        """Return the numbers of rows whose column with the index `dates` holds dates.
-
-        Dates become nanoseconds since 1970, times of day those since midnight, and durations such as 0.02 sec their
-        nanoseconds.
-        """
+        """Return the numbers of rows whose column number `dates` holds dates, which become nanoseconds."""
         try:
             ns = column_nanoseconds(rows, self.separator.encode(), dates)
             if ns is not None:
@@ -86,11 +79,7 @@ class TextRows:
             raise RecordingError(f"{self.where}: {error}") from error
 
     def _rows(self) -> Iterator[bytes]:
-        """Yield the rows of the table in blocks of bytes, without the lines above the table.
-
-        If `only` is set, only rows with its text in its column are included. If blanks separate the fields, several
-        blanks become one.
-        """
+        """Yield the rows in blocks of bytes: those of `only`, if set, and with one blank if blanks separate fields."""
         left = self.n_before
         for block in self.blocks():
             at = 0
@@ -129,11 +118,7 @@ class TextRows:
 
 
 def by_text(sheet: Sheet, column: int) -> list[Sheet]:
-    """Split a sheet of a text file into one sheet for each different value of a column, such as the name of the sensor.
-
-    Each new sheet has the value as its name, and the rows with this value. The list is empty if there are more than 40
-    values, or if the sheet is not from a text file.
-    """
+    """Split the sheet of a text file by the values of a column, such as the sensor; empty if it has over 40."""
     if not isinstance(rows := sheet.parse, TextRows):
         return []
     return [replace(sheet, name=name, parse=replace(rows, only=(column, name))) for name in rows.texts_of(column)]
@@ -142,8 +127,7 @@ def by_text(sheet: Sheet, column: int) -> list[Sheet]:
 def text_sheets(members: Members, member: str, separator: str | None = None) -> list[Sheet]:
     """Return the tables in a text file, which usually has one table or none.
 
-    A file has several tables, one below the other, if several lines begin with its first column name in quotation
-    marks, and if no two of these lines are equal. These lines are the headers of the tables.
+    It has several if several different lines begin with its first column name in quotation marks: their headers.
     """
     header = members.head(member).removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0].strip()
     if header.startswith(b'"') and (first := re.match(rb'"[^"\d]*"', header)):
@@ -167,10 +151,7 @@ def _begins(block: bytes, first: bytes) -> list[int]:
 
 
 def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[bytes]:
-    """Yield the blocks of bytes of table number n, counted from 0, of several tables in a text.
-
-    Each table begins with a line that begins with `first`.
-    """
+    """Yield the blocks of table number n, from 0, of several in a text, whose headers begin with the bytes `first`."""
     at = -1
     for block in members.blocks(member):
         begins = _begins(block, first)
@@ -185,8 +166,8 @@ def text_sheet(
 ) -> Sheet | None:
     """Return the table in a text file, or None if there is none.
 
-    If `separator` is None, the separator is taken that splits the first rows into the largest share of numbers.
-    `blocks` yields the text in pieces, if it is not the content of the file `member`.
+    Without `separator`, the one is taken that gives the first rows the largest share of numbers. `blocks` yields a text
+    that is not the content of the file `member`.
     """
     head = members.head(member) if blocks is None else next(blocks(), b"")[: limits.HEAD_BYTES]
     if b"\x00" in head[:4096]:
@@ -220,10 +201,7 @@ def text_sheet(
 
 
 def unlike(names: Sequence[str]) -> tuple[str, ...]:
-    """Return unique column names.
-
-    A third column without a name gets the name "column 3". A name that occurs again becomes "NAME #2", then "NAME #3".
-    """
+    """Return unique column names: "column 3" for a third one without a name, and "NAME #2" for a second NAME."""
     found: list[str] = []
     for i, name in enumerate(names, 1):
         name = name or f"column {i}"
@@ -244,10 +222,7 @@ class _Found:
 
 
 def _lines(head: bytes) -> list[str]:
-    """Return the complete lines in the first bytes of a text.
-
-    Bytes that are not UTF-8 are decoded with the code page in which most names of columns are known.
-    """
+    """Return the complete lines in the first bytes of a text, in UTF-8 or the code page with most known names."""
     try:
         text = head.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -257,19 +232,16 @@ def _lines(head: bytes) -> list[str]:
 
 
 def _n_known(text: str) -> int:
-    """Return the number of different fields of the first lines that are non-ASCII names of a time, quantity or axis.
-
-    The code page for which this number is largest is used to decode the text.
-    """
+    """Return the number of non-ASCII fields in the first lines that are names of a time, quantity or axis."""
     fields = {field.strip(' "') for line in text.splitlines()[:_LINES_TRIED] for field in re.split(r"[,;|\t]", line)}
     columns = [(name, column_of(0, name)) for name in fields if not name.isascii()]
     return sum(is_time(name) or bool(column.quantity or column.axis) for name, column in columns)
 
 
 def _layout(lines: list[str], separator: str) -> _Found | None:
-    """Return first row, header and decimal mark of the table in lines, if `separator` separates its fields.
+    """Return first row, header and decimal mark of the table in lines, if `separator` separates its fields, or None.
 
-    None if the lines are no such table. RecordingError if its commas are both in numbers and between them.
+    RecordingError if its commas are both in numbers and between them.
     """
     # Line ends that were converted twice leave a blank line after each.
     places = [*islice((i for i, line in enumerate(lines) if line.strip()), _LINES_TRIED + _LINES_COMPARED)]
@@ -323,10 +295,7 @@ def _is_value(text: str) -> bool:
 
 
 def _is_row(row: list[str]) -> bool:
-    """Return True if the fields of a line are the values of a sample.
-
-    It has at least two numbers or dates, and they are most of the fields that are not empty.
-    """
+    """Return True if at least two fields of a line, and most of those that are not empty, are numbers or dates."""
     known = [text for text in row if text]
     n_values = sum(map(_is_value, known))
     return n_values >= 2 and 2 * n_values > len(known)
