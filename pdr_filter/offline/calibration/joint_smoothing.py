@@ -46,60 +46,30 @@ _MIN_PROB = 1e-3  # a mode with a smaller probability adds less than a millimetr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationWalk:
-    """Walk of a calibration by smoothing: the person, the walk as the smoother sees it, and stretches of known length.
+    """Walk of a calibration by smoothing, with its person and stretches of known length."""
 
-    Attributes
-    ----------
-    subject : str
-        Name of the person.
-    height_m : float or None
-        Body height of the person.
-    walk : ReckonedWalk
-        Walk with its observations.
-    segments : tuple of Segment
-        Stretches of known length that are not positions, such as strides.
-    """
-
-    subject: str
-    height_m: float | None
-    walk: ReckonedWalk
-    segments: tuple[Segment, ...] = ()
+    subject: str  # name of the person
+    height_m: float | None  # body height of the person
+    walk: ReckonedWalk  # walk with its observations
+    segments: tuple[Segment, ...] = ()  # stretches of known length that are not positions, such as strides
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointEstimate:
-    """Parameters of the population (P,) and of S people (S, P), with covariances, and the smoothed walks.
+    """Parameters of the population (P,) and of S people (S, P), with covariances, and the smoothed walks."""
 
-    Attributes
-    ----------
-    population, population_cov : array (P,), (P, P)
-        Parameters of the population.
-    people, people_cov : array (S, P), (S, P, P)
-        Parameters of each person.
-    smoothed : tuple of Smoothed
-        Smoothed walks.
-    between_cov : array (P, P)
-        Covariance of the parameters between people.
-    recording_std : float
-        Relative standard deviation of one person's scale between recordings.
-    outliers : tuple of list of bool
-        True for each stretch of known length of each walk that was rejected.
-    n_iterations : int
-        Number of linearisations of the step lengths.
-    converged : bool
-        False if the parameters still changed in the last iteration.
-    """
-
+    # (P,), (P, P) parameters of the population
     population: FloatArray
     population_cov: FloatArray
+    # (S, P), (S, P, P) parameters of each person
     people: FloatArray
     people_cov: FloatArray
-    smoothed: tuple[Smoothed, ...]
-    between_cov: FloatArray
-    recording_std: float
-    outliers: tuple[list[bool], ...]
-    n_iterations: int
-    converged: bool
+    smoothed: tuple[Smoothed, ...]  # smoothed walks
+    between_cov: FloatArray  # (P, P) covariance of the parameters between people
+    recording_std: float  # relative standard deviation of one person's scale between recordings
+    outliers: tuple[list[bool], ...]  # True for each stretch of known length of each walk that was rejected
+    n_iterations: int  # number of linearisations of the step lengths
+    converged: bool  # False if the parameters still changed in the last iteration
 
 
 @dataclass(frozen=True, slots=True, eq=False)

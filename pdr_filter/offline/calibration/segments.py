@@ -236,42 +236,20 @@ class SegmentSums:
 
     The predicted length of a segment is | regressors @ theta + offset_m |. theta (P,) are the parameters of the person,
     for all contexts one after the other (`slices_of`).
-
-    Attributes
-    ----------
-    regressors : array (N, 2, P)
-        Sums over the steps of context probability times regressors times (sin, cos) of the heading. The second row is
-        zero if step lengths are summed.
-    offset_m : array (N, 2)
-        Constant part of the displacement, zero for models that are linear in theta.
-    distance_m : array (N,)
-        Known length.
-    anchor_std_m : array (N,)
-        Standard deviation of the known length.
-    n_steps : array (N,)
-        Number of steps.
-    context : array (N,) of int
-        Index of the context with most steps.
-    subject : array (N,) of int
-        Index into `subjects`.
-    recording : array (N,) of int
-        Index into `recordings`.
-    subjects : tuple of str
-        Names of the people.
-    recordings : tuple of str
-        Names of the recordings.
     """
 
+    # (N, 2, P) sums over the steps of context probability times regressors times (sin, cos) of the heading. The second
+    # row is zero if step lengths are summed.
     regressors: FloatArray
-    offset_m: FloatArray
-    distance_m: FloatArray
-    anchor_std_m: FloatArray
-    n_steps: FloatArray
-    context: IntArray
-    subject: IntArray
-    recording: IntArray
-    subjects: tuple[str, ...]
-    recordings: tuple[str, ...]
+    offset_m: FloatArray  # (N, 2) constant part of the displacement, zero for models that are linear in theta
+    distance_m: FloatArray  # (N,) known length
+    anchor_std_m: FloatArray  # (N,) standard deviation of the known length
+    n_steps: FloatArray  # (N,) number of steps
+    context: IntArray  # (N,) index of the context with most steps
+    subject: IntArray  # (N,) index into `subjects`
+    recording: IntArray  # (N,) index into `recordings`
+    subjects: tuple[str, ...]  # names of the people
+    recordings: tuple[str, ...]  # names of the recordings
 
     def __post_init__(self) -> None:
         n = len(self.distance_m)

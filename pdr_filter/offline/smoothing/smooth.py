@@ -410,36 +410,16 @@ def _ends_s(track: Track) -> tuple[float, float]:
 
 
 class ReckonedWalk(NamedTuple):
-    """Walk with its observations, as the smoother uses them, for a problem of many walks.
+    """Walk with its observations, as the smoother uses them, for a problem of many walks."""
 
-    Attributes
-    ----------
-    track : Track
-        Dead-reckoned track with smoothed mode probabilities.
-    config : Config
-        Configuration of the track.
-    observed : Observations
-        Observations as given.
-    clocks : dict of str to ClockShift
-        Shifts of the clocks of the observations, which `posed` contains.
-    where : LocationState
-        Geographic origin of the locations.
-    posed : _Posed
-        Problem of the walk alone.
-    found : Solution
-        Solution of `posed`.
-    stood : StandstillSteps
-        Steps within standstills.
-    """
-
-    track: Track
-    config: Config
-    observed: Observations
-    clocks: dict[Source, ClockShift]
-    where: LocationState
-    posed: _Posed
-    found: Solution
-    stood: StandstillSteps
+    track: Track  # dead-reckoned track with smoothed mode probabilities
+    config: Config  # configuration of the track
+    observed: Observations  # observations as given
+    clocks: dict[Source, ClockShift]  # shifts of the clocks of the observations, which `posed` contains
+    where: LocationState  # geographic origin of the locations
+    posed: _Posed  # problem of the walk alone
+    found: Solution  # solution of `posed`
+    stood: StandstillSteps  # steps within standstills
 
     def increments(self, config: Config, *, with_bias: bool) -> Increments:
         """Return the increments of the steps with the step lengths and the noise of a configuration.
