@@ -32,9 +32,9 @@ from pdr_filter.offline.smoothing.factor_graph import (
 )
 from pdr_filter.offline.smoothing.linear_graph import cov_of
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, preintegrate
-from pdr_filter.offline.smoothing.smooth import ReckonedWalk
+from pdr_filter.offline.smoothing.smooth import Posed, ReckonedWalk
 from pdr_filter.offline.smoothing.smoothed import Smoothed
-from pdr_filter.offline.smoothing.solve import solved_from
+from pdr_filter.offline.smoothing.solve import Solution, solved_from
 from pdr_filter.recipes.config import Config
 from pdr_filter.values import FloatArray, IntArray, TrackRows, reference_headings, steps_of
 
@@ -51,6 +51,8 @@ class CalibrationWalk:
     subject: str  # name of the person
     height_m: float | None  # body height of the person
     walk: ReckonedWalk  # walk with its observations
+    posed: Posed  # problem of the walk alone
+    found: Solution  # solution of `posed`
     segments: tuple[Segment, ...] = ()  # stretches of known length that are not positions, such as strides
 
 
@@ -206,7 +208,7 @@ def estimate_jointly(
     population = parameters.mean[parameters.free].copy()
     variances = start = _ScaleVariances(np.diag(parameters.between_std[parameters.personal] ** 2), recording_std**2)
     prior = hierarchy_of(priors, recording_std, tuple(priors))
-    guesses = [w.walk.found for w in walks]
+    guesses = [w.found for w in walks]
     outliers = [[False] * len(w.segments) for w in walks]
     iteration, converged, is_tested = 0, False, loss != "gnc"
     linearised, values = list[_Linearised](), gtsam.Values()
@@ -277,7 +279,7 @@ def estimate_jointly(
     between_cov = np.zeros((n_free, n_free))
     between_cov[np.ix_(parameters.personal, parameters.personal)] = variances.between
     smoothed = [
-        w.walk.smoothed_walk(of_one.steps, of_one.graph.problem, of_one.graph.solution(values, tree, guess))
+        _smoothed(w, of_one, of_one.graph.solution(values, tree, guess))
         for w, of_one, guess in zip(walks, linearised, guesses, strict=True)
     ]
     return JointEstimate(
@@ -292,6 +294,13 @@ def estimate_jointly(
         n_iterations=iteration,
         converged=converged,
     )
+
+
+def _smoothed(of: CalibrationWalk, linearised: _Linearised, found: Solution) -> Smoothed:
+    """Return the smoothed walk for a solution, whose covariances include those of the step-length parameters."""
+    known = np.zeros_like(of.posed.parameter_error_m)
+    posed = Posed(linearised.steps, known, of.posed.used, linearised.graph.problem)
+    return of.walk.on_earth(of.walk.result(posed, found)[0])
 
 
 def _scatter(values: gtsam.Values, tree: Any, parameters: _FreeParameters, people: Iterable[PersonKeys]) -> FloatArray:
@@ -325,8 +334,12 @@ def _linearised(
     names, full = mode_names(model, separate), parameters.all(theta)
     by_name = {name: full[part] for name, part in parameters.slices.items()}
     config = with_parameters(walk.config, parameters.priors, by_name, names, of.height_m, recording_std)
-    steps, with_bias = (walk.increments(config, with_bias=b) for b in (False, True))
-    problem = walk.posed.problem
+    walk = replace(walk, config=config)
+    with_bias, _ = walk.increments()
+    unbiased = walk.track.steps.copy()
+    unbiased["yaw_bias_std_radps"] = 0.0
+    steps, _ = replace(walk, track=replace(walk.track, steps=unbiased)).increments()
+    problem = of.posed.problem
     start_s = float(steps.time_s[0] - steps.duration_s[0])
     lasts_s = max(float(steps.time_s[-1]) - start_s, 1.0)
     bias_var = float((with_bias.drift_var_rad2 - steps.drift_var_rad2).sum())
@@ -336,7 +349,7 @@ def _linearised(
         walk.track, config.model, names, parameters.slices, parameters.n, is_weighted=walk.track.weighting != "imm"
     )
     nodes = problem.intervals.nodes
-    device_rad = walk.posed.used.device_rad[np.maximum(nodes - 1, 0)]
+    device_rad = of.posed.used.device_rad[np.maximum(nodes - 1, 0)]
     return _Linearised(
         steps,
         WalkGraph(
