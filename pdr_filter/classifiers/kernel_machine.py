@@ -25,34 +25,21 @@ class RelevanceVectors(Machine):
     Machine k has the logit t_k(x) = sum_j weights[k, j] phi[basis[k, j]](x) (eq. 4 of Martinelli et al. 2018), where
     phi_0(x) = 1 is the bias and phi_r(x) = K(x, vectors[r - 1]). The largest machine has m basis functions. Smaller
     machines are padded with weights of zero.
-
-    Attributes
-    ----------
-    kernel : {"rbf", "linear"}
-        "rbf": K(x, v) = exp(-||x - v||^2 / (2 width^2)) (eq. 5 of Martinelli et al. 2018). "linear": K(x, v) = x . v.
-    width : float
-        sigma_G of eq. 5 of Martinelli et al. 2018, in units of the features. Unused by the linear kernel.
-    vectors : ndarray, shape (R, F)
-        Relevance vectors of all machines. R may be zero.
-    basis : ndarray of int, shape (K, m)
-        Basis functions of each machine: 0 is the bias, r is the vector r - 1.
-    weights : ndarray, shape (K, m)
-        Posterior means of the weights (eq. 10 of Martinelli et al. 2018), for two or more classes.
-    cov_factor : ndarray, shape (K, m, m)
-        Factor G of the posterior covariance G^T G of the weights (eq. 10 of Martinelli et al. 2018). The variance of
-        the logit is ||G phi||^2. This variance moderates the probabilities: they are nearer to each other if the logits
-        are uncertain. If G is zero, probabilities are not moderated.
-    link : {"sigmoid", "softmax"}
-        Conversion of logits to probabilities: `normalised_sigmoids` for one-against-all machines, or
-        `moderated_softmax` for competing logits.
     """
 
+    # "rbf": K(x, v) = exp(-||x - v||^2 / (2 width^2)) (eq. 5 of Martinelli et al. 2018). "linear": K(x, v) = x . v
     kernel: str
-    width: float
-    vectors: FloatArray
-    basis: IntArray
+    width: float  # sigma_G of eq. 5 of Martinelli et al. 2018, in units of the features. Unused by the linear kernel.
+    vectors: FloatArray  # (R, F) relevance vectors of all machines. R may be zero.
+    basis: IntArray  # (K, m) basis functions of each machine: 0 is the bias, r is the vector r - 1
+    # (K, m) posterior means of the weights (eq. 10 of Martinelli et al. 2018), for two or more classes
     weights: FloatArray
+    # (K, m, m) factor G of the posterior covariance G^T G of the weights (eq. 10 of Martinelli et al. 2018). The
+    # variance of the logit is ||G phi||^2. This variance moderates the probabilities: they are nearer to each other if
+    # the logits are uncertain. If G is zero, probabilities are not moderated.
     cov_factor: FloatArray
+    # conversion of logits to probabilities: `normalised_sigmoids` for one-against-all machines, or `moderated_softmax`
+    # for competing logits
     link: str = "sigmoid"  # the default is for files of version 0.1, which have no link
     _squares: FloatArray = field(init=False, repr=False)  # (R,) squared norms of the vectors
 

@@ -35,26 +35,15 @@ _LOWEST_BYTE = 0 if sys.byteorder == "little" else np.dtype(np.intp).itemsize - 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trees(Stored):
-    """Concatenated arrays of T binary decision trees. Children come after their parents.
+    """Concatenated arrays of T binary decision trees. Children come after their parents."""
 
-    Attributes
-    ----------
-    n_features : int
-        Number F of features of a row.
-    roots : ndarray of int, shape (T,)
-        Root node of each tree.
-    feature : ndarray of int, shape (n_nodes,)
-        Feature that a node compares. Unused in a leaf, where it has any value.
-    threshold : ndarray, shape (n_nodes,)
-        Threshold of a node. A row goes to the left child if its feature, rounded to float32, is at most the threshold.
-    left, right : ndarray of int, shape (n_nodes,)
-        Child nodes. -1 in a leaf.
-    """
-
-    n_features: int
-    roots: IntArray
-    feature: IntArray
+    n_features: int  # number F of features of a row
+    roots: IntArray  # (T,) root node of each tree
+    feature: IntArray  # (n_nodes,) feature that a node compares. Unused in a leaf, where it has any value.
+    # (n_nodes,) threshold of a node. A row goes to the left child if its feature, rounded to float32, is at most the
+    # threshold.
     threshold: FloatArray
+    # (n_nodes,) child nodes. -1 in a leaf
     left: IntArray
     right: IntArray
     # Nodes in the order of evaluation, derived from the fields above: level by level through all trees (first the T

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING
 from pdr_filter.apps.batch.workers import Failure, each
 from pdr_filter.data.io.folders import recordings_of
 from pdr_filter.data.io.formats import known_format, read
-from pdr_filter.filter.step_length.models import StepLengthModel, is_linear
-from pdr_filter.offline.calibration.segments import AnySegment, SummedSegment, segments_of, with_distinct_names
+from pdr_filter.offline.calibration.segments import Segment, segments_of, with_distinct_names
 from pdr_filter.offline.robust_loss import LOSSES
 from pdr_filter.tracking import whole_recording as recording_run
 from pdr_filter.values.safe_files import whole_file
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 class Reduced:
     """Segments of known length of one recording, for the calibration of step lengths."""
 
-    segments: tuple[AnySegment, ...]  # parts of the recording with a known distance, and their steps
+    segments: tuple[Segment, ...]  # parts of the recording with a known distance, and their steps
     notes: tuple[str, ...]  # reasons why the recording, or a part of it, was not used
     is_nameless: bool = False  # the recording has segments but does not name its person
 
@@ -113,9 +112,8 @@ def calibrate(
 
     Notes
     -----
-    Processes exchange no samples. For models that are linear in their parameters, which includes all default models,
-    they exchange only sums over the steps of each segment. All segments are then solved together in the order of the
-    paths, so that the result is bit-identical for any number of processes.
+    Processes exchange no samples, but the steps of the segments. All segments are then solved together in the order of
+    the paths, so that the result is bit-identical for any number of processes.
 
     Examples
     --------
@@ -141,12 +139,9 @@ def calibrate(
         known_format(file_format)
     check_subject(subject, each_a_person)
     files = recordings_of(paths)
-    forms = forms_of(priors, model, prior_std).values()
-    every = {(context, prior.model): None for form in forms for context, prior in form.items()}
-    sums = tuple(every) if all(is_linear(m) for _, m in every) else None
+    forms_of(priors, model, prior_std)
     reduce = partial(
         read_segments,
-        models=sums,
         subject=subject,
         each_a_person=each_a_person,
         file_format=file_format,
@@ -179,22 +174,17 @@ def calibrate(
 
 def read_segments(
     path: str,
-    models: tuple[tuple[str, StepLengthModel], ...] | None,
     subject: str | None = None,
     each_a_person: bool = False,
     file_format: str | None = None,
     anchor_std_m: float | None = None,
     measure: str = "displacement",
 ) -> Reduced:
-    """Read a recording and return its segments of known length.
-
-    Segments have sums over their steps for the given step-length models, or all their steps if `models` is None.
-    """
+    """Read a recording and return its segments of known length."""
     recording = read(path, file_format)
     name = recording.name if each_a_person else subject
     segments, notes = segments_of(recording, recording_run.track(recording, gnss="off"), anchor_std_m, measure, name)
-    small = segments if models is None else [SummedSegment.of(segment, models) for segment in segments]
-    return Reduced(tuple(small), tuple(notes), bool(segments) and not recording.subject.id)
+    return Reduced(tuple(segments), tuple(notes), bool(segments) and not recording.subject.id)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,38 +21,21 @@ _MAX_RATE, _MAX_FACTOR, _EXTRAPOLATED = 0.95, 2.0, 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hierarchy:
-    """Prior of all parameters (P,) and of all variances.
+    """Prior of all parameters (P,) and of all variances."""
 
-    Attributes
-    ----------
-    mean : array (P,)
-        Prior mean of the population's parameters.
-    std : array (P,)
-        Prior standard deviation of the population's parameters: 0 holds a parameter, inf is uninformative.
-    between_std : array (P,)
-        Initial standard deviation between people: 0 for shared parameters, inf for parameters that are independent
-        between people.
-    step_std_m : array (C,)
-        Standard deviation of a single step in each context.
-    recording_std : float
-        Relative standard deviation of one person's scale between recordings.
-    between_dof : float
-        Weight of the prior of the variances between people, as an equivalent number of people. inf holds the variances,
-        0 estimates them from the data alone.
-    recording_dof : float
-        The corresponding weight of `recording_std`, as a number of recordings.
-    noise_dof : float
-        The corresponding weight of the noise of segments, as a number of segments.
-    """
-
-    mean: FloatArray
+    mean: FloatArray  # (P,) prior mean of the population's parameters
+    # (P,) prior standard deviation of the population's parameters: 0 holds a parameter, inf is uninformative
     std: FloatArray
+    # (P,) initial standard deviation between people: 0 for shared parameters, inf for parameters that are independent
+    # between people
     between_std: FloatArray
-    step_std_m: FloatArray
-    recording_std: float
+    step_std_m: FloatArray  # (C,) standard deviation of a single step in each context
+    recording_std: float  # relative standard deviation of one person's scale between recordings
+    # weight of the prior of the variances between people, as an equivalent number of people. inf holds the variances, 0
+    # estimates them from the data alone
     between_dof: float = 10.0
-    recording_dof: float = 10.0
-    noise_dof: float = 10.0
+    recording_dof: float = 10.0  # the corresponding weight of `recording_std`, as a number of recordings
+    noise_dof: float = 10.0  # the corresponding weight of the noise of segments, as a number of segments
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,54 +43,25 @@ class ParameterEstimate:
     """Estimated parameters of the population and of S people from N segments.
 
     The covariances are conditional on the estimated variances.
-
-    Attributes
-    ----------
-    population : array (P,)
-        Parameters of the population.
-    population_cov : array (P, P)
-        Covariance of `population`.
-    people : array (S, P)
-        Parameters of each person.
-    people_cov : array (S, P, P)
-        Covariance of `people`.
-    between_cov : array (P, P)
-        Covariance between people. Infinite on the diagonal for parameters that are independent between people.
-    recording_std : float
-        Relative standard deviation of one person's scale between recordings.
-    noise_factor : array (C,)
-        Ratio of the estimated to the prior variance of the segments of each context.
-    predicted_m : array (N,)
-        Predicted length of each segment with the parameters of the person.
-    left_out_m : array (N,)
-        Predicted length with the person's parameters estimated without this segment.
-    stranger_m : array (N,)
-        Predicted length with the population's parameters estimated without this person. NaN if there are no other
-        people, if they do not determine the parameters, or if a parameter is independent between people.
-    misfit : array (N,)
-        Residual with respect to the prediction from all other segments, in standard deviations.
-    weight : array (N,)
-        Robust weight, 1 for a segment that fits.
-    n_iterations : int
-        Number of iterations.
-    converged : bool
-        False if the iterations ended before the changes became negligible.
     """
 
-    population: FloatArray
-    population_cov: FloatArray
-    people: FloatArray
-    people_cov: FloatArray
+    population: FloatArray  # (P,) parameters of the population
+    population_cov: FloatArray  # (P, P) covariance of `population`
+    people: FloatArray  # (S, P) parameters of each person
+    people_cov: FloatArray  # (S, P, P) covariance of `people`
+    # (P, P) covariance between people. Infinite on the diagonal for parameters that are independent between people.
     between_cov: FloatArray
-    recording_std: float
-    noise_factor: FloatArray
-    predicted_m: FloatArray
-    left_out_m: FloatArray
+    recording_std: float  # relative standard deviation of one person's scale between recordings
+    noise_factor: FloatArray  # (C,) ratio of the estimated to the prior variance of the segments of each context
+    predicted_m: FloatArray  # (N,) predicted length of each segment with the parameters of the person
+    left_out_m: FloatArray  # (N,) predicted length with the person's parameters estimated without this segment
+    # (N,) predicted length with the population's parameters estimated without this person. NaN if there are no other
+    # people, if they do not determine the parameters, or if a parameter is independent between people.
     stranger_m: FloatArray
-    misfit: FloatArray
-    weight: FloatArray
+    misfit: FloatArray  # (N,) residual with respect to the prediction from all other segments, in standard deviations
+    weight: FloatArray  # (N,) robust weight, 1 for a segment that fits
     n_iterations: int
-    converged: bool
+    converged: bool  # False if the iterations ended before the changes became negligible
 
 
 def estimate_parameters(
@@ -467,32 +421,15 @@ class _Groups:
     """Index arrays of segments sorted by person and recording.
 
     Starts are the first rows of runs of equal labels, followed by the number of rows.
-
-    Attributes
-    ----------
-    person : array (n,)
-        Person of each segment.
-    recording : array (n,)
-        Recording of each segment, numbered in order of appearance.
-    present : array (S',)
-        People with segments.
-    person_of_recording : array (W,)
-        Person of each recording.
-    people : array (S' + 1,)
-        Starts of the people among the segments.
-    recordings : array (W + 1,)
-        Starts of the recordings among the segments.
-    recordings_of_people : array (S' + 1,)
-        Starts of the people among the recordings.
     """
 
-    person: IntArray
-    recording: IntArray
-    present: IntArray
-    person_of_recording: IntArray
-    people: IntArray
-    recordings: IntArray
-    recordings_of_people: IntArray
+    person: IntArray  # (n,) person of each segment
+    recording: IntArray  # (n,) recording of each segment, numbered in order of appearance
+    present: IntArray  # (S',) people with segments
+    person_of_recording: IntArray  # (W,) person of each recording
+    people: IntArray  # (S' + 1,) starts of the people among the segments
+    recordings: IntArray  # (W + 1,) starts of the recordings among the segments
+    recordings_of_people: IntArray  # (S' + 1,) starts of the people among the recordings
 
     @classmethod
     def of(cls, person: IntArray, recording: IntArray) -> _Groups:

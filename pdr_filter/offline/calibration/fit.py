@@ -24,7 +24,6 @@ from pdr_filter.offline.calibration.model_forms import (
 )
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, own_priors, separate_modes
 from pdr_filter.offline.calibration.segments import (
-    AnySegment,
     Segment,
     SegmentSums,
     distinct_names,
@@ -294,7 +293,7 @@ def without_name(n_recordings: int, subject: str | None, each_a_person: bool) ->
 
 
 def calibrate_segments(
-    segments: Sequence[AnySegment],
+    segments: Sequence[Segment],
     priors: Mapping[str, StepLengthPrior] | None = None,
     *,
     model: str | None = None,
@@ -368,7 +367,7 @@ def calibrate_segments(
     )
 
 
-def _impossible(segments: Sequence[AnySegment], rows: Table, running: Collection[str]) -> dict[str, str]:
+def _impossible(segments: Sequence[Segment], rows: Table, running: Collection[str]) -> dict[str, str]:
     """Return a text for each recording whose segments that were not rejected have impossible step lengths."""
     runs = np.array([name in running for name in segments[0].context_names])
     good = np.array([(s.distance_m, s.n_steps, float(s.steps_in[runs].sum())) for s in segments])
@@ -378,7 +377,7 @@ def _impossible(segments: Sequence[AnySegment], rows: Table, running: Collection
     return {name: f"{name}: {text}" for name, text in texts.items() if text}
 
 
-def _held(segments: Sequence[AnySegment], priors: Mapping[str, StepLengthPrior]) -> list[str]:
+def _held(segments: Sequence[Segment], priors: Mapping[str, StepLengthPrior]) -> list[str]:
     """Return a list with a note about step lengths of the segments that have no free parameter.
 
     ValueError if no step length of the segments has one.
@@ -397,7 +396,7 @@ def _held(segments: Sequence[AnySegment], priors: Mapping[str, StepLengthPrior])
     raise ValueError(f"nothing to calibrate: {what}: {remedy}, or name a model of walking (model, --model)")
 
 
-def _table(segments: Sequence[AnySegment], sums: SegmentSums, found: ParameterEstimate, start: FloatArray) -> Table:
+def _table(segments: Sequence[Segment], sums: SegmentSums, found: ParameterEstimate, start: FloatArray) -> Table:
     """Return the table `Calibration.segments`. `start` (P,) are the parameters before the calibration."""
     vector = sums.regressors @ start + sums.offset_m
     return table(
@@ -421,7 +420,7 @@ def _table(segments: Sequence[AnySegment], sums: SegmentSums, found: ParameterEs
     )
 
 
-def _segments_per_context(segments: Sequence[AnySegment], names: Iterable[str]) -> dict[str, float]:
+def _segments_per_context(segments: Sequence[Segment], names: Iterable[str]) -> dict[str, float]:
     """Return the number of segments of each context. A segment counts for its contexts in proportion to their steps."""
     steps_in = np.stack([s.steps_in for s in segments])
     share = (steps_in / np.maximum(steps_in.sum(axis=1, keepdims=True), 1e-9)).sum(axis=0)

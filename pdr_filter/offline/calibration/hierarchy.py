@@ -20,26 +20,14 @@ _SINGULAR = 1e-7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeoplePosterior:
-    """Normal posterior of the parameters of the population and of each person.
+    """Normal posterior of the parameters of the population and of each person."""
 
-    Attributes
-    ----------
-    population : array (P,)
-        Mean of the population's parameters.
-    population_cov : array (P, P)
-        Covariance of the population's parameters.
-    people : array (S, P)
-        Mean of each person's parameters. Parameters that people share have the value of the population.
-    people_cov : array (S, P, P)
-        Covariance of each person's parameters.
-    apart_cov : array (S, Q, Q)
-        Covariance of the difference between each person's own parameters and the population's.
-    """
-
-    population: FloatArray
-    population_cov: FloatArray
+    population: FloatArray  # (P,) mean of the population's parameters
+    population_cov: FloatArray  # (P, P) covariance of the population's parameters
+    # (S, P) mean of each person's parameters. Parameters that people share have the value of the population.
     people: FloatArray
-    people_cov: FloatArray
+    people_cov: FloatArray  # (S, P, P) covariance of each person's parameters
+    # (S, Q, Q) covariance of the difference between each person's own parameters and the population's
     apart_cov: FloatArray
 
 
@@ -116,24 +104,14 @@ def solve_people(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Eliminated:
-    """People's own parameters t_s eliminated: normal density of t_s given y, and information that s adds about y.
+    """People's own parameters t_s eliminated: normal density of t_s given y, and information that s adds about y."""
 
-    Attributes
-    ----------
-    constant, gain : arrays (S, Q) and (S, Q, P)
-        The mean of t_s given the population's parameters y is constant_s + gain_s y.
-    cov : array (S, Q, Q)
-        Covariance of t_s given y.
-    diagonal : array (S, Q)
-        Diagonal of the Cholesky factor of the inverse of `cov`.
-    message, message_vector : arrays (S, P, P) and (S, P)
-        Quadratic form of person s in y, without the prior of y (Schur complement).
-    """
-
+    # (S, Q) and (S, Q, P) the mean of t_s given the population's parameters y is constant_s + gain_s y
     constant: FloatArray
     gain: FloatArray
-    cov: FloatArray
-    diagonal: FloatArray
+    cov: FloatArray  # (S, Q, Q) covariance of t_s given y
+    diagonal: FloatArray  # (S, Q) diagonal of the Cholesky factor of the inverse of `cov`
+    # (S, P, P) and (S, P) quadratic form of person s in y, without the prior of y (Schur complement)
     message: FloatArray
     message_vector: FloatArray
 

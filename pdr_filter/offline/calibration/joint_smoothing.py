@@ -32,9 +32,9 @@ from pdr_filter.offline.smoothing.factor_graph import (
 )
 from pdr_filter.offline.smoothing.linear_graph import cov_of
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, preintegrate
-from pdr_filter.offline.smoothing.smooth import ReckonedWalk
+from pdr_filter.offline.smoothing.smooth import Posed, ReckonedWalk
 from pdr_filter.offline.smoothing.smoothed import Smoothed
-from pdr_filter.offline.smoothing.solve import solved_from
+from pdr_filter.offline.smoothing.solve import Solution, solved_from
 from pdr_filter.recipes.config import Config
 from pdr_filter.values import FloatArray, IntArray, TrackRows, reference_headings, steps_of
 
@@ -46,60 +46,32 @@ _MIN_PROB = 1e-3  # a mode with a smaller probability adds less than a millimetr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrationWalk:
-    """Walk of a calibration by smoothing: the person, the walk as the smoother sees it, and stretches of known length.
+    """Walk of a calibration by smoothing, with its person and stretches of known length."""
 
-    Attributes
-    ----------
-    subject : str
-        Name of the person.
-    height_m : float or None
-        Body height of the person.
-    walk : ReckonedWalk
-        Walk with its observations.
-    segments : tuple of Segment
-        Stretches of known length that are not positions, such as strides.
-    """
-
-    subject: str
-    height_m: float | None
-    walk: ReckonedWalk
-    segments: tuple[Segment, ...] = ()
+    subject: str  # name of the person
+    height_m: float | None  # body height of the person
+    walk: ReckonedWalk  # walk with its observations
+    posed: Posed  # problem of the walk alone
+    found: Solution  # solution of `posed`
+    segments: tuple[Segment, ...] = ()  # stretches of known length that are not positions, such as strides
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointEstimate:
-    """Parameters of the population (P,) and of S people (S, P), with covariances, and the smoothed walks.
+    """Parameters of the population (P,) and of S people (S, P), with covariances, and the smoothed walks."""
 
-    Attributes
-    ----------
-    population, population_cov : array (P,), (P, P)
-        Parameters of the population.
-    people, people_cov : array (S, P), (S, P, P)
-        Parameters of each person.
-    smoothed : tuple of Smoothed
-        Smoothed walks.
-    between_cov : array (P, P)
-        Covariance of the parameters between people.
-    recording_std : float
-        Relative standard deviation of one person's scale between recordings.
-    outliers : tuple of list of bool
-        True for each stretch of known length of each walk that was rejected.
-    n_iterations : int
-        Number of linearisations of the step lengths.
-    converged : bool
-        False if the parameters still changed in the last iteration.
-    """
-
+    # (P,), (P, P) parameters of the population
     population: FloatArray
     population_cov: FloatArray
+    # (S, P), (S, P, P) parameters of each person
     people: FloatArray
     people_cov: FloatArray
-    smoothed: tuple[Smoothed, ...]
-    between_cov: FloatArray
-    recording_std: float
-    outliers: tuple[list[bool], ...]
-    n_iterations: int
-    converged: bool
+    smoothed: tuple[Smoothed, ...]  # smoothed walks
+    between_cov: FloatArray  # (P, P) covariance of the parameters between people
+    recording_std: float  # relative standard deviation of one person's scale between recordings
+    outliers: tuple[list[bool], ...]  # True for each stretch of known length of each walk that was rejected
+    n_iterations: int  # number of linearisations of the step lengths
+    converged: bool  # False if the parameters still changed in the last iteration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -236,7 +208,7 @@ def estimate_jointly(
     population = parameters.mean[parameters.free].copy()
     variances = start = _ScaleVariances(np.diag(parameters.between_std[parameters.personal] ** 2), recording_std**2)
     prior = hierarchy_of(priors, recording_std, tuple(priors))
-    guesses = [w.walk.found for w in walks]
+    guesses = [w.found for w in walks]
     outliers = [[False] * len(w.segments) for w in walks]
     iteration, converged, is_tested = 0, False, loss != "gnc"
     linearised, values = list[_Linearised](), gtsam.Values()
@@ -307,7 +279,7 @@ def estimate_jointly(
     between_cov = np.zeros((n_free, n_free))
     between_cov[np.ix_(parameters.personal, parameters.personal)] = variances.between
     smoothed = [
-        w.walk.smoothed_walk(of_one.steps, of_one.graph.problem, of_one.graph.solution(values, tree, guess))
+        _smoothed(w, of_one, of_one.graph.solution(values, tree, guess))
         for w, of_one, guess in zip(walks, linearised, guesses, strict=True)
     ]
     return JointEstimate(
@@ -322,6 +294,13 @@ def estimate_jointly(
         n_iterations=iteration,
         converged=converged,
     )
+
+
+def _smoothed(of: CalibrationWalk, linearised: _Linearised, found: Solution) -> Smoothed:
+    """Return the smoothed walk for a solution, whose covariances include those of the step-length parameters."""
+    known = np.zeros_like(of.posed.parameter_error_m)
+    posed = Posed(linearised.steps, known, of.posed.used, linearised.graph.problem)
+    return of.walk.on_earth(of.walk.result(posed, found)[0])
 
 
 def _scatter(values: gtsam.Values, tree: Any, parameters: _FreeParameters, people: Iterable[PersonKeys]) -> FloatArray:
@@ -355,8 +334,12 @@ def _linearised(
     names, full = mode_names(model, separate), parameters.all(theta)
     by_name = {name: full[part] for name, part in parameters.slices.items()}
     config = with_parameters(walk.config, parameters.priors, by_name, names, of.height_m, recording_std)
-    steps, with_bias = (walk.increments(config, with_bias=b) for b in (False, True))
-    problem = walk.posed.problem
+    walk = replace(walk, config=config)
+    with_bias, _ = walk.increments()
+    unbiased = walk.track.steps.copy()
+    unbiased["yaw_bias_std_radps"] = 0.0
+    steps, _ = replace(walk, track=replace(walk.track, steps=unbiased)).increments()
+    problem = of.posed.problem
     start_s = float(steps.time_s[0] - steps.duration_s[0])
     lasts_s = max(float(steps.time_s[-1]) - start_s, 1.0)
     bias_var = float((with_bias.drift_var_rad2 - steps.drift_var_rad2).sum())
@@ -366,7 +349,7 @@ def _linearised(
         walk.track, config.model, names, parameters.slices, parameters.n, is_weighted=walk.track.weighting != "imm"
     )
     nodes = problem.intervals.nodes
-    device_rad = walk.posed.used.device_rad[np.maximum(nodes - 1, 0)]
+    device_rad = of.posed.used.device_rad[np.maximum(nodes - 1, 0)]
     return _Linearised(
         steps,
         WalkGraph(

@@ -13,7 +13,7 @@ from pdr_filter.filter.step_length.models import RECORDING_STD, StepLengthModel,
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.hierarchy import SingularError
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, candidates, with_relative_std
-from pdr_filter.offline.calibration.segments import AnySegment, SegmentSums, integrate
+from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
@@ -93,7 +93,7 @@ def hierarchy_of(
 
 
 def estimate_segments(
-    segments: Sequence[AnySegment], sums: SegmentSums, priors: Priors, loss: str, recording_std: float
+    segments: Sequence[Segment], sums: SegmentSums, priors: Priors, loss: str, recording_std: float
 ) -> ParameterEstimate:
     """Return the parameter estimate of segments and their sums.
 
@@ -132,7 +132,7 @@ def estimate_sums(
 
 
 def left_out_errors(
-    segments: Sequence[AnySegment], forms: Mapping[str, Priors], loss: str = "gnc", recording_std: float = RECORDING_STD
+    segments: Sequence[Segment], forms: Mapping[str, Priors], loss: str = "gnc", recording_std: float = RECORDING_STD
 ) -> tuple[dict[str, FloatArray], BoolArray]:
     """Return the relative errors of step-length models on held-out segments.
 
@@ -201,7 +201,7 @@ def lengths(sums: SegmentSums, people: FloatArray) -> FloatArray:
 
 
 def best_form(
-    segments: Sequence[AnySegment],
+    segments: Sequence[Segment],
     forms: Mapping[str, Priors],
     loss: str,
     recording_std: float,

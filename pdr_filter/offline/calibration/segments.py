@@ -175,103 +175,26 @@ class Segment:
         return vectors @ jacobian, vectors @ (length - jacobian @ about)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SummedSegment:
-    """A `Segment` reduced to its sums, for models that are linear in their parameters.
-
-    A worker process returns it in place of the steps. `contexts`, `models` and `derivatives` have equal lengths. Entry
-    j of `derivatives` (2, p) is the derivative of the displacement of the segment, east and north, with respect to the
-    p parameters of model j, for the steps of context j. `steps_in` (C,) are the numbers of steps in each of the
-    contexts `context_names`. The other fields are the same as in `Segment`.
-    """
-
-    subject: str
-    recording: str
-    distance_m: float
-    anchor_std_m: float
-    height_m: float | None
-    start_s: float
-    end_s: float
-    steps_in: FloatArray
-    n_steps: float
-    is_along: bool
-    contexts: tuple[str, ...]
-    models: tuple[StepLengthModel, ...]
-    derivatives: tuple[FloatArray, ...]
-    context_names: tuple[str, ...] = CONTEXTS
-
-    @classmethod
-    def of(cls, segment: Segment, models: Sequence[tuple[str, StepLengthModel]]) -> SummedSegment:
-        """Return the sums of a segment for pairs of context and model."""
-        same = {f.name: getattr(segment, f.name) for f in fields(cls) if hasattr(segment, f.name)}
-        sums = tuple(segment.sums(context, model, np.zeros(model.n_params))[0] for context, model in models)
-        return cls(**same, contexts=tuple(c for c, _ in models), models=tuple(m for _, m in models), derivatives=sums)
-
-    @property
-    def name(self) -> str:
-        """Name of the segment in messages: recording and times."""
-        return f"{self.recording} {self.start_s:.1f}-{self.end_s:.1f} s"
-
-    def sums(self, context: str, model: StepLengthModel, about: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivative (2, p) of the summed step vectors by the p parameters of a linear model, and zero.
-
-        The second result (2,) is the constant part of `Segment.sums`, which is zero for a linear model. ValueError if
-        `SummedSegment.of` did not sum the steps for this context and model.
-        """
-        for name, other, derivative in zip(self.contexts, self.models, self.derivatives, strict=True):
-            if name == context and other == model:
-                return derivative, np.zeros(2)
-        raise ValueError(
-            f"{self.name}: the steps are not summed for {model} of {context}, because the segment was reduced to sums "
-            "for other models: reduce the recording again with this model"
-        )
-
-
-AnySegment = Segment | SummedSegment
-
-
 @dataclass(frozen=True, eq=False)
 class SegmentSums:
     """Arrays of N segments from which a calibration is computed.
 
     The predicted length of a segment is | regressors @ theta + offset_m |. theta (P,) are the parameters of the person,
     for all contexts one after the other (`slices_of`).
-
-    Attributes
-    ----------
-    regressors : array (N, 2, P)
-        Sums over the steps of context probability times regressors times (sin, cos) of the heading. The second row is
-        zero if step lengths are summed.
-    offset_m : array (N, 2)
-        Constant part of the displacement, zero for models that are linear in theta.
-    distance_m : array (N,)
-        Known length.
-    anchor_std_m : array (N,)
-        Standard deviation of the known length.
-    n_steps : array (N,)
-        Number of steps.
-    context : array (N,) of int
-        Index of the context with most steps.
-    subject : array (N,) of int
-        Index into `subjects`.
-    recording : array (N,) of int
-        Index into `recordings`.
-    subjects : tuple of str
-        Names of the people.
-    recordings : tuple of str
-        Names of the recordings.
     """
 
+    # (N, 2, P) sums over the steps of context probability times regressors times (sin, cos) of the heading. The second
+    # row is zero if step lengths are summed.
     regressors: FloatArray
-    offset_m: FloatArray
-    distance_m: FloatArray
-    anchor_std_m: FloatArray
-    n_steps: FloatArray
-    context: IntArray
-    subject: IntArray
-    recording: IntArray
-    subjects: tuple[str, ...]
-    recordings: tuple[str, ...]
+    offset_m: FloatArray  # (N, 2) constant part of the displacement, zero for models that are linear in theta
+    distance_m: FloatArray  # (N,) known length
+    anchor_std_m: FloatArray  # (N,) standard deviation of the known length
+    n_steps: FloatArray  # (N,) number of steps
+    context: IntArray  # (N,) index of the context with most steps
+    subject: IntArray  # (N,) index into `subjects`
+    recording: IntArray  # (N,) index into `recordings`
+    subjects: tuple[str, ...]  # names of the people
+    recordings: tuple[str, ...]  # names of the recordings
 
     def __post_init__(self) -> None:
         n = len(self.distance_m)
@@ -295,13 +218,13 @@ class SegmentSums:
         return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
 
-def with_distinct_names(found: Iterable[tuple[Sequence[AnySegment], bool]]) -> list[AnySegment]:
+def with_distinct_names(found: Iterable[tuple[Sequence[Segment], bool]]) -> list[Segment]:
     """Return the segments of several recordings, with a number after the name of a recording that repeats.
 
     Otherwise, recordings with the same name would share an error of scale. Each entry has the segments of one
     recording, and True if its person is named after the recording.
     """
-    segments = list[AnySegment]()
+    segments = list[Segment]()
     used = [(of_one, is_named_after) for of_one, is_named_after in found if of_one]
     names = distinct_names(of_one[0].recording for of_one, _ in used)
     for (of_one, is_named_after), name in zip(used, names, strict=True):
@@ -324,7 +247,7 @@ def distinct_names(names: Iterable[str]) -> list[str]:
 
 
 def integrate(
-    segments: Sequence[AnySegment],
+    segments: Sequence[Segment],
     models: Mapping[str, StepLengthModel],
     theta: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
 ) -> SegmentSums:

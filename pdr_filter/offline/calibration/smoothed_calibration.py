@@ -96,7 +96,7 @@ def calibrate_by_smoothing(
         rows,
         (*length_warnings(rows, rows.distance_m, priors, recording_std), *remarks),
         n_recordings=len(walks),
-        counts={"observations": sum(int((w.walk.found.weight > 0).sum()) + len(w.segments) for w in walks)},
+        counts={"observations": sum(int((w.found.weight > 0).sum()) + len(w.segments) for w in walks)},
         residual_std_m={name: float(p.step_std_m) for name, p in priors.items()},
         n_segments={name: float(np.sum(rows.context == name)) for name in priors},
         mode_contexts=separate,
@@ -133,12 +133,12 @@ def calibration_walk(
     if not fixes and (has_known_lengths(recording.truth) or not walk.observed.locations):
         found, remarks = segments_of(recording, walk.track, anchor_std_m, measure, subject, separate)
         segments, notes = tuple(found), [*notes, *remarks]
-    return CalibrationWalk(subject, recording.subject.height_m, walk, segments), notes
+    return CalibrationWalk(subject, recording.subject.height_m, walk, *walk.solved(), segments), notes
 
 
 def _why_without_scale(of: CalibrationWalk) -> str:
     """Return why the observations of a walk do not determine its step lengths, with a remedy, or an empty string."""
-    problem, is_used = of.walk.posed.problem, of.walk.found.weight > 0
+    problem, is_used = of.posed.problem, of.found.weight > 0
     positions = problem.positions
     is_place = positions.other < 0
     n_places = len(np.unique(positions.node[is_place]))
@@ -184,7 +184,7 @@ def _table(
     start = np.concatenate([p.mean for p in priors.values()])
     columns: dict[str, list[Any]] = {}
     for of, smoothed in zip(walks, found.smoothed, strict=True):
-        track, weight = of.walk.track, of.walk.found.weight
+        track, weight = of.walk.track, of.found.weight
         share = float(weight.mean()) if len(weight) else 1.0
         names, own = mode_names(of.walk.config.model, separate), found.people[subjects.index(of.subject)]
         scale, steps = np.exp(smoothed.log_scale), steps_of(track.steps)

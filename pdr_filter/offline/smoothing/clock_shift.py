@@ -116,20 +116,12 @@ class ShiftedWalk(NamedTuple):
 
 
 class ClockShift(NamedTuple):
-    """Shift of the clock of fixes against that of the samples.
+    """Shift of the clock of fixes against that of the samples."""
 
-    Attributes
-    ----------
-    late_s : float
-        Applied shift in s, positive if the times of the fixes are late. Zero unless the walk determines a shift.
-    var_s2 : float
-        Mean square error in s^2 of the applied shift. Zero if it does not matter.
-    probable_s : float
-        Shift in s that explains a root mean square error of more than 5 s, and was not applied. Zero if there is none.
-    """
-
+    # applied shift in s, positive if the times of the fixes are late. Zero unless the walk determines a shift.
     late_s: float = 0.0
-    var_s2: float = 0.0
+    var_s2: float = 0.0  # mean square error in s^2 of the applied shift. Zero if it does not matter.
+    # shift in s that explains a root mean square error of more than 5 s, and was not applied. Zero if there is none.
     probable_s: float = 0.0
 
     def notes(self, what: str) -> tuple[str, ...]:

@@ -24,6 +24,8 @@ from pdr_filter.tracking.whole_recording import outputs, run_sensing, track_of_o
 from pdr_filter.values import Fix, Measurement, Standstill, Step, has_position, read_only, step_table
 from pdr_filter.values.recording import Recording
 
+# Callbacks for the progress of the first and the second pass.
+Passes = tuple[Callable[[float], None] | None, Callable[[float], None] | None]
 # Configuration, dead-reckoned track, and state at its end. The sensing is None if the axes of a building determine the
 # gyroscope bias.
 Reckoned = tuple[Config, Track, SensingState | None, StandstillSteps]
@@ -33,7 +35,7 @@ def dead_reckoned(
     recording: Recording,
     config: Config,
     stood: Sequence[Standstill],
-    progress: tuple[Callable[[float], None] | None, Callable[[float], None] | None],
+    progress: Passes,
     with_hills: bool,
 ) -> Reckoned:
     """Return the configuration after a first pass, the track without fixes and locations, and the state at its end.
@@ -117,9 +119,7 @@ def online_path(recording: Recording, config: Config, fixes: Sequence[Fix]) -> W
     return walked_path(config, state)
 
 
-def pass_callbacks(
-    progress: Callable[[float], None] | None,
-) -> tuple[Callable[[float], None] | None, Callable[[float], None] | None]:
+def pass_callbacks(progress: Callable[[float], None] | None) -> Passes:
     """Return progress callbacks for the first and the second pass, each for half of the progress, or None twice."""
     if progress is None:
         return None, None

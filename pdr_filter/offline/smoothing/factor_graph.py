@@ -52,20 +52,11 @@ class PersonKeys:
     """Keys of the step-length parameters of one person.
 
     theta (F,) is the vector of the population, in which the person's own parameters replace the entries `personal`.
-
-    Attributes
-    ----------
-    population : int
-        Key of the population's parameters (F,).
-    person : int
-        Key of the person's own parameters (Q,), if there are any.
-    personal : array (Q,) of int
-        Indices of the person's own parameters.
     """
 
-    population: int
-    person: int
-    personal: IntArray
+    population: int  # key of the population's parameters (F,)
+    person: int  # key of the person's own parameters (Q,), if there are any
+    personal: IntArray  # (Q,) indices of the person's own parameters
 
     @property
     def keys(self) -> list[int]:
@@ -90,40 +81,22 @@ class PersonKeys:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkGraph:
-    """Factors of one walk, and the keys of its unknowns.
+    """Factors of one walk, and the keys of its unknowns."""
 
-    Attributes
-    ----------
-    problem : Problem
-        Steps between anchors, priors and observations of the walk. Its intervals exclude the random walk of the heading
-        that stands for the gyroscope bias if `rate_std_radps` is positive.
-    device_rad : array (n + 1,)
-        Walking heading at each anchor minus the heading offset.
-    time_s : array (K,)
-        Times of the contacts.
-    start_s : float
-        Time at the first anchor.
-    rate_std_radps : float, default 0.0
-        Prior standard deviation of the turning rate that a gyroscope bias causes, 0 for none.
-    by_theta : array (K, 2, F)
-        Derivative of the displacement of each step by the parameters of the person, empty for fixed step lengths.
-    about : array (F,)
-        Parameters at which the displacements in `problem` were computed.
-    person : PersonKeys or None
-        Keys of the parameters, None for walks with fixed step lengths.
-    number : int
-        Number of the walk in the graph.
-    """
-
+    # steps between anchors, priors and observations of the walk. Its intervals exclude the random walk of the heading
+    # that stands for the gyroscope bias if `rate_std_radps` is positive.
     problem: Problem
-    device_rad: FloatArray
-    time_s: FloatArray
-    start_s: float
-    rate_std_radps: float = 0.0
+    device_rad: FloatArray  # (n + 1,) walking heading at each anchor minus the heading offset
+    time_s: FloatArray  # (K,) times of the contacts
+    start_s: float  # time at the first anchor
+    rate_std_radps: float = 0.0  # prior standard deviation of the turning rate that a gyroscope bias causes, 0 for none
+    # (K, 2, F) derivative of the displacement of each step by the parameters of the person, empty for fixed step
+    # lengths
     by_theta: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 0)))
+    # (F,) parameters at which the displacements in `problem` were computed
     about: FloatArray = field(default_factory=lambda: np.zeros(0))
-    person: PersonKeys | None = None
-    number: int = 0
+    person: PersonKeys | None = None  # keys of the parameters, None for walks with fixed step lengths
+    number: int = 0  # number of the walk in the graph
 
     def _key(self, letter: str, index: int) -> int:
         return int(gtsam.symbol(letter, self.number * _MOST_CONTACTS + index))

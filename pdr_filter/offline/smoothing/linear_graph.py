@@ -21,29 +21,14 @@ class Rows:
 
     An unknown vector x is identified by its number, the key. x_a and x_b are the unknowns with the first and the second
     key.
-
-    Attributes
-    ----------
-    a : array (n,)
-        First key of each block.
-    A : array (n, m, da)
-        Matrices of the first key.
-    rhs : array (n, m)
-        Right-hand sides.
-    b : array (n,)
-        Second key, -1 for none.
-    B : array (n, m, db)
-        Matrices of the second key; empty if no block has one.
-    weight : array (n,)
-        Weights of the blocks; empty for weight one.
     """
 
-    a: IntArray
-    A: FloatArray
-    rhs: FloatArray
-    b: IntArray
-    B: FloatArray
-    weight: FloatArray = field(default_factory=lambda: np.zeros(0))
+    a: IntArray  # (n,) first key of each block
+    A: FloatArray  # (n, m, da) matrices of the first key
+    rhs: FloatArray  # (n, m) right-hand sides
+    b: IntArray  # (n,) second key, -1 for none
+    B: FloatArray  # (n, m, db) matrices of the second key; empty if no block has one
+    weight: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,) weights of the blocks; empty for weight one
 
     @classmethod
     def of_one(cls, key: int, A: FloatArray, rhs: FloatArray) -> Rows:

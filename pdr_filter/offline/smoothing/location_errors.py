@@ -59,23 +59,12 @@ class Errors:
     Each component is a Gauss-Markov process of variance one. Two components are the constant part of the position
     error, and two the varying part. The fifth is the shrinkage of the walk towards its local mean, and the last is the
     delay of the locations.
-
-    Attributes
-    ----------
-    position : array (E,)
-        Index of the fix among the observed positions.
-    node : array (E,)
-        Index of the anchor of the fix, increasing.
-    by : array (E, 2, 6)
-        Derivative of the observed position (east, north) with respect to the error state, in m.
-    decay : array (E - 1, 6)
-        Correlation of each component with the same component of the previous fix, 0 to 1.
     """
 
-    position: IntArray
-    node: IntArray
-    by: FloatArray
-    decay: FloatArray
+    position: IntArray  # (E,) index of the fix among the observed positions
+    node: IntArray  # (E,) index of the anchor of the fix, increasing
+    by: FloatArray  # (E, 2, 6) derivative of the observed position (east, north) with respect to the error state, in m
+    decay: FloatArray  # (E - 1, 6) correlation of each component with the same component of the previous fix, 0 to 1
 
     def __len__(self) -> int:
         return len(self.node)

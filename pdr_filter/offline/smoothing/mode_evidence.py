@@ -40,34 +40,20 @@ class Observed:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SwitchingWalk:
-    """Jump Markov linear system of K steps in M modes: x_(k+1) = F x_k + shift + w, with covariance Q of w.
+    """Jump Markov linear system of K steps in M modes: x_(k+1) = F x_k + shift + w, with covariance Q of w."""
 
-    Attributes
-    ----------
-    start_mean, start_cov : arrays (D,), (D, D)
-        State before the first step.
-    start_prob : array (M,)
-        Mode probabilities before the first step.
-    F, Q : arrays (K, M, D, D)
-        Transition matrix and process noise of each step in each mode.
-    shift : array (K, M, D)
-        Displacement of each step in each mode.
-    log_evidence : array (K, M)
-        Log evidence of each step for the modes, other than that of the observations.
-    transition_prob : array (M, M)
-        Probability of a transition from mode i (row) to mode j (column) between two steps.
-    observed : dict of int to list of Observed
-        Observations by the number of steps before them.
-    """
-
+    # (D,), (D, D) state before the first step
     start_mean: FloatArray
     start_cov: FloatArray
-    start_prob: FloatArray
+    start_prob: FloatArray  # (M,) mode probabilities before the first step
+    # (K, M, D, D) transition matrix and process noise of each step in each mode
     F: FloatArray
     Q: FloatArray
-    shift: FloatArray
-    log_evidence: FloatArray
+    shift: FloatArray  # (K, M, D) displacement of each step in each mode
+    log_evidence: FloatArray  # (K, M) log evidence of each step for the modes, other than that of the observations
+    # (M, M) probability of a transition from mode i (row) to mode j (column) between two steps
     transition_prob: FloatArray
+    # observations by the number of steps before them
     observed: dict[int, list[Observed]] = field(default_factory=dict[int, list[Observed]])
 
     def smoothed_modes(self) -> tuple[FloatArray, FloatArray, FloatArray]:

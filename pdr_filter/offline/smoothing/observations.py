@@ -134,30 +134,15 @@ class FloorChange:
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """All observations of one walk, each kind in any order.
+    """All observations of one walk, each kind in any order."""
 
-    Attributes
-    ----------
-    fixes : tuple
-        Position, heading and speed fixes and other measurements.
-    loop_closures : tuple of LoopClosure
-        Loop closures.
-    known_headings : tuple of KnownHeading
-        Known directions.
-    floor_changes : tuple of FloorChange
-        Known storeys.
-    locations : tuple of PositionFix
-        Locations that the phone reported in the recording.
-    is_loop : bool
-        True if the last loop closure states that the walk ended at its start.
-    """
-
+    # position, heading and speed fixes and other measurements
     fixes: tuple[PositionFix | HeadingFix | SpeedFix | Measurement, ...] = ()
     loop_closures: tuple[LoopClosure, ...] = ()
     known_headings: tuple[KnownHeading, ...] = ()
     floor_changes: tuple[FloorChange, ...] = ()
-    locations: tuple[PositionFix, ...] = ()
-    is_loop: bool = False
+    locations: tuple[PositionFix, ...] = ()  # locations that the phone reported in the recording
+    is_loop: bool = False  # True if the last loop closure states that the walk ended at its start
 
     @property
     def positions(self) -> tuple[PositionFix, ...]:

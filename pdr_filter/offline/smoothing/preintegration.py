@@ -51,43 +51,20 @@ class Increments:
 
     The events have the same order as in the filter: the gap, the change of the heading offset and its drift since the
     previous step, then the measured walking heading, then the displacement, and last the drift of the scale.
-
-    Attributes
-    ----------
-    time_s : array (K,)
-        Times of the contacts.
-    duration_s : array (K,)
-        Durations of the steps.
-    length_m : array (K,)
-        Length, mean over the modes.
-    displacement_m : array (K, 2)
-        East and north displacement, from device heading and modes.
-    cov_m2 : array (K, 2, 2)
-        Covariance of the displacement, independent between steps.
-    drift_var_rad2 : array (K,)
-        Variance of the drift of the heading offset before the step.
-    unknown_var_rad2 : array (K,)
-        Variance of the heading offset from time without angular rate, before the step.
-    scale_memory : array (K,)
-        Factor on the log scale after the step.
-    scale_drift_var : array (K,)
-        Variance of the drift of the log scale after the step.
-    jump_var_rad2 : array (K,)
-        Variance of a change of the heading offset before the step: the phone was moved, or samples are missing.
-    gap_var_m2 : array (K,)
-        Variance of the position from a gap in the samples, or motion without steps, before the step.
     """
 
-    time_s: FloatArray
-    duration_s: FloatArray
-    length_m: FloatArray
-    displacement_m: FloatArray
-    cov_m2: FloatArray
-    drift_var_rad2: FloatArray
-    unknown_var_rad2: FloatArray
-    scale_memory: FloatArray
-    scale_drift_var: FloatArray
+    time_s: FloatArray  # (K,) times of the contacts
+    duration_s: FloatArray  # (K,) durations of the steps
+    length_m: FloatArray  # (K,) length, mean over the modes
+    displacement_m: FloatArray  # (K, 2) east and north displacement, from device heading and modes
+    cov_m2: FloatArray  # (K, 2, 2) covariance of the displacement, independent between steps
+    drift_var_rad2: FloatArray  # (K,) variance of the drift of the heading offset before the step
+    unknown_var_rad2: FloatArray  # (K,) variance of the heading offset from time without angular rate, before the step
+    scale_memory: FloatArray  # (K,) factor on the log scale after the step
+    scale_drift_var: FloatArray  # (K,) variance of the drift of the log scale after the step
+    # (K,) variance of a change of the heading offset before the step: the phone was moved, or samples are missing
     jump_var_rad2: FloatArray
+    # (K,) variance of the position from a gap in the samples, or motion without steps, before the step
     gap_var_m2: FloatArray
 
     def __len__(self) -> int:
@@ -185,20 +162,11 @@ def _motion(
 
 
 class ModeSteps(NamedTuple):
-    """Displacements of K steps in M modes, before the scale of the person and the heading offset.
+    """Displacements of K steps in M modes, before the scale of the person and the heading offset."""
 
-    Attributes
-    ----------
-    displacement_m : array (K, M, 2)
-        Displacement, of which `Increments` has the mean over the modes.
-    cov_m2 : array (K, M, 2, 2)
-        Covariance, independent between steps.
-    parameter_error_m : array (K, M, 2)
-        Error due to the parameters of the length model of the mode, for one standard deviation.
-    """
-
-    displacement_m: FloatArray
-    cov_m2: FloatArray
+    displacement_m: FloatArray  # (K, M, 2) displacement, of which `Increments` has the mean over the modes
+    cov_m2: FloatArray  # (K, M, 2, 2) covariance, independent between steps
+    # (K, M, 2) error due to the parameters of the length model of the mode, for one standard deviation
     parameter_error_m: FloatArray
 
     def of(self, modes: BoolArray) -> ModeSteps:
@@ -239,48 +207,26 @@ class Intervals:
 
     D is the displacement in m in the frame of the heading offset and scale at the start of an interval. Q is the
     covariance of the state (east, north, heading offset, log scale) that the steps add, in the same frame.
-
-    Attributes
-    ----------
-    nodes : array (n + 1,)
-        Number of steps before each anchor, from 0 to K.
-    index : array (K,)
-        Interval of each step.
-    step_m : array (K, 2)
-        Displacement of each step.
-    decay : array (K,)
-        Log scale at each step, relative to that at the start of the interval.
-    is_measured : array (K,) of bool
-        False for steps without a measured heading, from which the scale is not estimated (`increments`).
-    sum_m : array (K, 2)
-        D from the start of the interval to the contact of each step, without the decay of the scale.
-    cov : array (K, 4, 4)
-        Q from the start of the interval to the contact of each step. It excludes a gap or a change of the heading
-        offset after the contact.
-    to_end : array (K, 4, 4)
-        Derivative of the state at the end of the interval by the state at the contact of each step.
-    total_m : array (n, 2)
-        D of each whole interval, without the decay of the scale.
-    total_decay : array (n,)
-        Log scale at the end of each whole interval, relative to that at its start.
-    total_cov : array (n, 4, 4)
-        Q of each whole interval, including a gap and a change of the heading offset at its end.
-    whiten : array (n, 4, 4)
-        Inverse of the lower Cholesky factor of `total_cov`.
     """
 
-    nodes: IntArray
-    index: IntArray
-    step_m: FloatArray
-    decay: FloatArray
+    nodes: IntArray  # (n + 1,) number of steps before each anchor, from 0 to K
+    index: IntArray  # (K,) interval of each step
+    step_m: FloatArray  # (K, 2) displacement of each step
+    decay: FloatArray  # (K,) log scale at each step, relative to that at the start of the interval
+    # (K,) False for steps without a measured heading, from which the scale is not estimated (`increments`)
     is_measured: BoolArray
+    # (K, 2) D from the start of the interval to the contact of each step, without the decay of the scale
     sum_m: FloatArray
+    # (K, 4, 4) Q from the start of the interval to the contact of each step. It excludes a gap or a change of the
+    # heading offset after the contact.
     cov: FloatArray
+    # (K, 4, 4) derivative of the state at the end of the interval by the state at the contact of each step
     to_end: FloatArray
-    total_m: FloatArray
-    total_decay: FloatArray
+    total_m: FloatArray  # (n, 2) D of each whole interval, without the decay of the scale
+    total_decay: FloatArray  # (n,) log scale at the end of each whole interval, relative to that at its start
+    # (n, 4, 4) Q of each whole interval, including a gap and a change of the heading offset at its end
     total_cov: FloatArray
-    whiten: FloatArray
+    whiten: FloatArray  # (n, 4, 4) inverse of the lower Cholesky factor of `total_cov`
 
     def __len__(self) -> int:
         return len(self.total_m)

@@ -35,27 +35,13 @@ MIN_HEADING_LENGTH_M = 1.0  # the heading of a corridor carries no information o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedPositions:
-    """Observed positions of anchors (foot contacts with a state), on the map or relative to another anchor.
+    """Observed positions of anchors (foot contacts with a state), on the map or relative to another anchor."""
 
-    Attributes
-    ----------
-    node : array (F,)
-        Index of the observed anchor.
-    other : array (F,)
-        Index of the anchor to which the position is relative, -1 for a position on the map.
-    ahead_m : array (F, 2)
-        Part of the step from the anchor to the observation, before heading offset and scale.
-    position_m : array (F, 2)
-        Observed position, east and north. Zero for a loop closure.
-    whiten : array (F, 2, 2)
-        Inverse of the lower Cholesky factor of the covariance.
-    """
-
-    node: IntArray
-    other: IntArray
-    ahead_m: FloatArray
-    position_m: FloatArray
-    whiten: FloatArray
+    node: IntArray  # (F,) index of the observed anchor
+    other: IntArray  # (F,) index of the anchor to which the position is relative, -1 for a position on the map
+    ahead_m: FloatArray  # (F, 2) part of the step from the anchor to the observation, before heading offset and scale
+    position_m: FloatArray  # (F, 2) observed position, east and north. Zero for a loop closure.
+    whiten: FloatArray  # (F, 2, 2) inverse of the lower Cholesky factor of the covariance
 
     def __len__(self) -> int:
         return len(self.node)
@@ -63,27 +49,13 @@ class ObservedPositions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedDirections:
-    """Observed directions from one anchor to another.
+    """Observed directions from one anchor to another."""
 
-    Attributes
-    ----------
-    first : array (H,)
-        Anchor at the start.
-    last : array (H,)
-        Anchor at the end.
-    length_m : array (H,)
-        Distance between both by dead reckoning.
-    heading_rad : array (H,)
-        Observed direction.
-    std_rad : array (H,)
-        Standard deviation of the direction.
-    """
-
-    first: IntArray
-    last: IntArray
-    length_m: FloatArray
-    heading_rad: FloatArray
-    std_rad: FloatArray
+    first: IntArray  # (H,) anchor at the start
+    last: IntArray  # (H,) anchor at the end
+    length_m: FloatArray  # (H,) distance between both by dead reckoning
+    heading_rad: FloatArray  # (H,) observed direction
+    std_rad: FloatArray  # (H,) standard deviation of the direction
 
     def __len__(self) -> int:
         return len(self.first)
@@ -91,21 +63,12 @@ class ObservedDirections:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedOffsets:
-    """Observed heading offsets, each the walking heading minus the device heading.
+    """Observed heading offsets, each the walking heading minus the device heading."""
 
-    Attributes
-    ----------
-    node : array (O,)
-        Number of steps before the offset. In a `Problem` it is the index of the anchor (state) instead.
-    offset_rad : array (O,)
-        Observed heading offset in rad.
-    std_rad : array (O,)
-        Standard deviation of the observed heading offset in rad.
-    """
-
+    # (O,) number of steps before the offset. In a `Problem` it is the index of the anchor (state) instead.
     node: IntArray
-    offset_rad: FloatArray
-    std_rad: FloatArray
+    offset_rad: FloatArray  # (O,) observed heading offset in rad
+    std_rad: FloatArray  # (O,) standard deviation of the observed heading offset in rad
 
     def __len__(self) -> int:
         return len(self.node)
@@ -113,24 +76,12 @@ class ObservedOffsets:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedStates:
-    """Measurements of the heading offset or the log scale at anchors.
+    """Measurements of the heading offset or the log scale at anchors."""
 
-    Attributes
-    ----------
-    node : array (S,)
-        Anchor, or number of steps before the measurement.
-    state : array (S,)
-        HEADING_OFFSET or LOG_SCALE.
-    value : array (S,)
-        Measured value.
-    std : array (S,)
-        Standard deviation.
-    """
-
-    node: IntArray
-    state: IntArray
-    value: FloatArray
-    std: FloatArray
+    node: IntArray  # (S,) anchor, or number of steps before the measurement
+    state: IntArray  # (S,) HEADING_OFFSET or LOG_SCALE
+    value: FloatArray  # (S,) measured value
+    std: FloatArray  # (S,) standard deviation
 
     def __len__(self) -> int:
         return len(self.node)
@@ -142,29 +93,15 @@ class ObservedMeasurements:
 
     An anchor is a foot contact with a state of the smoother. Positions, directions and states have classes of their
     own.
-
-    Attributes
-    ----------
-    fixes : tuple of Measurement
-        The X measurements.
-    node : array (X,)
-        Anchor of each measurement.
-    ahead_m : array (X, 2)
-        Part of the step from the anchor to the measurement, before heading offset and scale.
-    extra_var_m2 : array (X,)
-        Variance of the displacement between the anchor and the measurement, along each axis.
-    device_rad : array (X,)
-        Walking heading minus the heading offset.
-    guess_m : array (X, 2)
-        Position for the first linearisation.
     """
 
-    fixes: tuple[Measurement, ...]
-    node: IntArray
-    ahead_m: FloatArray
+    fixes: tuple[Measurement, ...]  # the X measurements
+    node: IntArray  # (X,) anchor of each measurement
+    ahead_m: FloatArray  # (X, 2) part of the step from the anchor to the measurement, before heading offset and scale
+    # (X,) variance of the displacement between the anchor and the measurement, along each axis
     extra_var_m2: FloatArray
-    device_rad: FloatArray
-    guess_m: FloatArray
+    device_rad: FloatArray  # (X,) walking heading minus the heading offset
+    guess_m: FloatArray  # (X, 2) position for the first linearisation
 
     def __len__(self) -> int:
         return len(self.node)
@@ -195,41 +132,21 @@ class Problem:
     Positions, directions, states and measurements may be outliers. Arrays of their weights (1 used, 0 rejected) and of
     their gates (`limit_nis`) have the shape (F + H + S + X,), in this order. The keys of the unknowns are the anchors,
     then the errors of correlated fixes, and last the rotation of the frame.
-
-    Attributes
-    ----------
-    intervals : Intervals
-        Steps summed between the anchors.
-    start_mean : array (4,)
-        Prior mean of the first state: east, north, heading offset and log scale.
-    start_cov : array (4, 4)
-        Prior covariance of the first state.
-    positions : ObservedPositions
-        Fixes, locations and loop closures.
-    directions : ObservedDirections
-        Known headings.
-    offsets : ObservedOffsets
-        Heading offsets measured by the strides (`heading_offsets`), relative to the first one. They are never outliers.
-    frame_std_rad : float
-        Prior standard deviation in rad of the rotation from the frame of the offsets to the frame of the positions.
-    errors : Errors
-        Errors of correlated fixes.
-    states : ObservedStates
-        Measurements of the heading offset or the log scale, from heading fixes, speed fixes and magnetic north.
-    measurements : ObservedMeasurements
-        All other measurements.
     """
 
-    intervals: Intervals
-    start_mean: FloatArray
-    start_cov: FloatArray
-    positions: ObservedPositions
-    directions: ObservedDirections
+    intervals: Intervals  # steps summed between the anchors
+    start_mean: FloatArray  # (4,) prior mean of the first state: east, north, heading offset and log scale
+    start_cov: FloatArray  # (4, 4) prior covariance of the first state
+    positions: ObservedPositions  # fixes, locations and loop closures
+    directions: ObservedDirections  # known headings
+    # heading offsets measured by the strides (`heading_offsets`), relative to the first one. They are never outliers.
     offsets: ObservedOffsets
+    # prior standard deviation in rad of the rotation from the frame of the offsets to the frame of the positions
     frame_std_rad: float
-    errors: Errors = NO_ERRORS
+    errors: Errors = NO_ERRORS  # errors of correlated fixes
+    # measurements of the heading offset or the log scale, from heading fixes, speed fixes and magnetic north
     states: ObservedStates = NO_STATES
-    measurements: ObservedMeasurements = NO_MEASUREMENTS
+    measurements: ObservedMeasurements = NO_MEASUREMENTS  # all other measurements
 
     @property
     def n_states(self) -> int:

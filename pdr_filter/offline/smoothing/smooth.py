@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import compress
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from pdr_filter.filter.pedestrian.frame import START_FRAME
 from pdr_filter.filter.pedestrian.person import LengthFixes, Person, session_of_scale
 from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, ShiftPrior, estimated_shift
 from pdr_filter.offline.smoothing.dead_reckoning import (
+    Passes,
     Reckoned,
     dead_reckoned,
     observed_device,
@@ -53,7 +54,6 @@ from pdr_filter.offline.smoothing.observations import (
     Source,
     check_options,
 )
-from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
 from pdr_filter.offline.smoothing.preintegration import (
     TURN,
     Increments,
@@ -90,9 +90,8 @@ from pdr_filter.sensing.device import Device
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.walked_path import WalkedPath
 from pdr_filter.tracking.warnings import conflict_notes
-from pdr_filter.tracking.whole_recording import prepared_run
+from pdr_filter.tracking.whole_recording import Run, prepared_run
 from pdr_filter.values import (
-    BoolArray,
     Fix,
     FloatArray,
     GridFix,
@@ -114,8 +113,6 @@ from pdr_filter.values.uncertainty import worst_std_m
 # Prior standard deviation of the start in the frame of the fixes: only the region is known.
 _REGION_STD_M = 1000.0
 _KNOWN_STD_RAD = 1e-3
-# Largest time between anchors in a calibration, as in `smooth`.
-_CALIBRATION_ANCHOR_S = 2.0
 
 
 @dataclass(slots=True, eq=False)
@@ -304,60 +301,43 @@ def smooth(
     check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
     georeference = Georeference(gnss, origin, heading_rad, north, plan, start)
     run = prepared_run(recording, config, fixes, georeference, weighting, calibration, device, person)
-    given, recording, asked = recording, run.recording, run.config
     if isinstance(loop_closures, str):
-        loop_closures = tuple(wifi_loop_closures(recording))
-    first_pass, second_pass = pass_callbacks(progress)
-    if asked.on_plan is not None:
-        config, _ = with_first_pass(recording, asked, first_pass)
-        if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
-            config = config.in_world_frame()
-        found = asked.on_plan.plan.smoothed(recording, config, run.fixes, run.with_location, second_pass)
-        places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
-        return with_given_origin(run, _on_plan(found, Observations(places)))
-    stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
-
-    def reckoned() -> Reckoned:
-        """Return the dead reckoning of the recording, without fixes and locations."""
-        return dead_reckoned(recording, asked, stood, (first_pass, second_pass), run.with_location)
-
+        loop_closures = tuple(wifi_loop_closures(run.recording))
+    passes = pass_callbacks(progress)
+    if run.config.on_plan is not None:
+        return with_given_origin(run, _on_plan(run, run.config.on_plan.plan, passes, is_given=plan is not None))
     if memory is None:
-        config, track, sensing, stood_steps = reckoned()
+        config, track, sensing, stood = _dead_reckoned(run, passes)
     else:
-        key = _key_of((asked.with_model(frame=START_FRAME), stood, georeference.north, run.with_location))
-        config, track, sensing, stood_steps = memory.of(given, key, reckoned)
-    where, locations = LocationState(), ()
-    if run.with_location and gnss != "align" and recording.location is not None:
-        where, locations = locations_of(recording.location)
+        key = _key_of((run.config.with_model(frame=START_FRAME), _standstills(run), north, run.with_location))
+        config, track, sensing, stood = memory.of(recording, key, partial(_dead_reckoned, run, passes))
+    where, locations = (LocationState(), ()) if gnss == "align" else _locations(run)
     closed = start_end_closure(track) if loop else None
     observed = Observations(
-        fixes=tuple(fix for fix in run.fixes if not isinstance(fix, Standstill | GridFix)),
+        fixes=_observed_fixes(run),
         locations=locations,
         loop_closures=(*loop_closures, *(() if closed is None else (closed,))),
         known_headings=known_headings,
         floor_changes=floor_changes,
         is_loop=closed is not None,
     )
-    guess = online_path(recording, config, run.fixes)
-    options = start_heading_std_rad, anchor_interval_s, guess, stood_steps
-    smooth_with = partial(_smooth_track, track, config, options=options)
-    smoothed, walked_var_m2, clocks = smooth_with(observed)
+    guess = online_path(run.recording, config, run.fixes)
+    walk = ReckonedWalk(track, config, observed, where, stood, guess, start_heading_std_rad, anchor_interval_s)
+    smoothed, walked_var_m2, walk = walk.smoothed()
     if factors is not None and track.n_steps:
-        smoothed = _with_factors(smoothed, track, config, observed, clocks, options, factors)
+        smoothed = walk.with_factors(smoothed, factors)
     if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
         device = observed_device(smoothed, config, sensing)
         smoothed = replace(smoothed, track=replace(smoothed.track, device=device))
-    if gnss == "align" and (location := recording.location) is not None:
+    if gnss == "align" and (location := run.recording.location) is not None:
         # the filter of locations shows their clock
-        _, _, clocks = smooth_with(replace(observed, locations=locations_of(location)[1]))
-        shift = clocks.get("locations", ClockShift())
+        located = replace(walk, track=track, observed=replace(observed, locations=locations_of(location)[1]), clocks={})
+        shift = located.smoothed()[2].clocks.get("locations", ClockShift())
         location = Samples(location.time_s - shift.late_s, location.values)
         smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, location)
         smoothed = replace(smoothed, notes=(*smoothed.notes, *shift.notes("locations")))
-    else:
-        observed = _on_clock(observed, clocks)
-        locations = observed.locations
-    return with_given_origin(run, on_earth(smoothed, where, locations, observed))
+        return with_given_origin(run, on_earth(smoothed, where, locations, observed))
+    return with_given_origin(run, walk.on_earth(smoothed))
 
 
 def _key_of(value: object) -> bytes:
@@ -375,6 +355,28 @@ def _key_of(value: object) -> bytes:
         ) from error
 
 
+def _standstills(run: Run) -> list[Standstill]:
+    """Return the standstills among the fixes."""
+    return [fix for fix in run.fixes if isinstance(fix, Standstill)]
+
+
+def _observed_fixes(run: Run) -> tuple[Any, ...]:
+    """Return the fixes that are observations of a smoothed walk."""
+    return tuple(fix for fix in run.fixes if not isinstance(fix, Standstill | GridFix))
+
+
+def _dead_reckoned(run: Run, passes: Passes = (None, None)) -> Reckoned:
+    """Return the dead reckoning of a recording, without fixes and locations."""
+    return dead_reckoned(run.recording, run.config, _standstills(run), passes, run.with_location)
+
+
+def _locations(run: Run) -> tuple[LocationState, tuple[PositionFix, ...]]:
+    """Return the locations of a recording as fixes, after the state of their conversion, if they are used."""
+    if run.with_location and run.recording.location is not None:
+        return locations_of(run.recording.location)
+    return LocationState(), ()
+
+
 def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track, FloatArray, Problem]:
     """Return the dead-reckoned track of a recording, and its least-squares problem without fixes.
 
@@ -384,83 +386,17 @@ def chain_problem(recording: Recording, anchor_interval_s: float) -> tuple[Track
     """
     north: NorthUse | None = "magnetic" if "magnetometer" in recording.streams else None
     run = prepared_run(recording, None, (), Georeference(gnss="off", north=north))
-    config, track, *_ = dead_reckoned(run.recording, run.config, (), (None, None), with_hills=False)
-    if not track.n_steps:
-        raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
+    config, track, *_ = _with_steps(run, _dead_reckoned(run))
     track = with_smoothed_modes(track, config)
-    nothing = Observations()
-    inside = nothing.fixes_inside(0.0, 0.0)
-    posed = _problem(track, config, nothing, inside, None, anchor_interval_s, None, StandstillSteps(), None)
+    posed = ReckonedWalk(track, config, Observations(), anchor_interval_s=anchor_interval_s).posed()
     return track, posed.used.device_rad, posed.problem
 
 
-def _on_clock(observed: Observations, clocks: Mapping[Source, ClockShift]) -> Observations:
-    """Return the observations on the clock of the track."""
-    for source, shift in clocks.items():
-        observed = observed.earlier(source, shift.late_s)
-    return observed
-
-
-def _ends_s(track: Track) -> tuple[float, float]:
-    """Return the first and the last time of a track, in s."""
-    start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
-    if track.n_steps:
-        start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
-    return start_s, end_s
-
-
-class ReckonedWalk(NamedTuple):
-    """Walk with its observations, as the smoother uses them, for a problem of many walks.
-
-    Attributes
-    ----------
-    track : Track
-        Dead-reckoned track with smoothed mode probabilities.
-    config : Config
-        Configuration of the track.
-    observed : Observations
-        Observations as given.
-    clocks : dict of str to ClockShift
-        Shifts of the clocks of the observations, which `posed` contains.
-    where : LocationState
-        Geographic origin of the locations.
-    posed : _Posed
-        Problem of the walk alone.
-    found : Solution
-        Solution of `posed`.
-    stood : StandstillSteps
-        Steps within standstills.
-    """
-
-    track: Track
-    config: Config
-    observed: Observations
-    clocks: dict[Source, ClockShift]
-    where: LocationState
-    posed: _Posed
-    found: Solution
-    stood: StandstillSteps
-
-    def increments(self, config: Config, *, with_bias: bool) -> Increments:
-        """Return the increments of the steps with the step lengths and the noise of a configuration.
-
-        Without the bias of the gyroscope, the heading has only the other parts of its random walk.
-        """
-        track = self.track
-        if not with_bias:
-            steps = track.steps.copy()
-            steps["yaw_bias_std_radps"] = 0.0
-            track = replace(track, steps=steps)
-        is_weighted = track.weighting != "imm"
-        steps, _ = increments(track.steps, track.mode_prob, config.model, track.gap_before_s, is_weighted=is_weighted)
-        return _with_withheld_steps(steps, track, config, self.stood)
-
-    def smoothed_walk(self, steps: Increments, problem: Problem, found: Solution) -> Smoothed:
-        """Return the smoothed walk for a solution of `problem`, with step lengths whose parameters are in `found`."""
-        known = np.zeros_like(self.posed.parameter_error_m)
-        posed, on_clock = _Posed(steps, known, self.posed.used, problem), _on_clock(self.observed, self.clocks)
-        result, _ = _smoothed(self.track, posed, found, self.observed, self.clocks)
-        return on_earth(result, self.where, on_clock.locations, on_clock)
+def _with_steps(run: Run, found: Reckoned) -> Reckoned:
+    """Return the dead reckoning of a recording. ValueError if it has no steps."""
+    if not found[1].n_steps:
+        raise ValueError(f"{run.recording.name or 'the recording'} has no steps: leave it out")
+    return found
 
 
 def reckoned_walk(
@@ -470,7 +406,7 @@ def reckoned_walk(
     loop_closures: Sequence[LoopClosure],
     log_scale_std: float,
 ) -> ReckonedWalk:
-    """Return a walk with its fixes, loop closures and locations, solved alone as by `smooth`.
+    """Return a walk with its fixes, loop closures and locations, smoothed alone as by `smooth`.
 
     The log step scale has the prior standard deviation `log_scale_std`, if that of the configuration is not larger. A
     smaller one would reject right fixes of a person who is not calibrated yet. ValueError for a recording without
@@ -479,76 +415,344 @@ def reckoned_walk(
     run = prepared_run(recording, config, fixes, Georeference())
     if run.config.on_plan is not None or any(isinstance(fix, GridFix) for fix in run.fixes):
         raise ValueError("smoothing on a floor plan does not estimate step lengths: omit plan and GridFix")
-    stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
-    own, track, _, stood_steps = dead_reckoned(run.recording, run.config, stood, (None, None), run.with_location)
-    if not track.n_steps:
-        raise ValueError(f"{recording.name or 'the recording'} has no steps: leave it out")
+    own, track, _, stood = _with_steps(run, _dead_reckoned(run))
     noise = own.model.noise
     own = own.with_model(noise=replace(noise, log_scale_std=max(noise.log_scale_std, log_scale_std)))
-    where, locations = LocationState(), ()
-    if run.with_location and run.recording.location is not None:
-        where, locations = locations_of(run.recording.location)
-    given = tuple(fix for fix in run.fixes if not isinstance(fix, Standstill | GridFix))
-    observed = Observations(fixes=given, locations=locations, loop_closures=tuple(loop_closures))
-    options = None, _CALIBRATION_ANCHOR_S, online_path(run.recording, own, run.fixes), stood_steps
-    alone, _, clocks = _smooth_track(track, own, observed, options)
-    track, posed = _posed_as(alone, track, own, observed, clocks, options)
-    return ReckonedWalk(track, own, observed, clocks, where, posed, solve(posed.problem), stood_steps)
+    where, locations = _locations(run)
+    observed = Observations(fixes=_observed_fixes(run), locations=locations, loop_closures=tuple(loop_closures))
+    walk = ReckonedWalk(track, own, observed, where, stood, online_path(run.recording, own, run.fixes))
+    smoothed, _, walk = walk.smoothed()
+    return replace(walk, shape_m=_shape_m(smoothed))
 
 
-_Options = tuple[float | None, float, WalkedPath | None, StandstillSteps]
+def _shape_m(smoothed: Smoothed) -> FloatArray:
+    """Return the shape (K + 1, 2) of a smoothed walk: positions at the start and after each step, for scale one."""
+    return np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale
 
 
-def _posed_as(
-    smoothed: Smoothed,
-    track: Track,
-    config: Config,
-    observed: Observations,
-    clocks: dict[Source, ClockShift],
-    options: _Options,
-    anchors: Sequence[int] = (),
-) -> tuple[Track, _Posed]:
-    """Return the dead-reckoned track and the problem whose solution is a smoothed walk.
+class Posed(NamedTuple):
+    """Least-squares problem of a walk, with the values that it was made of."""
 
-    `anchors` are further numbers of steps at which a state is estimated. The other arguments are those of
-    `_smooth_track`, and the shifts of the clocks are its result.
+    steps: Increments
+    parameter_error_m: FloatArray  # (K, C, 2) errors of the steps by consider parameters
+    used: Used
+    problem: Problem
+
+
+# Passes of mode probabilities and positions, and the difference of probabilities below which the next one is the same:
+# 0.01 of the difference between two lengths is less than 1 cm. The evidence depends on a solution by its rotation and
+# scale alone: 0.05 (3 degrees, 5 %) changes a difference of lengths by less than 5 %.
+_MOST_MODE_PASSES, _SAME_PROB, _SAME_LINEARISATION = 3, 0.01, 0.05
+# Decrease of the sum of squares by which the solution for a possible shift of a clock is improved. Other shifts reject
+# other positions, each of which changes the sum by about 2.
+_LEAST_GAIN = 0.1
+# Smallest number of positions of a source with a shape that a shift of its clock changes.
+_MIN_POSITIONS = 3
+# The velocity at a fix is the mean of the walk within this time before and after, in s, so that it reaches around the
+# corners of a walk.
+_VELOCITY_S = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReckonedWalk:
+    """Dead-reckoned walk with its observations, and the options of its smoothing problem."""
+
+    track: Track  # dead-reckoned; its mode probabilities may be smoothed
+    config: Config
+    observed: Observations  # as given
+    where: LocationState = field(default_factory=LocationState)  # geographic origin of the locations
+    stood: StandstillSteps = field(default_factory=StandstillSteps)  # steps within standstills
+    guess: WalkedPath | None = None  # path at which measurements are first linearised
+    start_heading_std_rad: float | None = None
+    anchor_interval_s: float = 2.0
+    # shifts of the clocks of the observations
+    clocks: Mapping[Source, ClockShift] = field(default_factory=dict[Source, ClockShift])
+    # (K + 1, 2) positions of the start and of the steps that show the shape of the walk (`errors_of`), None for those
+    # of the dead reckoning
+    shape_m: FloatArray | None = None
+
+    @property
+    def on_clock(self) -> Observations:
+        """Observations on the clock of the track."""
+        observed = self.observed
+        for source, shift in self.clocks.items():
+            observed = observed.earlier(source, shift.late_s)
+        return observed
+
+    @property
+    def ends_s(self) -> tuple[float, float]:
+        """First and last time of the track, in s."""
+        track = self.track
+        start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
+        if track.n_steps:
+            start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
+        return start_s, end_s
+
+    def increments(self) -> tuple[Increments, FloatArray]:
+        """Return the increments of the steps, and their errors (K, C, 2) in m due to consider parameters.
+
+        Steps that contradict a stated standstill have no displacement. If the statement is wrong, all of them lack
+        theirs: the sum d of the displacements adds d d' to the covariance of the last one.
+        """
+        track, model = self.track, self.config.model
+        is_weighted = track.weighting != "imm"
+        of = partial(increments, track.steps, model=model, gap_before_s=track.gap_before_s, is_weighted=is_weighted)
+        steps, parameter_error_m = of(mode_prob=track.mode_prob)
+        inside = (track.time_s >= self.stood.first_s) & (track.time_s <= self.stood.last_s)
+        if inside.any():
+            free, _ = of(mode_prob=model.step_mode_prob(track.context_prob))
+            withheld_m = (free.displacement_m - steps.displacement_m)[inside].sum(axis=0)
+            cov = steps.cov_m2.copy()
+            cov[np.flatnonzero(inside)[-1]] += np.outer(withheld_m, withheld_m)
+            steps = replace(steps, cov_m2=cov)
+        return steps, parameter_error_m
+
+    def posed(self, anchors: Sequence[int] = ()) -> Posed:
+        """Return the least-squares problem of the walk. `anchors` are further numbers of steps with an anchor."""
+        track, model, observed = self.track, self.config.model, self.on_clock
+        noise, modes = model.noise, model.modes
+        steps, parameter_error_m = self.increments()
+        used = usable(track, steps, modes, noise.log_scale_std, observed, observed.fixes_inside(*self.ends_s))
+        offsets = heading_offsets(track, steps, modes)
+        heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, self.start_heading_std_rad)
+        shape_m = self.shape_m if observed.locations else None
+        if shape_m is None:
+            walk_m = np.vstack([np.zeros((1, 2)), track.position_m])
+            at = [nearest_contact(steps, fix.time_s)[0] for fix in used.observed.locations]
+            shape_m = turned_to(used.observed.locations, walk_m[at], walk_m)
+        measurements = None if self.guess is None else _measurements_on_path(used, self.guess)
+        fixes = (*used.observed.positions, *used.observed.locations)
+        centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
+        if not fixes and measurements is not None and used.has_positions:
+            centre = measurements.guess_m.mean(axis=0)
+        start_std_m = _REGION_STD_M if used.has_positions else KNOWN_STD_M
+        start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2)
+        before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]
+        start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
+        problem = pose_problem(
+            steps,
+            np.array([*centre, 0.0, 0.0]),
+            start_cov,
+            used.observed,
+            offsets,
+            frame_std_rad,
+            anchor_interval_s=self.anchor_interval_s,
+            states=used.states,
+            measurements=measurements,
+            shape_m=shape_m,
+            anchors=anchors,
+        )
+        return Posed(steps, parameter_error_m, used, problem)
+
+    def solved(self, least_gain: float = -np.inf) -> tuple[Posed, Solution]:
+        """Return the problem of the walk and its solution."""
+        posed = self.posed()
+        return posed, solve(posed.problem, least_gain)
+
+    def smoothed(self) -> tuple[Smoothed, FloatArray, ReckonedWalk]:
+        """Return the smoothed walk, the variances of `result`, and this walk with its clocks and mode probabilities.
+
+        The smoothed walk includes the person's step scale if the fixes determine it.
+        """
+        observed, ends_s = self.observed, self.ends_s
+        observed.check_inside(*ends_s)
+        walk = replace(self, track=with_smoothed_modes(self.track, self.config))
+        if walk.track.n_steps == 0:
+            places = compress((*observed.fixes, *observed.locations), observed.fixes_inside(*ends_s))
+            known = independent([f for f in places if isinstance(f, PositionFix)])
+            return without_steps(walk.track, observed, known), np.zeros(0), walk
+        found = walk.solved()
+        for source in get_args(Source):
+            places = [fix for fix in getattr(observed, source) if isinstance(fix, PositionFix)]
+            if len(places) >= _MIN_POSITIONS:
+                shift = estimated_shift(partial(walk._shifted, found, source), ShiftPrior.of(places, *ends_s))
+                walk = walk._with_clock(source, shift)
+                found = walk.solved() if shift.late_s else found
+        walk, found = walk._with_observed_modes(self.track, found)
+        smoothed, walked_var_m2 = walk.result(*found)
+        if len(found[0].problem.errors):
+            # the shrinkage of the locations follows the shape of the walk, which the first solution knows best
+            smoothed, walked_var_m2 = walk.result(*replace(walk, shape_m=_shape_m(smoothed)).solved())
+        length_fixes = LengthFixes()
+        for fix, result in zip((*observed.fixes, *observed.locations), smoothed.track.fixes, strict=True):
+            length_fixes = length_fixes.plus(fix) if result.accepted else length_fixes
+        estimate = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
+        model = self.config.model
+        session = session_of_scale(model, estimate, model.noise.log_scale_std**2, length_fixes)
+        if session is not None:
+            person = (self.config.person or Person()).pooled(Person((session,)))
+            smoothed = replace(smoothed, track=replace(smoothed.track, person=person))
+        return smoothed, walked_var_m2, walk
+
+    def _with_clock(self, source: Source, shift: ClockShift) -> ReckonedWalk:
+        """Return the walk with the shift of the clock of one source."""
+        return replace(self, clocks={**self.clocks, source: shift})
+
+    def _shifted(self, found: tuple[Posed, Solution], source: Source, late_s: float) -> ShiftedWalk:
+        """Return the sum of squares with another shift of one clock, and its derivatives by an earlier clock.
+
+        `found` is the solution without the shift.
+        """
+        if late_s:
+            found = self._with_clock(source, ClockShift(late_s)).solved(least_gain=_LEAST_GAIN)
+        (posed, solution), ahead_m = found, _ahead_m(*found, source)
+        _, slope, information = response(posed.problem, solution, ahead_m)
+        is_rejecting = bool((solution.weight[: len(ahead_m)][ahead_m.any(axis=1)] == 0).any())
+        return ShiftedWalk(sum_of_squares(posed.problem, solution), slope, information, is_rejecting)
+
+    def _with_observed_modes(
+        self, filtered: Track, found: tuple[Posed, Solution]
+    ) -> tuple[ReckonedWalk, tuple[Posed, Solution]]:
+        """Return the walk with mode probabilities that are smoothed with the observations, and its solution.
+
+        `filtered` has the mode probabilities of the dead reckoning, and this walk the same smoothed, without
+        observations. `found` is its solution.
+        """
+        walk = self
+        for _ in range(_MOST_MODE_PASSES if walk.track.weighting == "imm" and found[1].weight.any() else 0):
+            told = self._mode_prob(filtered, *found)
+            if np.abs(told - walk.track.mode_prob).max() < _SAME_PROB:
+                break
+            walk, before = replace(walk, track=replace(walk.track, mode_prob=told)), found[1]
+            found = walk.solved()
+            turned = np.abs(found[1].mean - before.mean)[:, HEADING_OFFSET:]
+            if np.array_equal(found[1].weight, before.weight) and turned.max() < _SAME_LINEARISATION:
+                break
+        return walk, found
+
+    def _mode_prob(self, filtered: Track, posed: Posed, found: Solution) -> FloatArray:
+        """Return the mode probabilities (K, M), smoothed with the evidence of the observations in a solved problem.
+
+        A mode with less than one expected step keeps that of this walk.
+        """
+        model, likely = self.config.model, self.track.mode_prob.sum(axis=0) >= 1.0
+        if likely.sum() < 2:
+            return self.track.mode_prob
+        of_modes = mode_steps(filtered.steps, model, posed.steps.unknown_var_rad2).of(likely)
+        start_prob, transition_prob = model.long_run_mode_prob, model.transition_prob
+        evidence = step_log_evidence(filtered.mode_prob, start_prob, transition_prob)[:, likely]
+        between = start_prob[likely], transition_prob[likely][:, likely]
+        walk = switching_walk(posed.steps, of_modes, posed.problem, found, evidence, *between)
+        prob = self.track.mode_prob.copy()
+        prob[:, likely] = walk.smoothed_modes()[0] * prob[:, likely].sum(axis=1, keepdims=True)
+        return read_only(prob)
+
+    def with_factors(self, smoothed: Smoothed, factors: UserFactors) -> Smoothed:
+        """Return a smoothed walk with factors of the user in addition to its observations, by GTSAM.
+
+        The observations are those that the walk alone does not contradict.
+        """
+        start = np.array([*smoothed.start_position_m, smoothed.track.walking_heading_rad[0]])
+        poses = np.column_stack([smoothed.track.position_m, smoothed.track.walking_heading_rad])
+        begin_s = float(self.track.steps.time_s[0] - self.track.steps.duration_s[0])
+        keys = PoseKeys(np.append(begin_s, self.track.time_s), np.vstack([start, poses]))
+        user = user_graph(factors, keys)
+        posed = replace(self, shape_m=_shape_m(smoothed)).posed(user.anchors)
+        nodes = posed.problem.intervals.nodes
+        graph = WalkGraph(posed.problem, posed.used.device_rad[np.maximum(nodes - 1, 0)], posed.steps.time_s, begin_s)
+        found, values = solved_with(graph, solve(posed.problem), user)
+        result, _ = self.result(posed, found)
+        of_walk = replace(result.track, person=smoothed.track.person, device=smoothed.track.device)
+        return replace(result, track=of_walk, values=values)
+
+    def on_earth(self, smoothed: Smoothed) -> Smoothed:
+        """Return the smoothed walk with its geographic origin and the storeys of its fixes."""
+        return on_earth(smoothed, self.where, self.on_clock.locations, self.on_clock)
+
+    def result(self, posed: Posed, found: Solution) -> tuple[Smoothed, FloatArray]:
+        """Return the result of a solved problem, and the variance (K,) in m2 of each position for a known heading.
+
+        The variance is the part of the position variance that the heading offset does not explain, mean of both axes.
+        """
+        track, observed = self.track, self.observed
+        steps, parameter_error_m, used, problem = posed
+        mean, cov = step_states(problem.intervals, found.mean, found.joint_cov)
+        heading_var = np.minimum(cov[:, HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
+        cov[:, HEADING_OFFSET, HEADING_OFFSET], heading_std_rad = heading_var, np.sqrt(heading_var)
+        position = mean[:, :2]
+        before = np.vstack([found.mean[:1, :2], position[:-1]])
+        moved = position - before
+        rotation = scaled_rotation(mean[:, HEADING_OFFSET], mean[:, LOG_SCALE])
+        own = np.einsum("kab,kb->ka", rotation, steps.displacement_m)
+        length = np.exp(mean[:, LOG_SCALE]) * steps.length_m
+        # across a gap, the positions give the displacement during the gap, not that of the step
+        moved = np.where((steps.gap_var_m2 > 0)[:, None], own, moved)
+        heading = np.where(np.hypot(*moved.T) > 0.01, np.arctan2(moved[:, 0], moved[:, 1]), track.walking_heading_rad)
+        of_map = (found.weight[: len(problem.positions)] > 0) & (problem.positions.other < 0)
+        anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
+        error_m = _consider_errors_m(own, cov, np.einsum("kab,kmb->kma", rotation, parameter_error_m))
+        position_cov = cov[:, :2, :2] + _since_fix_cov_m2(error_m, anchored)
+        start_cov = found.joint_cov[0, :2, :2]
+        for source, clock in self.clocks.items():
+            if clock.var_s2:
+                follows, _, _ = response(problem, found, _ahead_m(posed, found, source))
+                later, _ = step_states(problem.intervals, found.mean + follows, found.joint_cov)
+                late_m = clock.var_s2**0.5 * np.vstack([follows[:1, :2], later[:, :2] - position])
+                late_cov = late_m[:, :, None] * late_m[:, None, :]
+                start_cov, position_cov = start_cov + late_cov[0], position_cov + late_cov[1:]
+        # no step is uncertain by a metre, except the last one of a standstill that the steps contradict
+        step_std_m = worst_std_m(steps.cov_m2)
+        withheld_m = np.where(step_std_m > 1.0, step_std_m, 0.0)
+        unstepped_m = np.sqrt(steps.gap_var_m2)
+        start_std_m = worst_std_m(start_cov)
+        if not used.has_positions:  # the first step begins at the origin
+            unstepped_m[:1] = start_std_m = 0.0
+        way_m = np.cumsum(np.append(0.0, length + unstepped_m + withheld_m))
+        std_m = np.append(start_std_m, worst_std_m(position_cov))
+        position_cov = bounded_position_cov(position_cov, reach_m(way_m, std_m)[1:])
+        observations = observation_table(observed, used.row, found)
+        end_s = track.start_time_s + track.duration_s
+        results, conflict = fix_results(observed, observations, used, end_s), FixConflict()
+        for fix, result in zip((*observed.fixes, *observed.locations), results, strict=True):
+            if isinstance(fix, PositionFix) and np.isfinite(result.nis):
+                at_m = interpolated_rows(fix.time_s, track.time_s, position)
+                conflict = conflict.plus(result.outcome, fix.position_m - at_m)
+        position_cov = position_cov + conflict.cov_m2
+        scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
+        start_m = read_only(found.mean[0, :2] if used.has_positions else np.zeros(2))
+        reckoned = notes_of_reckoning(track, found, heading_std_rad)
+        shifts = [note for source, clock in self.clocks.items() for note in clock.notes(source)]
+        of_solution = notes_of_solution(track, found, observations, observed, used, scale_std)
+        notes = (*reckoned, *used.notes, *shifts, *of_solution, *(note.text for note in conflict_notes(conflict)))
+        smoothed = replace(
+            track,
+            position_m=read_only(position),
+            position_cov_m2=read_only(position_cov),
+            step_length_m=read_only(length),
+            walked_m=read_only(np.cumsum(length)),
+            walking_heading_rad=read_only(wrap_angle(heading)),
+            step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
+            notes=notes,
+            start_position_m=start_m,
+            is_smoothed=True,
+            frame=used.frame or track.frame,
+            fixes=results,
+        )
+        result = Smoothed(
+            track=smoothed,
+            heading_offset_rad=read_only(wrap_angle(mean[:, HEADING_OFFSET])),
+            heading_offset_std_rad=read_only(heading_std_rad),
+            log_scale=read_only(mean[:, LOG_SCALE]),
+            log_scale_std=read_only(np.sqrt(cov[:, LOG_SCALE, LOG_SCALE])),
+            start_position_m=start_m,
+            start_position_cov_m2=read_only(start_cov),
+            observations=observations,
+            floor=floors_at_steps(track, observed.floor_changes),
+            notes=notes,
+        )
+        return result, np.array([walked_var(P) for P in cov])
+
+
+def _on_plan(run: Run, plan: Plan, passes: Passes, *, is_given: bool) -> Smoothed:
+    """Return a walk smoothed on a floor plan, whose observations are the position fixes.
+
+    `is_given` is True if the plan was an argument of `smooth`, whose fixes are then in the frame of the plan.
     """
-    track, observed = replace(track, mode_prob=smoothed.track.mode_prob), _on_clock(observed, clocks)
-    shape_m = np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale
-    inside = observed.fixes_inside(*_ends_s(track))
-    return track, _problem(track, config, observed, inside, *options, shape_m if observed.locations else None, anchors)
-
-
-def _with_factors(
-    smoothed: Smoothed,
-    track: Track,
-    config: Config,
-    observed: Observations,
-    clocks: dict[Source, ClockShift],
-    options: _Options,
-    factors: UserFactors,
-) -> Smoothed:
-    """Return a smoothed walk with factors of the user in addition to its observations, by GTSAM.
-
-    The observations are those that the walk alone does not contradict.
-    """
-    start = np.array([*smoothed.start_position_m, smoothed.track.walking_heading_rad[0]])
-    poses = np.column_stack([smoothed.track.position_m, smoothed.track.walking_heading_rad])
-    steps = track.steps
-    begin_s = float(steps.time_s[0] - steps.duration_s[0])
-    keys = PoseKeys(np.append(begin_s, track.time_s), np.vstack([start, poses]))
-    user = user_graph(factors, keys)
-    track, posed = _posed_as(smoothed, track, config, observed, clocks, options, user.anchors)
-    nodes = posed.problem.intervals.nodes
-    graph = WalkGraph(posed.problem, posed.used.device_rad[np.maximum(nodes - 1, 0)], posed.steps.time_s, begin_s)
-    found, values = solved_with(graph, solve(posed.problem), user)
-    result, _ = _smoothed(track, posed, found, observed, clocks)
-    of_walk = replace(result.track, person=smoothed.track.person, device=smoothed.track.device)
-    return replace(result, track=of_walk, values=values)
-
-
-def _on_plan(found: SmoothedOnPlan, observed: Observations) -> Smoothed:
-    """Return the result of smoothing on a floor plan as a `Smoothed`, whose observations are the position fixes."""
+    config, _ = with_first_pass(run.recording, run.config, passes[0])
+    if is_given and any(not isinstance(fix, GridFix) for fix in run.fixes):
+        config = config.in_world_frame()
+    found = plan.smoothed(run.recording, config, run.fixes, run.with_location, passes[1])
+    observed = Observations(tuple(fix for fix in run.fixes if isinstance(fix, PositionFix)))
     results = {result.time_s: result for result in found.track.fixes}
     each = [results.get(fix.time_s) for fix in observed.fixes]
     observations = observation_table(observed).copy()
@@ -569,118 +773,7 @@ def _on_plan(found: SmoothedOnPlan, observed: Observations) -> Smoothed:
     )
 
 
-def _smooth_track(
-    track: Track,
-    config: Config,
-    observed: Observations,
-    options: tuple[float | None, float, WalkedPath | None, StandstillSteps],
-) -> tuple[Smoothed, FloatArray, dict[Source, ClockShift]]:
-    """Return the smoothed result of a dead-reckoned track, and the variance (K,) in m2 of each position.
-
-    The variance is the part of the position variance that the heading offset does not explain, mean of both axes
-    (`filter.pedestrian.alignment.walked_var_m2`). The last result are the shifts of the clocks of the observations.
-    `options` are the standard deviation of the start heading, the interval of anchors, the path at which measurements
-    are first linearised, and the steps within standstills. The smoothed result includes the person's step scale if the
-    fixes determine it.
-    """
-    start_s, end_s = _ends_s(track)
-    observed.check_inside(start_s, end_s)
-    filtered, track = track, with_smoothed_modes(track, config)
-    if track.n_steps == 0:
-        places = compress((*observed.fixes, *observed.locations), observed.fixes_inside(start_s, end_s))
-        known = independent([f for f in places if isinstance(f, PositionFix)])
-        return without_steps(track, observed, known), np.zeros(0), {}
-
-    def solved(
-        observed: Observations, shape_m: FloatArray | None = None, least_gain: float = -np.inf
-    ) -> tuple[_Posed, Solution]:
-        posed = _problem(track, config, observed, observed.fixes_inside(start_s, end_s), *options, shape_m)
-        return posed, solve(posed.problem, least_gain)
-
-    def walk(late_s: float, source: Source) -> ShiftedWalk:
-        shifted = solved(on_clock.earlier(source, late_s), least_gain=_LEAST_GAIN) if late_s else found
-        return _shifted_walk(*shifted, source)
-
-    on_clock, found = observed, solved(observed)
-    clocks: dict[Source, ClockShift] = {}
-    for source in get_args(Source):
-        places = [fix for fix in getattr(observed, source) if isinstance(fix, PositionFix)]
-        if len(places) >= _MIN_POSITIONS:
-            prior = ShiftPrior.of(places, start_s, end_s)
-            clocks[source] = estimated_shift(partial(walk, source=source), prior)
-            if late_s := clocks[source].late_s:
-                on_clock = on_clock.earlier(source, late_s)
-                found = solved(on_clock)
-    blind = track
-    for _ in range(_MOST_MODE_PASSES if track.weighting == "imm" and found[1].weight.any() else 0):
-        told = _with_observed_modes(filtered, blind, config, *found)
-        if np.abs(told.mode_prob - track.mode_prob).max() < _SAME_PROB:
-            break
-        track, before = told, found[1]
-        found = solved(on_clock)
-        turned = np.abs(found[1].mean - before.mean)[:, HEADING_OFFSET:]
-        if np.array_equal(found[1].weight, before.weight) and turned.max() < _SAME_LINEARISATION:
-            break
-    smoothed, walked_var_m2 = _smoothed(track, *found, observed, clocks)
-    if len(found[0].problem.errors):
-        # the shrinkage of the locations follows the shape of the walk, which the first solution knows best
-        shape_m = np.vstack([smoothed.start_position_m, smoothed.track.position_m]) / smoothed.scale
-        smoothed, walked_var_m2 = _smoothed(track, *solved(on_clock, shape_m), observed, clocks)
-    length_fixes = LengthFixes()
-    for fix, result in zip((*observed.fixes, *observed.locations), smoothed.track.fixes, strict=True):
-        length_fixes = length_fixes.plus(fix) if result.accepted else length_fixes
-    estimate = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
-    session = session_of_scale(config.model, estimate, config.model.noise.log_scale_std**2, length_fixes)
-    if session is not None:
-        person = (config.person or Person()).pooled(Person((session,)))
-        smoothed = replace(smoothed, track=replace(smoothed.track, person=person))
-    return smoothed, walked_var_m2, clocks
-
-
-# Passes of mode probabilities and positions, and the difference of probabilities below which the next one is the same:
-# 0.01 of the difference between two lengths is less than 1 cm. The evidence depends on a solution by its rotation and
-# scale alone: 0.05 (3 degrees, 5 %) changes a difference of lengths by less than 5 %.
-_MOST_MODE_PASSES, _SAME_PROB, _SAME_LINEARISATION = 3, 0.01, 0.05
-
-
-def _with_observed_modes(filtered: Track, blind: Track, config: Config, posed: _Posed, found: Solution) -> Track:
-    """Return the track with mode probabilities smoothed with the evidence of the observations in a solved problem.
-
-    `filtered` has the mode probabilities of the dead reckoning, and `blind` the same smoothed, without observations. A
-    mode with less than one expected step keeps the latter.
-    """
-    model, likely = config.model, blind.mode_prob.sum(axis=0) >= 1.0
-    if likely.sum() < 2:
-        return blind
-    of_modes = mode_steps(filtered.steps, model, posed.steps.unknown_var_rad2).of(likely)
-    start_prob, transition_prob = model.long_run_mode_prob, model.transition_prob
-    evidence = step_log_evidence(filtered.mode_prob, start_prob, transition_prob)[:, likely]
-    between = start_prob[likely], transition_prob[likely][:, likely]
-    walk = switching_walk(posed.steps, of_modes, posed.problem, found, evidence, *between)
-    prob = blind.mode_prob.copy()
-    prob[:, likely] = walk.smoothed_modes()[0] * prob[:, likely].sum(axis=1, keepdims=True)
-    return replace(blind, mode_prob=read_only(prob))
-
-
-def _shifted_walk(posed: _Posed, found: Solution, source: Source) -> ShiftedWalk:
-    """Return the sum of squares of a solved problem, and its derivatives by an earlier clock of one source."""
-    ahead_m = _ahead_m(posed, found, source)
-    _, slope, information = response(posed.problem, found, ahead_m)
-    is_rejecting = bool((found.weight[: len(ahead_m)][ahead_m.any(axis=1)] == 0).any())
-    return ShiftedWalk(sum_of_squares(posed.problem, found), slope, information, is_rejecting)
-
-
-# Decrease of the sum of squares by which the solution for a possible shift of a clock is improved. Other shifts reject
-# other positions, each of which changes the sum by about 2.
-_LEAST_GAIN = 0.1
-# Smallest number of positions of a source with a shape that a shift of its clock changes.
-_MIN_POSITIONS = 3
-# The velocity at a fix is the mean of the walk within this time before and after, in s, so that it reaches around the
-# corners of a walk.
-_VELOCITY_S = 3.0
-
-
-def _ahead_m(posed: _Posed, found: Solution, source: Source) -> FloatArray:
+def _ahead_m(posed: Posed, found: Solution, source: Source) -> FloatArray:
     """Return the way (F, 2) in m of the walk in 1 s at each observed position of a source, zero at the others."""
     mean, _ = step_states(posed.problem.intervals, found.mean, found.joint_cov)
     time_s = np.append(posed.steps.time_s[0] - posed.steps.duration_s[0], posed.steps.time_s)
@@ -693,87 +786,6 @@ def _ahead_m(posed: _Posed, found: Solution, source: Source) -> FloatArray:
     ahead_m = np.zeros((len(posed.problem.positions), 2))
     ahead_m[first : first + len(at_s)] = (after - before) / (2.0 * _VELOCITY_S)
     return ahead_m
-
-
-class _Posed(NamedTuple):
-    """Increments of the steps, their errors (K, C, 2) by consider parameters, used observations, and the problem."""
-
-    steps: Increments
-    parameter_error_m: FloatArray
-    used: Used
-    problem: Problem
-
-
-def _problem(
-    track: Track,
-    config: Config,
-    observed: Observations,
-    inside: BoolArray,
-    start_heading_std_rad: float | None,
-    anchor_interval_s: float,
-    guess: WalkedPath | None,
-    stood: StandstillSteps,
-    shape_m: FloatArray | None,
-    anchors: Sequence[int] = (),
-) -> _Posed:
-    """Return the least-squares problem of a track with steps.
-
-    `inside` is a mask of the fixes and locations within the recording. `stood` are the steps within standstills.
-    `shape_m` (K + 1, 2) are positions of the start and of the steps that show the shape of the walk (`errors_of`), or
-    None for dead reckoning. `anchors` are further numbers of steps with an anchor.
-    """
-    noise, modes = config.model.noise, config.model.modes
-    steps, parameter_error_m = increments(
-        track.steps, track.mode_prob, config.model, track.gap_before_s, is_weighted=track.weighting != "imm"
-    )
-    steps = _with_withheld_steps(steps, track, config, stood)
-    used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
-    offsets = heading_offsets(track, steps, modes)
-    heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
-    if shape_m is None:
-        walk_m = np.vstack([np.zeros((1, 2)), track.position_m])
-        at = [nearest_contact(steps, fix.time_s)[0] for fix in used.observed.locations]
-        shape_m = turned_to(used.observed.locations, walk_m[at], walk_m)
-    fixes = (*used.observed.positions, *used.observed.locations)
-    centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
-    if not fixes and guess is not None and used.has_positions:
-        centre = _measurements_on_path(used, guess).guess_m.mean(axis=0)
-    start_std_m = _REGION_STD_M if used.has_positions else KNOWN_STD_M
-    start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2)
-    before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]
-    start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
-    problem = pose_problem(
-        steps,
-        np.array([*centre, 0.0, 0.0]),
-        start_cov,
-        used.observed,
-        offsets,
-        frame_std_rad,
-        anchor_interval_s=anchor_interval_s,
-        states=used.states,
-        measurements=None if guess is None else _measurements_on_path(used, guess),
-        shape_m=shape_m,
-        anchors=anchors,
-    )
-    return _Posed(steps, parameter_error_m, used, problem)
-
-
-def _with_withheld_steps(steps: Increments, track: Track, config: Config, stood: StandstillSteps) -> Increments:
-    """Return the increments with the steps that contradict a stated standstill as uncertainty of the last one of them.
-
-    These steps have no displacement. If the statement is wrong, all of them lack theirs: the sum d of the displacements
-    adds d d' to the covariance.
-    """
-    inside = (track.time_s >= stood.first_s) & (track.time_s <= stood.last_s)
-    if not inside.any():
-        return steps
-    free_prob = config.model.step_mode_prob(track.context_prob)
-    is_weighted = track.weighting != "imm"
-    free, _ = increments(track.steps, free_prob, config.model, track.gap_before_s, is_weighted=is_weighted)
-    withheld_m = (free.displacement_m - steps.displacement_m)[inside].sum(axis=0)
-    cov = steps.cov_m2.copy()
-    cov[np.flatnonzero(inside)[-1]] += np.outer(withheld_m, withheld_m)
-    return replace(steps, cov_m2=cov)
 
 
 def _measurements_on_path(used: Used, guess: WalkedPath) -> Measurements:
@@ -798,92 +810,6 @@ def _start_directions(
     if start_heading_std_rad is not None:
         return start_heading_std_rad, start_heading_std_rad
     return (wide, wide) if is_oriented else (noise.initial_heading_offset_std_rad, _KNOWN_STD_RAD)
-
-
-def _smoothed(
-    track: Track, posed: _Posed, found: Solution, observed: Observations, clocks: dict[Source, ClockShift]
-) -> tuple[Smoothed, FloatArray]:
-    """Return the result of a solved problem, and the variance (K,) in m2 of each position for a known heading.
-
-    `observed` are the given observations, and `clocks` the shifts of their clocks in the problem. The variance is the
-    part of the position variance that the heading offset does not explain, mean of both axes.
-    """
-    steps, parameter_error_m, used, problem = posed
-    mean, cov = step_states(problem.intervals, found.mean, found.joint_cov)
-    cov[:, HEADING_OFFSET, HEADING_OFFSET] = np.minimum(cov[:, HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
-    position = mean[:, :2]
-    before = np.vstack([found.mean[:1, :2], position[:-1]])
-    moved = position - before
-    rotation = scaled_rotation(mean[:, HEADING_OFFSET], mean[:, LOG_SCALE])
-    own = np.einsum("kab,kb->ka", rotation, steps.displacement_m)
-    length = np.exp(mean[:, LOG_SCALE]) * steps.length_m
-    # across a gap, the positions give the displacement during the gap, not that of the step
-    moved = np.where((steps.gap_var_m2 > 0)[:, None], own, moved)
-    heading = np.where(np.hypot(*moved.T) > 0.01, np.arctan2(moved[:, 0], moved[:, 1]), track.walking_heading_rad)
-    of_map = (found.weight[: len(problem.positions)] > 0) & (problem.positions.other < 0)
-    anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
-    error_m = _consider_errors_m(own, cov, np.einsum("kab,kmb->kma", rotation, parameter_error_m))
-    position_cov = cov[:, :2, :2] + _since_fix_cov_m2(error_m, anchored)
-    start_cov = found.joint_cov[0, :2, :2]
-    for source, clock in clocks.items():
-        if clock.var_s2:
-            follows, _, _ = response(problem, found, _ahead_m(posed, found, source))
-            later, _ = step_states(problem.intervals, found.mean + follows, found.joint_cov)
-            late_m = clock.var_s2**0.5 * np.vstack([follows[:1, :2], later[:, :2] - position])
-            late_cov = late_m[:, :, None] * late_m[:, None, :]
-            start_cov, position_cov = start_cov + late_cov[0], position_cov + late_cov[1:]
-    # no step is uncertain by a metre, except the last one of a standstill that the steps contradict
-    step_std_m = worst_std_m(steps.cov_m2)
-    withheld_m = np.where(step_std_m > 1.0, step_std_m, 0.0)
-    unstepped_m = np.sqrt(steps.gap_var_m2)
-    start_std_m = worst_std_m(start_cov)
-    if not used.has_positions:  # the first step begins at the origin
-        unstepped_m[:1] = start_std_m = 0.0
-    way_m = np.cumsum(np.append(0.0, length + unstepped_m + withheld_m))
-    std_m = np.append(start_std_m, worst_std_m(position_cov))
-    position_cov = bounded_position_cov(position_cov, reach_m(way_m, std_m)[1:])
-    observations = observation_table(observed, used.row, found)
-    end_s = track.start_time_s + track.duration_s
-    results, conflict = fix_results(observed, observations, used, end_s), FixConflict()
-    for fix, result in zip((*observed.fixes, *observed.locations), results, strict=True):
-        if isinstance(fix, PositionFix) and np.isfinite(result.nis):
-            at_m = interpolated_rows(fix.time_s, track.time_s, position)
-            conflict = conflict.plus(result.outcome, fix.position_m - at_m)
-    position_cov = position_cov + conflict.cov_m2
-    scale_std = float(np.sqrt(problem.start_cov[LOG_SCALE, LOG_SCALE]))
-    start_m = read_only(found.mean[0, :2] if used.has_positions else np.zeros(2))
-    heading_std_rad = np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])
-    reckoned = notes_of_reckoning(track, found, heading_std_rad)
-    shifts = [note for source, clock in clocks.items() for note in clock.notes(source)]
-    notes = (*reckoned, *used.notes, *shifts, *notes_of_solution(track, found, observations, observed, used, scale_std))
-    notes = (*notes, *(note.text for note in conflict_notes(conflict)))
-    smoothed = replace(
-        track,
-        position_m=read_only(position),
-        position_cov_m2=read_only(position_cov),
-        step_length_m=read_only(length),
-        walked_m=read_only(np.cumsum(length)),
-        walking_heading_rad=read_only(wrap_angle(heading)),
-        step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
-        notes=notes,
-        start_position_m=start_m,
-        is_smoothed=True,
-        frame=used.frame or track.frame,
-        fixes=results,
-    )
-    result = Smoothed(
-        track=smoothed,
-        heading_offset_rad=read_only(wrap_angle(mean[:, HEADING_OFFSET])),
-        heading_offset_std_rad=read_only(heading_std_rad),
-        log_scale=read_only(mean[:, LOG_SCALE]),
-        log_scale_std=read_only(np.sqrt(cov[:, LOG_SCALE, LOG_SCALE])),
-        start_position_m=start_m,
-        start_position_cov_m2=read_only(start_cov),
-        observations=observations,
-        floor=floors_at_steps(track, observed.floor_changes),
-        notes=notes,
-    )
-    return result, np.array([walked_var(P) for P in cov])
 
 
 def _consider_errors_m(moved: FloatArray, cov: FloatArray, parameter_error_m: FloatArray) -> FloatArray:

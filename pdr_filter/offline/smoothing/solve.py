@@ -59,32 +59,17 @@ class Solution:
     """Smoothed states at the anchors, and the use of positions, directions, states and measurements.
 
     An anchor is a foot contact at which a state is estimated: east, north, heading offset and log scale.
-
-    Attributes
-    ----------
-    mean : array (n + 1, 4)
-        Smoothed state at each anchor.
-    joint_cov : array (n, 8, 8)
-        Joint covariance of both ends of each interval between consecutive anchors.
-    frame_rad : float
-        Rotation from the frame of the offsets to the frame of the positions.
-    nis : array (F + H + S + X,)
-        Normalised innovation squared of each observation with respect to all others: F positions, H directions, S
-        states (heading offsets and log scales) and X measurements.
-    weight : array (F + H + S + X,)
-        1 for a used observation, 0 for a rejected one.
-    converged : bool
-        True if the Gauss-Newton iteration converged.
-    states : array (N, 6)
-        States of the anchors, in the first four columns, followed by the errors of correlated fixes.
     """
 
-    mean: FloatArray
-    joint_cov: FloatArray
-    frame_rad: float
+    mean: FloatArray  # (n + 1, 4) smoothed state at each anchor
+    joint_cov: FloatArray  # (n, 8, 8) joint covariance of both ends of each interval between consecutive anchors
+    frame_rad: float  # rotation from the frame of the offsets to the frame of the positions
+    # (F + H + S + X,) normalised innovation squared of each observation with respect to all others: F positions, H
+    # directions, S states (heading offsets and log scales) and X measurements
     nis: FloatArray
-    weight: FloatArray
-    converged: bool
+    weight: FloatArray  # (F + H + S + X,) 1 for a used observation, 0 for a rejected one
+    converged: bool  # True if the Gauss-Newton iteration converged
+    # (N, 6) states of the anchors, in the first four columns, followed by the errors of correlated fixes
     states: FloatArray
 
 

@@ -42,38 +42,20 @@ _NORTH_INTERVAL_S = 200.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Used:
-    """Observations in the form of the least-squares problem, and the use of each given observation.
+    """Observations in the form of the least-squares problem, and the use of each given observation."""
 
-    Attributes
-    ----------
-    observed : Observations
-        Used position fixes (no other fixes) and locations, each in order of time, used loop closures, and known
-        headings.
-    states : ObservedStates
-        Heading and speed fixes, followed by magnetic north, by the number of steps before them.
-    n_north : int
-        Number of `states` that are magnetic north.
-    measured : tuple of Measurement
-        All other measurements.
-    device_rad : array (K,)
-        Walking heading of each step minus its heading offset.
-    row : array of int
-        Row of each given observation in the problem (positions, directions, states, measurements), -1 if it is not
-        used. The given observations are fixes, locations, loop closures and known headings, in this order.
-    repetitions : tuple of str (F + L,)
-        "frozen" or "repeated" for fixes, followed by locations, that repeat an earlier one, else empty.
-    notes : tuple of str
-        Observations that are not used, and why.
-    """
-
+    # used position fixes (no other fixes) and locations, each in order of time, used loop closures, and known headings
     observed: Observations
-    states: ObservedStates
-    n_north: int
-    measured: tuple[Measurement, ...]
-    device_rad: FloatArray
+    states: ObservedStates  # heading and speed fixes, followed by magnetic north, by the number of steps before them
+    n_north: int  # number of `states` that are magnetic north
+    measured: tuple[Measurement, ...]  # all other measurements
+    device_rad: FloatArray  # (K,) walking heading of each step minus its heading offset
+    # row of each given observation in the problem (positions, directions, states, measurements), -1 if it is not used.
+    # The given observations are fixes, locations, loop closures and known headings, in this order.
     row: IntArray
+    # "frozen" or "repeated" for fixes, followed by locations, that repeat an earlier one, else empty
     repetitions: tuple[Repetition, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # observations that are not used, and why
 
     @property
     def knows_north(self) -> bool:

@@ -210,24 +210,12 @@ def _silent(fraction: float) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Labelled:
-    """Windows of all recordings in order, including those outside every label, with empty strings as labels.
-
-    Attributes
-    ----------
-    windows : LabelledWindows
-        The windows.
-    at_middle : array (W,) of str
-        Context at the middle of each window, or an empty string outside every label.
-    sequence : array (W,) of str
-        Recording and stretch without gaps, such as "3/0".
-    has_gyroscope : bool
-        True if all windows have an angular rate, False if none has one.
-    """
+    """Windows of all recordings in order, including those outside every label, with empty strings as labels."""
 
     windows: LabelledWindows
-    at_middle: TextArray
-    sequence: TextArray
-    has_gyroscope: bool
+    at_middle: TextArray  # (W,) context at the middle of each window, or an empty string outside every label
+    sequence: TextArray  # (W,) recording and stretch without gaps, such as "3/0"
+    has_gyroscope: bool  # True if all windows have an angular rate, False if none has one
 
 
 def _labelled(
@@ -351,24 +339,12 @@ def _check_units(label: TextArray, unit: TextArray, what: str) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _StepLabels:
-    """True contexts of the detected steps, for recordings in which the context changes.
+    """True contexts of the detected steps, for recordings in which the context changes."""
 
-    Attributes
-    ----------
-    label : array (K,) of int
-        Index into the labels, `UNKNOWN` outside every label.
-    person : array (K,) of str
-        Person of each step.
-    sequence : array (K,) of str
-        Recording and stretch without gaps of each step, such as "3/0".
-    recordings : tuple of int
-        Indices of the recordings in which the context changes.
-    """
-
-    label: IntArray
-    person: TextArray
-    sequence: TextArray
-    recordings: tuple[int, ...]
+    label: IntArray  # (K,) index into the labels, `UNKNOWN` outside every label
+    person: TextArray  # (K,) person of each step
+    sequence: TextArray  # (K,) recording and stretch without gaps of each step, such as "3/0"
+    recordings: tuple[int, ...]  # indices of the recordings in which the context changes
 
 
 def _step_labels(
@@ -410,33 +386,15 @@ class _DefaultEvidence:
 
 @dataclass(frozen=True, kw_only=True)
 class FittingPlan(TrainingPlan):
-    """Plan of a model fitted on recordings of any data.
+    """Plan of a model fitted on recordings of any data."""
 
-    Attributes
-    ----------
-    own_labels : tuple of str
-        Labels of the recordings.
-    n_recordings : int
-        Number of recordings.
-    step_labels : _StepLabels or None
-        Contexts of the steps, or None if no transitions are estimated.
-    at_middle : array (W,) of str
-        Context at the middle of each window.
-    sequence : array (W,) of str
-        Recording and stretch of each window.
-    unit : array (W,) of str
-        Person of each window, or its recording if all are of one person.
-    held_out_unit : str
-        "person" or "recording": the kind of `unit`.
-    """
-
-    own_labels: tuple[str, ...]
-    n_recordings: int
-    step_labels: _StepLabels | None
-    at_middle: TextArray
-    sequence: TextArray
-    unit: TextArray
-    held_out_unit: str
+    own_labels: tuple[str, ...]  # labels of the recordings
+    n_recordings: int  # number of recordings
+    step_labels: _StepLabels | None  # contexts of the steps, or None if no transitions are estimated
+    at_middle: TextArray  # (W,) context at the middle of each window
+    sequence: TextArray  # (W,) recording and stretch of each window
+    unit: TextArray  # (W,) person of each window, or its recording if all are of one person
+    held_out_unit: str  # "person" or "recording": the kind of `unit`
 
     @property
     def labels(self) -> tuple[str, ...]:

@@ -23,32 +23,14 @@ PRIOR_STEPS = 100.0  # weight of the prior of a row of transitions in steps: abo
 
 @dataclass(frozen=True, eq=False)
 class LabelledProbabilities:
-    """Predicted probabilities of windows in order, for people who were not in training, with the true contexts.
+    """Predicted probabilities of windows in order, for people who were not in training, with the true contexts."""
 
-    Attributes
-    ----------
-    prob : array (W, C)
-        Predicted probabilities.
-    training_prior : array (W, C)
-        Class probabilities in the training data of the classifier, which may differ between folds.
-    label : array (W,) of int
-        True context, `UNKNOWN` if there is none.
-    person : array (W,) of str
-        Person of each window.
-    sequence : array (W,) of str
-        Sequence of each window. Windows of one sequence are consecutive in time.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ, or labels or probabilities are out of range.
-    """
-
-    prob: FloatArray
+    prob: FloatArray  # (W, C) predicted probabilities
+    # (W, C) class probabilities in the training data of the classifier, which may differ between folds
     training_prior: FloatArray
-    label: IntArray
-    person: TextArray
-    sequence: TextArray
+    label: IntArray  # (W,) True context, `UNKNOWN` if there is none
+    person: TextArray  # (W,) person of each window
+    sequence: TextArray  # (W,) sequence of each window. Windows of one sequence are consecutive in time.
 
     def __post_init__(self) -> None:
         if self.prob.ndim != 2 or self.prob.shape != self.training_prior.shape or not len(self.prob):
@@ -183,23 +165,13 @@ def estimate_transitions(counts: FloatArray, prior: FloatArray, prior_steps: flo
 
 @dataclass(frozen=True, slots=True)
 class Tempering:
-    """Exponents of the evidence and their log losses.
+    """Exponents of the evidence and their log losses."""
 
-    Attributes
-    ----------
-    evidence_exponent : float
-        Exponent of the probabilities.
-    prior_exponent : float
-        Exponent of the classifier's prior.
-    log_loss : float
-        Mean over people of the log loss with these exponents, which were chosen on the same people (in-sample).
-    held_out_log_loss : float
-        Mean log loss of each person with the exponents chosen on all other people. NaN for one person.
-    """
-
-    evidence_exponent: float
-    prior_exponent: float
+    evidence_exponent: float  # exponent of the probabilities
+    prior_exponent: float  # exponent of the classifier's prior
+    # mean over people of the log loss with these exponents, which were chosen on the same people (in-sample)
     log_loss: float
+    # mean log loss of each person with the exponents chosen on all other people. NaN for one person.
     held_out_log_loss: float
 
 

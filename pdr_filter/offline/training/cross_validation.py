@@ -85,33 +85,15 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class LabelledWindows(Columns):
-    """Feature windows that lie inside one label, with their person and source.
+    """Feature windows that lie inside one label, with their person and source."""
 
-    Attributes
-    ----------
-    features : array (W, F)
-        Features of each window.
-    context : array (W,) of str
-        Label of the context, or an empty string if unknown.
-    carrying_mode : array (W,) of str
-        Label of the carrying mode, or an empty string if unknown.
-    person : array (W,) of str
-        Person as "data set/subject".
-    dataset : array (W,) of str
-        Data set, or the kind of synthetic windows and the data set that they were made from.
-    recording : array (W,) of str
-        Name of the recording.
-    has_gyroscope : array (W,) of bool
-        True for windows with an angular rate.
-    """
-
-    features: FloatArray
-    context: TextArray
-    carrying_mode: TextArray
-    person: TextArray
-    dataset: TextArray
-    recording: TextArray
-    has_gyroscope: BoolArray
+    features: FloatArray  # (W, F) features of each window
+    context: TextArray  # (W,) label of the context, or an empty string if unknown
+    carrying_mode: TextArray  # (W,) label of the carrying mode, or an empty string if unknown
+    person: TextArray  # (W,) person as "data set/subject"
+    dataset: TextArray  # (W,) data set, or the kind of synthetic windows and the data set that they were made from
+    recording: TextArray  # (W,) name of the recording
+    has_gyroscope: BoolArray  # (W,) True for windows with an angular rate
 
     def label(self, head: str) -> TextArray:
         """Return the true contexts (W,) for the head "context", otherwise carrying modes; empty strings if unknown."""
@@ -120,70 +102,33 @@ class LabelledWindows(Columns):
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Predictions for held-out windows.
+    """Predictions for held-out windows."""
 
-    Attributes
-    ----------
-    rows : array (W,) of bool
-        Held-out windows among all windows of the plan.
-    prob : array (n, L)
-        Predicted probabilities of the plan's labels.
-    distance : array (n,)
-        Distance from the training windows.
-    stairs_distance : array (n,)
-        Distance from the training windows on stairs. Zero if the plan does not guard stairs.
-    """
-
-    rows: BoolArray
-    prob: FloatArray
-    distance: FloatArray
+    rows: BoolArray  # (W,) held-out windows among all windows of the plan
+    prob: FloatArray  # (n, L) predicted probabilities of the plan's labels
+    distance: FloatArray  # (n,) distance from the training windows
+    # (n,) distance from the training windows on stairs. Zero if the plan does not guard stairs.
     stairs_distance: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingPlan(ABC):
-    """Base class of the plans that define how one model is trained.
-
-    Attributes
-    ----------
-    name : str
-        Name of the model and its files.
-    head : str
-        "context" or "carrying_mode".
-    feature_set : str
-        Name of the set of features.
-    feature_names : tuple of str
-        Features used from that set.
-    machine_fit : callable
-        Function that fits the classifier.
-    description : str
-        Description on the card.
-    use : str
-        Intended use on the card.
-    limits : str
-        Limits on the card.
-    command : str
-        Command that trains the model, on the card.
-    has_gyroscope : bool, default True
-        If False, the angular rate is removed before any processing, because the attitude, and with it the vertical,
-        differs if it comes from the accelerometer alone.
-    feature_limit : float
-        Number of standard deviations at which features are clipped.
-    guards_stairs : bool, default False
-        If True, stairs are distinguished from walking only in windows similar to the training windows on stairs.
-    """
+    """Base class of the plans that define how one model is trained."""
 
     name: str
-    head: str
-    feature_set: str
-    feature_names: tuple[str, ...]
+    head: str  # "context" or "carrying_mode"
+    feature_set: str  # name of the set of features
+    feature_names: tuple[str, ...]  # features used from that set
     machine_fit: MachineFit
-    description: str
-    use: str
-    limits: str
-    command: str
+    description: str  # description on the card
+    use: str  # intended use on the card
+    limits: str  # limits on the card
+    command: str  # command that trains the model, on the card
+    # if False, the angular rate is removed before any processing, because the attitude, and with it the vertical,
+    # differs if it comes from the accelerometer alone
     has_gyroscope: bool = True
-    feature_limit: float = FEATURE_LIMIT
+    feature_limit: float = FEATURE_LIMIT  # number of standard deviations at which features are clipped
+    # if True, stairs are distinguished from walking only in windows similar to the training windows on stairs
     guards_stairs: bool = False
 
     @property
@@ -283,17 +228,10 @@ class TrainingPlan(ABC):
 
 @dataclass(frozen=True, eq=False)
 class Fits:
-    """Uncalibrated models of one training plan.
+    """Uncalibrated models of one training plan."""
 
-    Attributes
-    ----------
-    model : ContextModel
-        Model fitted on all windows.
-    without : dict
-        Models fitted without a held-out group, by the name of the group, with their `Familiarity`.
-    """
-
-    model: ContextModel
+    model: ContextModel  # model fitted on all windows
+    # models fitted without a held-out group, by the name of the group, with their `Familiarity`
     without: dict[str, ContextModel]
 
 

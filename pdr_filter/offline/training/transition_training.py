@@ -53,27 +53,13 @@ Reader = Callable[[Path], Recording]
 
 @dataclass(frozen=True, eq=False)
 class LabelledSequences:
-    """Steps and windows of recordings in which the context changes.
+    """Steps and windows of recordings in which the context changes."""
 
-    Attributes
-    ----------
-    step_label : array (K,) of int
-        True context of each step, `UNKNOWN` outside every label.
-    step_person : array (K,) of str
-        Person of each step.
-    step_sequence : array (K,) of str
-        Stretch without gaps of each step.
-    windows : LabelledProbabilities
-        Windows, with the true context at their middle.
-    n_recordings : int
-        Number of recordings.
-    """
-
-    step_label: IntArray
-    step_person: TextArray
-    step_sequence: TextArray
-    windows: LabelledProbabilities
-    n_recordings: int
+    step_label: IntArray  # (K,) True context of each step, `UNKNOWN` outside every label
+    step_person: TextArray  # (K,) person of each step
+    step_sequence: TextArray  # (K,) stretch without gaps of each step
+    windows: LabelledProbabilities  # windows, with the true context at their middle
+    n_recordings: int  # number of recordings
 
     def counts(self, without: Sequence[str] = ()) -> FloatArray:
         """Return the counted transitions (C, C) between steps, of all people except those in `without`."""
@@ -222,33 +208,15 @@ class EvidenceModel(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class EvidenceEstimate:
-    """Estimated transitions and exponents, or default values if the labels are not sufficient.
+    """Estimated transitions and exponents, or default values if the labels are not sufficient."""
 
-    Attributes
-    ----------
-    transition_prob : array (C, C)
-        Transition matrix between two steps.
-    evidence_exponent : float
-        Exponent of the probabilities.
-    prior_exponent : float
-        Exponent of the classifier's prior.
-    counts : array (C, C)
-        Counted transitions.
-    of_matrix : str
-        "estimated", or "default: " and the reason.
-    of_exponents : str
-        "estimated", or "default: " and the reason.
-    log_loss : dict of str to float
-        Result of `held_out_log_loss`. Empty if no exponents could be chosen.
-    """
-
-    transition_prob: FloatArray
-    evidence_exponent: float
-    prior_exponent: float
-    counts: FloatArray
-    of_matrix: str
-    of_exponents: str
-    log_loss: dict[str, float]
+    transition_prob: FloatArray  # (C, C) transition matrix between two steps
+    evidence_exponent: float  # exponent of the probabilities
+    prior_exponent: float  # exponent of the classifier's prior
+    counts: FloatArray  # (C, C) counted transitions
+    of_matrix: str  # "estimated", or "default: " and the reason
+    of_exponents: str  # "estimated", or "default: " and the reason
+    log_loss: dict[str, float]  # result of `held_out_log_loss`. Empty if no exponents could be chosen.
 
     @property
     def n_changes(self) -> int:

@@ -102,28 +102,15 @@ class Node:
 
 @dataclass(frozen=True)
 class MotionModeTree:
-    """Decision tree of the motion modes.
+    """Decision tree of the motion modes."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the tree in the reports of windows.
-    static_variance_acc, static_variance_gyro : float
-        Limits of the variances of |f|, (m/s2)^2, and |omega|, (rad/s)^2. A device below both is static.
-    walking : Node
-        Test for walking against irregular motion.
-    swinging : Node
-        Test for a swinging arm against an arm at rest.
-    leaves : tuple of tuple of float
-        Probabilities of the `MODES` (columns) in the leaf of each mode (rows).
-    """
-
-    name: str
+    name: str  # name of the tree in the reports of windows
+    # limits of the variances of |f|, (m/s2)^2, and |omega|, (rad/s)^2. A device below both is static.
     static_variance_acc: float
     static_variance_gyro: float
-    walking: Node
-    swinging: Node
-    leaves: tuple[tuple[float, ...], ...]
+    walking: Node  # test for walking against irregular motion
+    swinging: Node  # test for a swinging arm against an arm at rest
+    leaves: tuple[tuple[float, ...], ...]  # probabilities of the `MODES` (columns) in the leaf of each mode (rows)
 
     def __post_init__(self) -> None:
         check_numbers(self, infinite=("static_variance_acc", "static_variance_gyro"))

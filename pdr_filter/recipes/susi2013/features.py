@@ -138,21 +138,11 @@ class MotionWindowState:
 
 @dataclass(frozen=True)
 class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
-    """Causal windows of the norms of low-passed force and angular rate, with their features.
+    """Causal windows of the norms of low-passed force and angular rate, with their features."""
 
-    Parameters
-    ----------
-    rate_hz : float, default 100.0
-        Sampling rate of the blocks in Hz.
-    window_s, hop_s : float
-        Length and hop of the windows in s, 256 and 128 samples at 100 Hz.
-    low_pass_hz : float, default 15.0
-        Cutoff in Hz of the 10th-order Butterworth low-pass. At 15 Hz its delay is about 0.07 s.
-    """
-
-    window_s: float = 2.56
+    window_s: float = 2.56  # 256 samples at 100 Hz
     hop_s: float = 1.28
-    low_pass_hz: float = 15.0
+    low_pass_hz: float = 15.0  # cutoff in Hz of the 10th-order Butterworth low-pass, whose delay is about 0.07 s
 
     def __post_init__(self) -> None:
         super().__post_init__()

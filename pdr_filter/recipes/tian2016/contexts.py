@@ -78,35 +78,22 @@ class CarryingMachine:
     up (g_z < -GH_z) in more than half of the samples. It is SWING if the phone is on its long edge in more than half,
     and POCKET otherwise. This is an extension, because the paper assumes a gyroscope. An upright phone is then assigned
     to POCKET, which is the most frequent case.
-
-    Parameters
-    ----------
-    rate_hz : float, default 100.0
-        Sampling rate in Hz.
-    rate_y_radps, rate_z_radps : float, default 3.0 and 5.0
-        Angular rates R_y and R_z about the y and z axis of the phone that start a transition, in rad/s.
-    transition_s : float, default 2.0
-        Duration of a transition in s.
-    held_y_g, held_z_g : float, default 0.65
-        Gravity GH_y and GH_z on y or z of a held phone with a roll of up to 30 degrees (eq. 7), in g.
-    edge_x_g : float, default 0.9
-        Gravity GS_x on x of a phone in a swinging hand, in g.
-    face_down_z_g : float, default 0.4
-        Gravity GS_z on z, in g. If g_z reaches it in any sample of a transition, the screen is down, and the mode after
-        HOLDING is not SWING.
-    held_again_s : float, default 0.5
-        Duration in s at the end of the transition. A held phone whose screen is up (g_z < -GH_z) during all of it was
-        only rotated, and stays in HOLDING. A value longer than the window disables this, as in the paper.
     """
 
-    rate_hz: float = 100.0
+    rate_hz: float = 100.0  # sampling rate in Hz
+    # angular rates R_y and R_z about the y and z axis of the phone that start a transition, in rad/s
     rate_y_radps: float = 3.0
     rate_z_radps: float = 5.0
-    transition_s: float = 2.0
+    transition_s: float = 2.0  # duration of a transition in s
+    # gravity GH_y and GH_z on y or z of a held phone with a roll of up to 30 degrees (eq. 7), in g
     held_y_g: float = 0.65
     held_z_g: float = 0.65
-    edge_x_g: float = 0.9
+    edge_x_g: float = 0.9  # gravity GS_x on x of a phone in a swinging hand, in g
+    # gravity GS_z on z, in g. If g_z reaches it in any sample of a transition, the screen is down, and the mode after
+    # HOLDING is not SWING.
     face_down_z_g: float = 0.4
+    # duration in s at the end of the transition. A held phone whose screen is up (g_z < -GH_z) during all of it was
+    # only rotated, and stays in HOLDING. A value longer than the window disables this, as in the paper.
     held_again_s: float = 0.5
 
     def __post_init__(self) -> None:

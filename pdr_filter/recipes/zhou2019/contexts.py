@@ -27,24 +27,16 @@ class BehaviourThresholds:
 
     The signal is the low-passed acceleration a = |f| - g in a window. The behaviours are standing, walking, running and
     irregular swing.
-
-    Attributes
-    ----------
-    max_change_mps2 : float
-        Largest change of the maximum of a between two windows at which the behaviour is kept, T_a of Condition 1.
-    running_dc_mps2 : float
-        Smallest DC component (mean of a) of running, T_f^R of Condition 6.
-    walking_variance, walking_energy : float
-        Smallest variance in m2/s4 and smallest energy (mean absolute Fourier coefficient) in m/s2 of walking, T_sigma^W
-        and T_E^W of Condition 5.
-    irregular_dc_mps2, irregular_energy : float
-        Smallest DC component and energy in m/s2 of irregular swing, T_f^I and T_E^I of Condition 4.
     """
 
+    # largest change of the maximum of a between two windows at which the behaviour is kept, T_a of Condition 1
     max_change_mps2: float
-    running_dc_mps2: float
+    running_dc_mps2: float  # smallest DC component (mean of a) of running, T_f^R of Condition 6
+    # smallest variance in m2/s4 and smallest energy (mean absolute Fourier coefficient) in m/s2 of walking, T_sigma^W
+    # and T_E^W of Condition 5
     walking_variance: float
     walking_energy: float
+    # smallest DC component and energy in m/s2 of irregular swing, T_f^I and T_E^I of Condition 4
     irregular_dc_mps2: float
     irregular_energy: float
 

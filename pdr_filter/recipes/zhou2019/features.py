@@ -91,29 +91,15 @@ class BehaviourState:
 
 @dataclass(frozen=True)
 class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
-    """Causal windows of filtered acceleration, and their features.
-
-    Parameters
-    ----------
-    rate_hz : float, default 100.0
-        Sampling rate of the blocks in Hz.
-    window_s, hop_s : float, default 2.0
-        Length and hop of the windows in s.
-    static_s : float, default 1.0
-        Length in s of the static start, at most the length of the window, so that it delays no window.
-    static_std_mps2 : float, default 0.3
-        Largest standard deviation of |f| of a static start. The bias is zero if it is exceeded, or if |f| is far from
-        gravity. Over one second, a standing foot has less than 0.05 m/s2 (pyshoe), and a walking foot more than 1 m/s2.
-    low_pass_hz : float, default 10.0
-        Cutoff (-6 dB) of the FIR filter in Hz.
-    low_pass_s : float, default 0.5
-        Length of the FIR filter in s. Its delay is half of this. The transition band of 0.5 s is 6.6 Hz wide.
-    """
+    """Causal windows of filtered acceleration, and their features."""
 
     hop_s: float = 2.0
-    static_s: float = 1.0
+    static_s: float = 1.0  # length of the static start in s, at most that of the window, so that it delays no window
+    # Largest standard deviation of |f| of a static start. The bias is zero if it is exceeded, or if |f| is far from
+    # gravity. Over one second, a standing foot has less than 0.05 m/s2 (pyshoe), and a walking foot more than 1 m/s2.
     static_std_mps2: float = 0.3
-    low_pass_hz: float = 10.0
+    low_pass_hz: float = 10.0  # cutoff (-6 dB) of the FIR filter in Hz
+    # Length of the FIR filter in s. Its delay is half of this. The transition band of 0.5 s is 6.6 Hz wide.
     low_pass_s: float = 0.5
 
     def __post_init__(self) -> None:

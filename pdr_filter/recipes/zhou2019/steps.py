@@ -37,26 +37,17 @@ _QUIET_STD_MPS2 = 0.05
 
 @dataclass(frozen=True)
 class EventSearch:
-    """Parameters of the event detection that depend on the behaviour and on the placement of the sensor.
+    """Parameters of the event detection that depend on the behaviour and on the placement of the sensor."""
 
-    Attributes
-    ----------
-    cutoff_hz : float
-        Cutoff (-6 dB) of the FIR filter in Hz, the middle of the printed transition band (4 to 4.5 or 10 to 10.5 Hz).
-    min_frequency_hz, max_frequency_hz : float
-        Range of the dominant frequency f_D in Hz, of strides on a foot and of steps elsewhere.
-    harmonic_part : float
-        Smallest amplitude of f_D relative to the highest spectral line. f_D is the lowest local maximum of the spectrum
-        that reaches it, so that harmonics are not selected.
-    min_maximum_mps2 : float
-        Smallest threshold T_L in m/s2. Local maxima of the acceleration below it are ignored.
-    """
-
+    # cutoff (-6 dB) of the FIR filter in Hz, the middle of the printed transition band (4 to 4.5 or 10 to 10.5 Hz)
     cutoff_hz: float
+    # range of the dominant frequency f_D in Hz, of strides on a foot and of steps elsewhere
     min_frequency_hz: float
     max_frequency_hz: float
+    # smallest amplitude of f_D relative to the highest spectral line. f_D is the lowest local maximum of the spectrum
+    # that reaches it, so that harmonics are not selected
     harmonic_part: float
-    min_maximum_mps2: float
+    min_maximum_mps2: float  # smallest threshold T_L in m/s2. Local maxima of the acceleration below it are ignored.
 
     def __post_init__(self) -> None:
         check_numbers(self)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import pickle
 import shutil
 import signal
 import subprocess
@@ -27,9 +26,6 @@ from pdr_filter.apps.batch import run, workers
 from pdr_filter.apps.batch.worker_process import LostError, WorkerProcess
 from pdr_filter.data.io.files.own_format import write_recording
 from pdr_filter.data.io.folders import recordings_in
-from pdr_filter.filter.step_length.models import KimStepLength
-from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
-from pdr_filter.offline.calibration.segments import integrate
 from pdr_filter.values import CONTEXTS, table
 from pdr_filter.values.recording import Recording
 
@@ -303,19 +299,6 @@ def test_a_calibration_of_many_has_the_bits_of_one_by_one_and_names_what_it_left
     assert seen == pytest.approx([(i + 1) / (N + 1) for i in range(N + 1)])
     assert found.segments.recording.tolist() == expected.segments.recording.tolist()
     assert len(set(found.segments.recording)) == N  # all recordings have the same name
-
-
-def test_what_is_sent_for_a_calibration_is_sums_whatever_the_number_of_steps(cohort: Path) -> None:
-    path = str(cohort / f"walk_{N - 1}.zip")
-    models = tuple((context, prior.model) for context, prior in DEFAULT_PRIORS.items())
-    sums, steps = (calibration.read_segments(path, m) for m in (models, None))
-    assert len(sums.segments) == 1
-    assert len(pickle.dumps(sums)) < 3000 < len(pickle.dumps(steps))
-    theta = {name: prior.mean for name, prior in DEFAULT_PRIORS.items()}
-    expected = integrate(steps.segments, dict(models), theta)
-    np.testing.assert_array_equal(integrate(sums.segments, dict(models), theta).regressors, expected.regressors)
-    with pytest.raises(ValueError, match="the steps are not summed for KimStepLength"):
-        integrate(sums.segments, {"walking": KimStepLength()}, {"walking": np.ones(1)})
 
 
 def test_a_calibration_that_was_killed_goes_on_with_what_it_had(
