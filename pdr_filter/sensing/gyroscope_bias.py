@@ -54,138 +54,62 @@ _H_FIELD, _H_ERROR = read_only(_IDENTITY[_FIELD]), read_only(_IDENTITY[_ERROR])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BiasWindow:
-    """Statistics of one window of samples for the estimation of the bias.
+    """Statistics of one window of samples for the estimation of the bias."""
 
-    Attributes
-    ----------
-    angular_rate_radps : FloatArray
-        Mean measured angular rate, shape (3,), rad/s.
-    angular_rate_std_radps : float
-        Standard deviation of the angular rate, rad/s: the square root of the summed variances of the axes.
-    specific_force_std_mps2 : float
-        Standard deviation of the specific force, m/s2, likewise.
-    up_sensor : FloatArray
-        Mean unit vector up in the sensor frame, shape (3,).
-    heading_rad : float
-        Mean corrected heading of the device, not wrapped, rad.
-    angular_rate_known : bool
-        True if the angular rate is known in all samples.
-    magnetic_field_ut : FloatArray
-        Mean magnetic field along east, north and up of the attitude frame, shape (3,), uT.
-    magnetic_field_known : bool
-        True if the magnetic field is known in all samples.
-    """
-
-    angular_rate_radps: FloatArray
+    angular_rate_radps: FloatArray  # (3,) mean measured angular rate, rad/s
+    # Standard deviation of the angular rate, rad/s: the square root of the summed variances of the axes.
     angular_rate_std_radps: float
-    specific_force_std_mps2: float
-    up_sensor: FloatArray
-    heading_rad: float
-    angular_rate_known: bool
-    magnetic_field_ut: FloatArray
-    magnetic_field_known: bool
+    specific_force_std_mps2: float  # standard deviation of the specific force, m/s2, likewise
+    up_sensor: FloatArray  # (3,) mean unit vector up in the sensor frame
+    heading_rad: float  # mean corrected heading of the device, not wrapped, rad
+    angular_rate_known: bool  # True if the angular rate is known in all samples
+    magnetic_field_ut: FloatArray  # (3,) mean magnetic field along east, north and up of the attitude frame, uT
+    magnetic_field_known: bool  # True if the magnetic field is known in all samples
 
 
 @dataclass(frozen=True, eq=False)
 class StraightWalk:
-    """Windows of walking since the last corner, newest last.
+    """Windows of walking since the last corner, newest last."""
 
-    Attributes
-    ----------
-    heading_rad : tuple of float
-        Corrected headings of the last two windows, rad. They serve to detect a corner.
-    measured_rad : tuple of float
-        Uncorrected headings of the windows that have not yet updated the bias estimate, rad. Their negative slope over
-        time is the bias about the vertical.
-    up_sensor : FloatArray
-        Unit vector up in the sensor frame in the first window, shape (3,).
-    n_to_skip : int
-        Number of windows to skip before the walk updates the bias estimate again.
-    """
-
-    heading_rad: tuple[float, ...]
+    heading_rad: tuple[float, ...]  # corrected headings of the last two windows, rad. They serve to detect a corner.
+    # Uncorrected headings of the windows that have not yet updated the bias estimate, rad. Their negative slope over
+    # time is the bias about the vertical.
     measured_rad: tuple[float, ...]
-    up_sensor: FloatArray
-    n_to_skip: int
+    up_sensor: FloatArray  # (3,) unit vector up in the sensor frame in the first window
+    n_to_skip: int  # number of windows to skip before the walk updates the bias estimate again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldScatter:
-    """Recent mean and scatter of the magnetic field, with exponential forgetting.
+    """Recent mean and scatter of the magnetic field, with exponential forgetting."""
 
-    Attributes
-    ----------
-    n_windows : int
-        Windows so far.
-    horizontal_ut : float
-        Mean horizontal field, uT.
-    up_ut : float
-        Mean vertical field, uT.
-    variance_ut2 : float
-        Mean of the variances of the horizontal field strength and the vertical field, uT2.
-    direction_rad : float
-        Direction of the field in the last window, clockwise from north of the attitude frame, rad.
-    """
-
-    n_windows: int
-    horizontal_ut: float
-    up_ut: float
-    variance_ut2: float
-    direction_rad: float
+    n_windows: int  # windows so far
+    horizontal_ut: float  # mean horizontal field, uT
+    up_ut: float  # mean vertical field, uT
+    variance_ut2: float  # mean of the variances of the horizontal field strength and the vertical field, uT2
+    direction_rad: float  # direction of the field in the last window, clockwise from north of the attitude frame, rad
 
 
 @dataclass(frozen=True, eq=False)
 class GyroBiasState:
-    """Bank of M Kalman filters, and the history that the measurements need.
+    """Bank of M Kalman filters, and the history that the measurements need."""
 
-    Attributes
-    ----------
-    mean : FloatArray
-        Means of the filters, shape (M, 5).
-    cov : FloatArray
-        Covariances of the filters, shape (M, 5, 5).
-    log_weight : FloatArray
-        Log weights of the filters, shape (M,). The largest is 0.
-    bias_radps : FloatArray
-        Mean bias of the mixture, shape (3,), rad/s.
-    bias_cov_radps2 : FloatArray
-        Covariance of the bias of the mixture, shape (3, 3), (rad/s)^2.
-    heading_error_rad : float
-        Error of the corrected heading since the start, estimated by the mixture, rad.
-    heading_error_var_rad2 : float
-        Variance of `heading_error_rad`, rad2.
-    heading_lost_var_rad2 : float
-        Sum of the heading variance that the uncertain bias has added since the start, without reductions by
-        measurements, rad2. The filter of the track must add this variance, because it receives each measurement
-        separately.
-    corrected_rad : float
-        Total turn by which the bias estimates so far have corrected the heading, rad.
-    n_still : int
-        Consecutive still windows.
-    walk : StraightWalk or None
-        Current straight walk.
-    field : FieldScatter or None
-        Recent scatter of the magnetic field.
-    field_tracked : bool
-        True if the field direction in the filter states is initialised.
-    n_field_outliers : int
-        Consecutive outliers of the field direction.
-    """
-
-    mean: FloatArray
-    cov: FloatArray
-    log_weight: FloatArray
-    bias_radps: FloatArray
-    bias_cov_radps2: FloatArray
-    heading_error_rad: float = 0.0
-    heading_error_var_rad2: float = 0.0
+    mean: FloatArray  # (M, 5) means of the filters
+    cov: FloatArray  # (M, 5, 5) covariances of the filters
+    log_weight: FloatArray  # (M,) log weights of the filters. The largest is 0.
+    bias_radps: FloatArray  # (3,) mean bias of the mixture, rad/s
+    bias_cov_radps2: FloatArray  # (3, 3) covariance of the bias of the mixture, (rad/s)^2
+    heading_error_rad: float = 0.0  # error of the corrected heading since the start, estimated by the mixture, rad
+    heading_error_var_rad2: float = 0.0  # variance of `heading_error_rad`, rad2
+    # Sum of the heading variance that the uncertain bias has added since the start, without reductions by measurements,
+    # rad2. The filter of the track must add this variance, because it receives each measurement separately.
     heading_lost_var_rad2: float = 0.0
-    corrected_rad: float = 0.0
-    n_still: int = 0
-    walk: StraightWalk | None = None
-    field: FieldScatter | None = None
-    field_tracked: bool = False
-    n_field_outliers: int = 0
+    corrected_rad: float = 0.0  # total turn by which the bias estimates so far have corrected the heading, rad
+    n_still: int = 0  # consecutive still windows
+    walk: StraightWalk | None = None  # current straight walk
+    field: FieldScatter | None = None  # recent scatter of the magnetic field
+    field_tracked: bool = False  # True if the field direction in the filter states is initialised
+    n_field_outliers: int = 0  # consecutive outliers of the field direction
 
 
 @dataclass(frozen=True)

@@ -93,30 +93,16 @@ def absences_in(streams: Mapping[str, Samples]) -> list[Note]:
 
 @dataclass(frozen=True, eq=False)
 class StreamState:
-    """Buffer of one sensor.
+    """Buffer of one sensor."""
 
-    Attributes
-    ----------
-    rows : FloatArray
-        Times and values of the samples that wait or are still needed, in order of time, shape (N, 1 + d).
-    recent_s : FloatArray
-        Times of the last samples in the order of their arrival, s.
-    first_s : float
-        Smallest time of a sample, s; inf before the first.
-    n_received : int
-        Samples received.
-    n_late : int
-        Samples dropped because they were late.
-    n_sorted : int
-        Samples that were slightly behind an earlier one, and were sorted by time.
-    """
-
+    # (N, 1 + d) times and values of the samples that wait or are still needed, in order of time.
     rows: FloatArray
+    # Times of the last samples in the order of their arrival, s.
     recent_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    first_s: float = math.inf
-    n_received: int = 0
-    n_late: int = 0
-    n_sorted: int = 0
+    first_s: float = math.inf  # smallest time of a sample, s; inf before the first
+    n_received: int = 0  # samples received
+    n_late: int = 0  # samples dropped because they were late
+    n_sorted: int = 0  # samples that were slightly behind an earlier one, and were sorted by time
 
     @property
     def last_s(self) -> float:
@@ -177,21 +163,11 @@ class MergerState:
 
 
 class Merged(NamedTuple):
-    """Released samples. Pass the pressures to the filter before the inertial samples.
+    """Released samples. Pass the pressures to the filter before the inertial samples."""
 
-    Attributes
-    ----------
-    pressure_time_s : FloatArray
-        Times of the barometer samples, shape (B,), s.
-    pressure_hpa : FloatArray
-        Pressures, shape (B,), hPa.
-    block : ImuBlock
-        Samples of the accelerometer with the other sensors interpolated at their times.
-    """
-
-    pressure_time_s: FloatArray
-    pressure_hpa: FloatArray
-    block: ImuBlock
+    pressure_time_s: FloatArray  # (B,) times of the barometer samples, s
+    pressure_hpa: FloatArray  # (B,) pressures, hPa
+    block: ImuBlock  # samples of the accelerometer with the other sensors interpolated at their times
 
 
 @dataclass(frozen=True)

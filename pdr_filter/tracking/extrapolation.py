@@ -161,31 +161,16 @@ _QUIET_MPS2, _QUIET_ROWS = 0.8, 13
 
 
 class Present(NamedTuple):
-    """Position at the time of the newest sample.
+    """Position at the time of the newest sample."""
 
-    Attributes
-    ----------
-    time_s : float
-        Time of the newest sample on the clock of the track, s.
-    pose : Place
-        Position and walking direction.
-    steps : tuple of ProvisionalStep
-        Candidate steps included in the position.
-    extrapolated_m : float
-        Distance from the last contact to the position, m.
-    speed_mps, speed_std_mps : float
-        Walking speed and its standard deviation, m/s. 0 and NaN while the pedestrian stands.
-    reach_m : float
-        Largest possible standard deviation of the position, m (`PedestrianState.reach_m`).
-    """
-
-    time_s: float
-    pose: Pose
-    steps: tuple[ProvisionalStep, ...]
-    extrapolated_m: float
+    time_s: float  # time of the newest sample on the clock of the track, s
+    pose: Pose  # position and walking direction
+    steps: tuple[ProvisionalStep, ...]  # candidate steps included in the position
+    extrapolated_m: float  # distance from the last contact to the position, m
+    # Walking speed and its standard deviation, m/s. 0 and NaN while the pedestrian stands.
     speed_mps: float
     speed_std_mps: float
-    reach_m: float
+    reach_m: float  # largest possible standard deviation of the position, m (`PedestrianState.reach_m`)
 
 
 def present_pose(config: Config, state: State) -> Present:

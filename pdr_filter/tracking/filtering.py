@@ -61,70 +61,34 @@ _N_LAST_FIXES = 16
 
 @dataclass(frozen=True, eq=False)
 class WaitingClimbs:
-    """Barometer, and the climb rates that wait for the windows and steps of their times.
+    """Barometer, and the climb rates that wait for the windows and steps of their times."""
 
-    Attributes
-    ----------
-    barometer : ClimbState
-        State of the climb-rate estimator.
-    climbs : tuple of Climb
-        Climb rates whose windows have not been classified yet.
-    n_used : int
-        Number of leading elements of `climbs` that the height filter has used.
-    n_lost : int
-        Number of climb rates dropped because their windows did not come.
-    """
-
-    barometer: ClimbState
-    climbs: tuple[Climb, ...] = ()
-    n_used: int = 0
-    n_lost: int = 0
+    barometer: ClimbState  # state of the climb-rate estimator
+    climbs: tuple[Climb, ...] = ()  # climb rates whose windows have not been classified yet
+    n_used: int = 0  # number of leading elements of `climbs` that the height filter has used
+    n_lost: int = 0  # number of climb rates dropped because their windows did not come
 
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Numbers and events of the walk so far, for its notes.
+    """Numbers and events of the walk so far, for its notes."""
 
-    Attributes
-    ----------
-    seen : WindowCounts
-        Numbers of all windows and of unreliable ones.
-    walked : StepCounts
-        Numbers of all steps and of unreliable ones.
-    rides : Rides
-        Vehicle rides found in the position fixes.
-    length_fixes : LengthFixes
-        Number and area of the accepted fixes from which the filter learns the step length.
-    n_rejected_fixes : int
-        Number of rejected fixes.
-    """
-
-    seen: WindowCounts = field(default_factory=WindowCounts)
-    walked: StepCounts = field(default_factory=StepCounts)
-    rides: Rides = field(default_factory=Rides)
+    seen: WindowCounts = field(default_factory=WindowCounts)  # numbers of all windows and of unreliable ones
+    walked: StepCounts = field(default_factory=StepCounts)  # numbers of all steps and of unreliable ones
+    rides: Rides = field(default_factory=Rides)  # vehicle rides found in the position fixes
+    # Number and area of the accepted fixes from which the filter learns the step length.
     length_fixes: LengthFixes = field(default_factory=LengthFixes)
-    n_rejected_fixes: int = 0
+    n_rejected_fixes: int = 0  # number of rejected fixes
 
 
 @dataclass(frozen=True, eq=False)
 class LastResults:
-    """Last results of the filter.
+    """Last results of the filter."""
 
-    Attributes
-    ----------
-    window : WindowContext or None
-        Last classified window.
-    fixes : tuple of FixResult
-        Outcomes of the last fixes.
-    update : StepUpdate or None
-        Last step since the last gap, or None if there is none.
-    undecided_s : float
-        Begin of the motion whose steps are not known yet, s, or infinity. Fixes of later times wait for them.
-    """
-
-    window: WindowContext | None = None
-    fixes: tuple[FixResult, ...] = ()
-    update: StepUpdate | None = None
+    window: WindowContext | None = None  # last classified window
+    fixes: tuple[FixResult, ...] = ()  # outcomes of the last fixes
+    update: StepUpdate | None = None  # last step since the last gap, or None if there is none
+    # Begin of the motion whose steps are not known yet, s, or infinity. Fixes of later times wait for them.
     undecided_s: float = math.inf
 
 

@@ -39,24 +39,13 @@ MAX_LOCATIONS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReckoning:
-    """Dead-reckoned positions including the start, with their variances for an exactly known heading.
+    """Dead-reckoned positions including the start, with their variances for an exactly known heading."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (K + 1,)
-        Times of the start and of the steps, s.
-    position_m : ndarray, shape (K + 1, 2)
-        Positions in the frame of the start, m.
-    walked_m : ndarray, shape (K + 1,)
-        Walked distance, m.
-    walked_var_m2 : ndarray, shape (K + 1,)
-        Variance of each position that remains if the heading is known exactly, mean of both axes, m^2. It increases
-        monotonically.
-    """
-
-    time_s: FloatArray
-    position_m: FloatArray
-    walked_m: FloatArray
+    time_s: FloatArray  # (K + 1,) times of the start and of the steps, s
+    position_m: FloatArray  # (K + 1, 2) positions in the frame of the start, m
+    walked_m: FloatArray  # (K + 1,) walked distance, m
+    # (K + 1,) variance of each position that remains if the heading is known exactly, mean of both axes, m^2. It
+    # increases monotonically.
     walked_var_m2: FloatArray
 
     @classmethod

@@ -129,27 +129,13 @@ def is_on_the_spot(is_quick_and_soft: BoolArray | bool, direction_trust: FloatAr
 
 @dataclass(frozen=True, slots=True)
 class WindowCounts:
-    """Number of windows, and of those that are unreliable.
+    """Number of windows, and of those that are unreliable."""
 
-    Attributes
-    ----------
-    n : int
-        All windows.
-    without_gyroscope : int
-        Windows without angular rate.
-    unknown : int
-        Windows that are unlike the training data of the context model.
-    irregular : int
-        Windows in which the phone was handled.
-    unlike : int
-        Windows farther from the training data than nine of ten windows of held-out people.
-    """
-
-    n: int = 0
-    without_gyroscope: int = 0
-    unknown: int = 0
-    irregular: int = 0
-    unlike: int = 0
+    n: int = 0  # all windows
+    without_gyroscope: int = 0  # windows without angular rate
+    unknown: int = 0  # windows that are unlike the training data of the context model
+    irregular: int = 0  # windows in which the phone was handled
+    unlike: int = 0  # windows farther from the training data than nine of ten windows of held-out people
 
     def plus(self, window: WindowContext, contexts: ContextSet) -> WindowCounts:
         """Return the counts with one more window."""

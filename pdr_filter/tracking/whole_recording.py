@@ -157,30 +157,14 @@ def track(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """Inputs of `track` and `smooth` after all arguments have been checked and combined.
+    """Inputs of `track` and `smooth` after all arguments have been checked and combined."""
 
-    Attributes
-    ----------
-    recording : Recording
-        Recording with all streams on one clock.
-    config : Config
-        Configuration with person, device, weighting, plan and frame.
-    fixes : tuple of Fix
-        Fixes on the clock of the recording.
-    georeference : Georeference
-        Arguments for position, north and floor plan.
-    with_location : bool
-        True if the locations of the recording are used.
-    notes : tuple of str
-        Notes on the arguments, for the track.
-    """
-
-    recording: Recording
-    config: Config
-    fixes: tuple[Fix, ...]
-    georeference: Georeference
-    with_location: bool
-    notes: tuple[str, ...] = ()
+    recording: Recording  # recording with all streams on one clock
+    config: Config  # configuration with person, device, weighting, plan and frame
+    fixes: tuple[Fix, ...]  # fixes on the clock of the recording
+    georeference: Georeference  # arguments for position, north and floor plan
+    with_location: bool  # True if the locations of the recording are used
+    notes: tuple[str, ...] = ()  # notes on the arguments, for the track
 
     def with_given_origin(self, result: Track) -> Track:
         """Return a track with the given origin and heading, with the notes on the arguments.

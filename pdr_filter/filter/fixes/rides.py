@@ -60,20 +60,11 @@ class Ride:
 
 @dataclass(frozen=True, slots=True)
 class Rides:
-    """Last rides between position fixes.
+    """Last rides between position fixes."""
 
-    Attributes
-    ----------
-    found : tuple of Ride
-        Last rides.
-    last : PositionFix or None
-        Last fix with another position than the fix before.
-    seen_s, moving_s : float
-        Time with samples since this fix, and the part of it in which the phone moved.
-    """
-
-    found: tuple[Ride, ...] = ()
-    last: PositionFix | None = None
+    found: tuple[Ride, ...] = ()  # last rides
+    last: PositionFix | None = None  # last fix with another position than the fix before
+    # Time with samples since this fix, and the part of it in which the phone moved.
     seen_s: float = 0.0
     moving_s: float = 0.0
 

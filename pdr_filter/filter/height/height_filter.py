@@ -89,21 +89,11 @@ _M_PER_HPA = 8.3
 
 @dataclass(frozen=True, eq=False)
 class Altitude:
-    """Estimated altitude of the start, from fixes with an altitude.
+    """Estimated altitude of the start, from fixes with an altitude."""
 
-    Attributes
-    ----------
-    altitude_m : float
-        Altitude of the start, or NaN.
-    var_m2 : float
-        Variance of the altitude, infinite before the first fix with an altitude.
-    last_s : float
-        Time of the last fix.
-    """
-
-    altitude_m: float = np.nan
-    var_m2: float = np.inf
-    last_s: float = -np.inf
+    altitude_m: float = np.nan  # altitude of the start, or NaN
+    var_m2: float = np.inf  # variance of the altitude, infinite before the first fix with an altitude
+    last_s: float = -np.inf  # time of the last fix
 
     def of(self, origin: Origin) -> Origin:
         """Return an origin with this altitude, or the unchanged origin if the altitude is unknown."""
@@ -135,42 +125,21 @@ class HeightEstimate:
     """Height estimate at one time.
 
     The air state is the part of the pressure height that changes by weather and draughts and not by motion.
-
-    Attributes
-    ----------
-    moments : (7, 5, 5) array
-        Moments p E[y y'] of the seven vertical modes (`vertical_modes`). p is the probability of a mode, and y = (1,
-        climbed, rate, sloped, air) is its state.
-    climbed_m : float
-        Height climbed on stairs, lifts and escalators since the start.
-    height_m : float
-        Height above the start, including slopes.
-    height_var_m2 : float
-        Variance of `height_m`.
-    pressure_s : float
-        Time of the most recent one-second mean of the barometer.
-    ride : tuple of float or None
-        Start of the present ride, and the climbed height at its start.
-    calm_in_s : float
-        Time for which the pressure must still be calm until a vehicle counts as left, or 0 outside a vehicle.
-    first_air_m : float
-        First estimate of the air state, or NaN before it.
-    most_air_m : float
-        Largest difference of the air state from `first_air_m`.
-    floors : FloorState
-        Estimate of the storey.
     """
 
+    # (7, 5, 5) moments p E[y y'] of the seven vertical modes (`vertical_modes`). p is the probability of a mode, and y
+    # = (1, climbed, rate, sloped, air) is its state.
     moments: FloatArray
-    climbed_m: float = 0.0
-    height_m: float = 0.0
-    height_var_m2: float = 0.0
-    pressure_s: float = np.nan
-    ride: tuple[float, float] | None = None
+    climbed_m: float = 0.0  # height climbed on stairs, lifts and escalators since the start
+    height_m: float = 0.0  # height above the start, including slopes
+    height_var_m2: float = 0.0  # variance of `height_m`
+    pressure_s: float = np.nan  # time of the most recent one-second mean of the barometer
+    ride: tuple[float, float] | None = None  # start of the present ride, and the climbed height at its start
+    # Time for which the pressure must still be calm until a vehicle counts as left, or 0 outside a vehicle.
     calm_in_s: float = 0.0
-    first_air_m: float = np.nan
-    most_air_m: float = 0.0
-    floors: FloorState = field(default_factory=FloorState)
+    first_air_m: float = np.nan  # first estimate of the air state, or NaN before it
+    most_air_m: float = 0.0  # largest difference of the air state from `first_air_m`
+    floors: FloorState = field(default_factory=FloorState)  # estimate of the storey
 
     @property
     def height_std_m(self) -> float:
@@ -180,27 +149,13 @@ class HeightEstimate:
 
 @dataclass(frozen=True, eq=False)
 class PressureSecond:
-    """One second of the barometer, and the estimate before it.
+    """One second of the barometer, and the estimate before it."""
 
-    Attributes
-    ----------
-    before : HeightEstimate
-        Estimate before this second.
-    climb : Climb
-        Pressure height and climb rate.
-    log_evidence : (7,) array
-        Log evidence of the context windows that ended in this second.
-    n_steps : int
-        Number of steps in this second.
-    position : tuple of float or None
-        Position of an accurate location in this second.
-    """
-
-    before: HeightEstimate
-    climb: Climb
-    log_evidence: FloatArray
-    n_steps: int
-    position: Position | None = None
+    before: HeightEstimate  # estimate before this second
+    climb: Climb  # pressure height and climb rate
+    log_evidence: FloatArray  # (7,) log evidence of the context windows that ended in this second
+    n_steps: int  # number of steps in this second
+    position: Position | None = None  # position of an accurate location in this second
 
 
 @dataclass(frozen=True, eq=False)

@@ -64,30 +64,15 @@ _UNIT_VECTORS_AND_SQUARES = np.column_stack([_UNIT_VECTORS, _UNIT_VECTORS**2])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairedPoint:
-    """Position fix, and the track position at its time.
+    """Position fix, and the track position at its time."""
 
-    Attributes
-    ----------
-    track_m : (2,) array
-        Position of the track.
-    world_m : (2,) array
-        Position of the fix.
-    var_m2 : float
-        Variance of the fix, as mean of both axes.
-    walked_var_m2 : float
-        Variance of the track since its start that the heading does not explain. It only grows.
-    time_s : float
-        Time of the fix.
-    correlation_s : float
-        Correlation time of the errors of fixes (see `PositionFix`).
-    """
-
-    track_m: FloatArray
-    world_m: FloatArray
-    var_m2: float
+    track_m: FloatArray  # (2,) position of the track
+    world_m: FloatArray  # (2,) position of the fix
+    var_m2: float  # variance of the fix, as mean of both axes
+    # Variance of the track since its start that the heading does not explain. It only grows.
     walked_var_m2: float = 0.0
-    time_s: float = 0.0
-    correlation_s: float = 0.0
+    time_s: float = 0.0  # time of the fix
+    correlation_s: float = 0.0  # correlation time of the errors of fixes (see `PositionFix`)
 
     def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> PairedPoint:
         """Return the pair with the track position transformed by a function of positions (2,)."""
@@ -108,18 +93,10 @@ def spaced_pairs(pairs: tuple[PairedPoint, ...], most: int) -> tuple[PairedPoint
 
 @dataclass(frozen=True, slots=True)
 class Compass:
-    """Rotation from the start frame to true north as measured by the magnetic field.
+    """Rotation from the start frame to true north as measured by the magnetic field."""
 
-    Attributes
-    ----------
-    angle_rad : float
-        Angle of the rotation.
-    var_rad2 : float
-        Variance of the angle if the compass does not fail.
-    """
-
-    angle_rad: float
-    var_rad2: float
+    angle_rad: float  # angle of the rotation
+    var_rad2: float  # variance of the angle if the compass does not fail
 
     @property
     def std_rad(self) -> float:

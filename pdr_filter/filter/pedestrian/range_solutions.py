@@ -44,21 +44,11 @@ _MIN_RANGES = 4  # three for the unknowns, and one to verify them
 
 @dataclass(frozen=True, eq=False)
 class PairedRange:
-    """Range, and the track position at its time.
-
-    Attributes
-    ----------
-    fix : RangeFix
-        The range.
-    track_m : (2,) array
-        Position of the track.
-    is_used : bool
-        True if the filter has used the range.
-    """
+    """Range, and the track position at its time."""
 
     fix: RangeFix
-    track_m: FloatArray
-    is_used: bool
+    track_m: FloatArray  # (2,) position of the track
+    is_used: bool  # True if the filter has used the range
 
     def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> PairedRange:
         """Return the range with the track position transformed by a function of positions (..., 2)."""
@@ -67,52 +57,26 @@ class PairedRange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorPose:
-    """Prior of the pose: the position of one point of the track and the rotation of the frame.
+    """Prior of the pose: the position of one point of the track and the rotation of the frame."""
 
-    Attributes
-    ----------
-    track_m : (2,) array
-        Point of the track.
-    position_m : (2,) array
-        Prior mean of the position of this point in the frame of the anchors.
-    information : (3, 3) array
-        Information matrix of the position and the rotation.
-    angle_rad : float
-        Prior mean of the rotation from the track to the frame of the anchors.
-    """
-
-    track_m: FloatArray
-    position_m: FloatArray
-    information: FloatArray
-    angle_rad: float = 0.0
+    track_m: FloatArray  # (2,) point of the track
+    position_m: FloatArray  # (2,) prior mean of the position of this point in the frame of the anchors
+    information: FloatArray  # (3, 3) information matrix of the position and the rotation
+    angle_rad: float = 0.0  # prior mean of the rotation from the track to the frame of the anchors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeSolution:
-    """Shift and rotation of the track that fit the ranges.
+    """Shift and rotation of the track that fit the ranges."""
 
-    Attributes
-    ----------
-    track_centre_m, world_centre_m : (2,) array
-        Centre of rotation in both frames.
-    angle_rad : float
-        Angle of the rotation.
-    cov : (3, 3) array
-        Covariance of the centre and the angle.
-    log_odds : float
-        Log of the ratio of the probabilities of this solution and the most probable one, 0 or less.
-    log_density : float
-        Log density of the ranges and the prior at this pose.
-    fits : tuple of bool
-        True for ranges that fit the pose and are more probably direct than reflected, in the order of the ranges.
-    """
-
+    # (2,) centre of rotation in both frames.
     track_centre_m: FloatArray
     world_centre_m: FloatArray
-    angle_rad: float
-    cov: FloatArray
-    log_odds: float
-    log_density: float
+    angle_rad: float  # angle of the rotation
+    cov: FloatArray  # (3, 3) covariance of the centre and the angle
+    log_odds: float  # log of the ratio of the probabilities of this solution and the most probable one, 0 or less
+    log_density: float  # log density of the ranges and the prior at this pose
+    # True for ranges that fit the pose and are more probably direct than reflected, in the order of the ranges.
     fits: tuple[bool, ...]
 
     @property

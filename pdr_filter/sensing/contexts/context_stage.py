@@ -145,18 +145,10 @@ M = TypeVar("M")  # memory of a stage: its state between windows, apart from the
 
 @dataclass(frozen=True, eq=False)
 class WindowStageState(Generic[W, M]):
-    """State of a stage that classifies windows.
+    """State of a stage that classifies windows."""
 
-    Attributes
-    ----------
-    windows : W
-        State of the sliding windows.
-    memory : M
-        State of the classification, which is updated by each window.
-    """
-
-    windows: W
-    memory: M
+    windows: W  # state of the sliding windows
+    memory: M  # state of the classification, which is updated by each window
 
 
 @dataclass(frozen=True, eq=False)

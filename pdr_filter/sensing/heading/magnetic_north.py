@@ -64,38 +64,19 @@ class MagneticNorthState:
     The model of a reading f (3,) in the attitude frame is f = X (m, b) + e with X = [1 R], (3, 6). m is the field of
     the Earth, and b the hard iron of the phone. R is the rotation from the sensor to the attitude frame, and e the
     disturbance of the place. A reading adds the matrix [X f]' [X f], (7, 7), to the sums.
-
-    Attributes
-    ----------
-    samples : FloatArray
-        Samples since the last complete reading, shape (R, 8).
-    readings : FloatArray
-        Time and matrix [X f]' [X f] of each buffered reading, from its mean rotation and mean field, shape (W, 50).
-    n : float
-        Effective number of readings used, with exponential forgetting.
-    squares : FloatArray
-        Sum of [X f]' [X f] over all readings, with exponential forgetting, shape (7, 7).
-    variance_ut2 : float
-        Estimated variance of the disturbance e on each axis, uT2.
-    used_s : float
-        Time of the last reading used, s.
-    n_fresh : int
-        Readings used since the regression was last solved.
-    north_rad : float
-        Direction of true north at the last solution, clockwise from north of the attitude frame, rad.
-    north_std_rad : float
-        Standard deviation of `north_rad`, rad.
     """
 
-    samples: FloatArray
+    samples: FloatArray  # (R, 8) samples since the last complete reading
+    # (W, 50) time and matrix [X f]' [X f] of each buffered reading, from its mean rotation and mean field.
     readings: FloatArray
-    n: float
-    squares: FloatArray
-    variance_ut2: float
-    used_s: float
-    n_fresh: int = 0
+    n: float  # effective number of readings used, with exponential forgetting
+    squares: FloatArray  # (7, 7) sum of [X f]' [X f] over all readings, with exponential forgetting
+    variance_ut2: float  # estimated variance of the disturbance e on each axis, uT2
+    used_s: float  # time of the last reading used, s
+    n_fresh: int = 0  # readings used since the regression was last solved
+    # Direction of true north at the last solution, clockwise from north of the attitude frame, rad.
     north_rad: float = 0.0
-    north_std_rad: float = math.inf
+    north_std_rad: float = math.inf  # standard deviation of `north_rad`, rad
 
 
 @dataclass(frozen=True)

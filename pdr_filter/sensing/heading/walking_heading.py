@@ -119,100 +119,41 @@ def known_placements(steps: Table) -> tuple[KnownPlacement, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviousPlacement:
-    """A previous placement of the phone, to which it may return.
+    """A previous placement of the phone, to which it may return."""
 
-    Attributes
-    ----------
-    left_s : float
-        Time when the phone left the placement, s.
-    n_strides : int
-        Strides in the placement.
-    up : tuple of float
-        Mean unit vector up of its last stride, sensor frame.
-    direction : tuple of float
-        Walking direction, a unit vector perpendicular to `up`, sensor frame.
-    """
-
-    left_s: float
-    n_strides: int
-    up: Vector
-    direction: Vector
+    left_s: float  # time when the phone left the placement, s
+    n_strides: int  # strides in the placement
+    up: Vector  # mean unit vector up of its last stride, sensor frame
+    direction: Vector  # walking direction, a unit vector perpendicular to `up`, sensor frame
 
 
 @dataclass(frozen=True, eq=False)
 class WalkingHeadingState:
-    """Buffered signals, the last contacts, and the estimates of the stage.
+    """Buffered signals, the last contacts, and the estimates of the stage."""
 
-    Attributes
-    ----------
-    n_samples : int
-        Samples of the segment.
-    start_s : float
-        Time of the first sample of the segment, s.
-    signals : FloatArray
-        Buffered signals, shape (15, H).
-    contacts_s : tuple of float
-        Last two contacts, s.
-    up : tuple of float or None
-        Mean unit vector up of the last stride, sensor frame. None before the first.
-    axis : tuple of float
-        Reference axis, a unit vector perpendicular to `up`, sensor frame.
-    placement : Placement or None
-        Statistics of the strides in the present placement of the phone.
-    offset : Offset
-        Heading offset without temporary information (the axis of the phone, and the first strides of a placement).
-    shown : Offset
-        Heading offset with the temporary information.
-    trust : float
-        Agreement of the strides in this placement, 0 to 1.
-    corridors : CorridorState
-        State of the estimation of drift from the axes of a building.
-    error_at_restart_rad : float
-        Error of the device heading when the search for axes last restarted, rad.
-    bias_error_at_restart_rad : float
-        Error of the device heading according to the gyroscope bias at that time, rad.
-    bias_error_rad : float
-        Present error of the device heading according to the gyroscope bias, rad.
-    bias_error_var_rad2 : float
-        Variance of `bias_error_rad`, rad2.
-    lost_var_rad2 : float
-        Heading variance that the uncertain gyroscope bias has added since the start, rad2.
-    reported : Reported
-        Information already passed to the filter.
-    walking_rad : float
-        Last walking heading in the frame of the track, not wrapped, rad. NaN before the first.
-    walking_s : float
-        Time of the last walking heading, s.
-    direction : tuple of float
-        Last walking direction, a unit vector perpendicular to `direction_up`, sensor frame.
-    direction_up : tuple of float
-        Mean unit vector up of that stride, sensor frame.
-    previous_placements : tuple of PreviousPlacement
-        Up to three previous placements of the phone.
-    """
-
-    n_samples: int
-    start_s: float
-    signals: FloatArray
-    contacts_s: tuple[float, ...]
-    up: Vector | None
-    axis: Vector
-    placement: Placement | None
+    n_samples: int  # samples of the segment
+    start_s: float  # time of the first sample of the segment, s
+    signals: FloatArray  # (15, H) buffered signals
+    contacts_s: tuple[float, ...]  # last two contacts, s
+    up: Vector | None  # mean unit vector up of the last stride, sensor frame. None before the first.
+    axis: Vector  # reference axis, a unit vector perpendicular to `up`, sensor frame
+    placement: Placement | None  # statistics of the strides in the present placement of the phone
+    # Heading offset without temporary information (the axis of the phone, and the first strides of a placement).
     offset: Offset
-    shown: Offset
-    trust: float
-    corridors: CorridorState
-    error_at_restart_rad: float
-    bias_error_at_restart_rad: float
-    bias_error_rad: float
-    bias_error_var_rad2: float
-    lost_var_rad2: float
-    reported: Reported
-    walking_rad: float
-    walking_s: float
-    direction: Vector
-    direction_up: Vector
-    previous_placements: tuple[PreviousPlacement, ...]
+    shown: Offset  # heading offset with the temporary information
+    trust: float  # agreement of the strides in this placement, 0 to 1
+    corridors: CorridorState  # state of the estimation of drift from the axes of a building
+    error_at_restart_rad: float  # error of the device heading when the search for axes last restarted, rad
+    bias_error_at_restart_rad: float  # error of the device heading according to the gyroscope bias at that time, rad
+    bias_error_rad: float  # present error of the device heading according to the gyroscope bias, rad
+    bias_error_var_rad2: float  # variance of `bias_error_rad`, rad2
+    lost_var_rad2: float  # heading variance that the uncertain gyroscope bias has added since the start, rad2
+    reported: Reported  # information already passed to the filter
+    walking_rad: float  # last walking heading in the frame of the track, not wrapped, rad. NaN before the first.
+    walking_s: float  # time of the last walking heading, s
+    direction: Vector  # last walking direction, a unit vector perpendicular to `direction_up`, sensor frame
+    direction_up: Vector  # mean unit vector up of that stride, sensor frame
+    previous_placements: tuple[PreviousPlacement, ...]  # up to three previous placements of the phone
 
 
 @dataclass(frozen=True)

@@ -36,24 +36,13 @@ _PRIOR_STEPS = 0.5
 
 @dataclass(frozen=True)
 class ContactTimeSmoothingState:
-    """Last detected contacts, and the estimate of the alternating error.
+    """Last detected contacts, and the estimate of the alternating error."""
 
-    Attributes
-    ----------
-    contacts_s : tuple of float
-        Detected times of the last contacts (up to three) without a pause between them, s.
-    shift_s : float
-        Correction added to the last contact, s.
-    n : float
-        Total weight of the estimates, in steps.
-    late_s : float
-        Weighted sum of the estimated delays of the foot of the last contact, s.
-    """
-
+    # Detected times of the last contacts (up to three) without a pause between them, s.
     contacts_s: tuple[float, ...] = ()
-    shift_s: float = 0.0
-    n: float = 0.0
-    late_s: float = 0.0
+    shift_s: float = 0.0  # correction added to the last contact, s
+    n: float = 0.0  # total weight of the estimates, in steps
+    late_s: float = 0.0  # weighted sum of the estimated delays of the foot of the last contact, s
 
 
 @dataclass(frozen=True, slots=True)

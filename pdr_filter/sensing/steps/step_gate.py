@@ -55,67 +55,33 @@ _MAX_KNOWN_AFTER_S = 4.0
 
 @dataclass(frozen=True, slots=True)
 class JudgedStep:
-    """A step with its evidence.
-
-    Attributes
-    ----------
-    step : Step
-        The step.
-    walking_prob : float
-        Probability of walking at its contact, given its evidence and all evidence before.
-    ratio : float
-        Likelihood ratio of its evidence, walking to not walking.
-    slowness : float
-        Slowness of the steps up to this one.
-    """
+    """A step with its evidence."""
 
     step: Step
-    walking_prob: float
-    ratio: float
-    slowness: float
+    walking_prob: float  # probability of walking at its contact, given its evidence and all evidence before
+    ratio: float  # likelihood ratio of its evidence, walking to not walking
+    slowness: float  # slowness of the steps up to this one
 
 
 @dataclass(frozen=True, eq=False)
 class StepGateState:
-    """Probability of walking, recent specific force, and undecided steps.
+    """Probability of walking, recent specific force, and undecided steps."""
 
-    Attributes
-    ----------
-    walking_prob : float
-        Probability of walking after the last judged step.
-    judged_s : float
-        Contact time of the last judged step, s.
-    start_s : float
-        Time of the first sample of the segment, s.
-    n_samples : int
-        Samples of the segment.
-    rest : FloatArray
-        Specific force of the samples of the incomplete row, shape (r, 3), m/s2.
-    rows : FloatArray
-        Recent rows of specific force averaged to 25 Hz, shape (R, 3), m/s2.
-    waiting : tuple of (int, Step)
-        Steps whose window is not complete, each with the number of the sample that revealed it.
-    contacts_s : tuple of float
-        Last four judged contacts of the segment, s.
-    held : tuple of JudgedStep
-        Judged steps that are not released and may still belong to a bout.
-    run_s : tuple of float
-        First and last contact of the current run of accepted steps without a pause, s.
-    is_bout : bool
-        True if this run is long enough to be a bout.
-    """
-
-    walking_prob: float
-    judged_s: float = -math.inf
-    start_s: float = math.nan
-    n_samples: int = 0
+    walking_prob: float  # probability of walking after the last judged step
+    judged_s: float = -math.inf  # contact time of the last judged step, s
+    start_s: float = math.nan  # time of the first sample of the segment, s
+    n_samples: int = 0  # samples of the segment
+    # (r, 3) specific force of the samples of the incomplete row, m/s2.
     rest: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    # (R, 3) recent rows of specific force averaged to 25 Hz, m/s2.
     rows: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    # Steps whose window is not complete, each with the number of the sample that revealed it.
     waiting: tuple[tuple[int, Step], ...] = ()
-    contacts_s: tuple[float, ...] = ()
-    held: tuple[JudgedStep, ...] = ()
+    contacts_s: tuple[float, ...] = ()  # last four judged contacts of the segment, s
+    held: tuple[JudgedStep, ...] = ()  # judged steps that are not released and may still belong to a bout
+    # First and last contact of the current run of accepted steps without a pause, s.
     run_s: tuple[float, float] = (-math.inf, -math.inf)
-    is_bout: bool = False
+    is_bout: bool = False  # True if this run is long enough to be a bout
 
     @property
     def candidates(self) -> tuple[Step, ...]:

@@ -20,30 +20,14 @@ _TIME, _MAGNITUDE, _VERTICAL, _HEADING, _UNKNOWN, _BIAS_STD = range(6)
 
 @dataclass(frozen=True, slots=True)
 class StepSpan:
-    """Time span of a step, and the samples that belong to it.
+    """Time span of a step, and the samples that belong to it."""
 
-    Attributes
-    ----------
-    contact_s : float
-        Time of the contact that ends the step, s.
-    known_s : float
-        Time at which the detector detected the contact, s.
-    duration_s : float
-        Duration of the step, s.
-    heading_unknown_s : float
-        Time without angular rate since the last contact, s.
-    columns : tuple of int
-        First column of the step and column of the contact in the signals of a `StepLogState`.
-    is_first : bool
-        True if the step is the first of a bout.
-    """
-
-    contact_s: float
-    known_s: float
-    duration_s: float
-    heading_unknown_s: float
-    columns: tuple[int, int]
-    is_first: bool
+    contact_s: float  # time of the contact that ends the step, s
+    known_s: float  # time at which the detector detected the contact, s
+    duration_s: float  # duration of the step, s
+    heading_unknown_s: float  # time without angular rate since the last contact, s
+    columns: tuple[int, int]  # first column of the step and column of the contact in the signals of a `StepLogState`
+    is_first: bool  # True if the step is the first of a bout
 
 
 @dataclass(frozen=True, eq=False)
