@@ -230,11 +230,9 @@ def on_track_clock(fix: AnyFix, offset_s: float) -> AnyFix:
     if offset_s == 0.0:
         return fix
     received_s = None if fix.received_time_s is None else fix.received_time_s + offset_s
-    if isinstance(fix, Standstill):
-        return dataclasses.replace(
-            fix, time_s=fix.time_s + offset_s, end_s=fix.end_s + offset_s, received_time_s=received_s
-        )
     times = {"time_s": fix.time_s + offset_s, "received_time_s": received_s}
+    if isinstance(fix, Standstill):
+        times["end_s"] = fix.end_s + offset_s
     if dataclasses.is_dataclass(fix) and times.keys() <= {f.name for f in dataclasses.fields(fix)}:
         return dataclasses.replace(fix, **times)
     later = copy.copy(fix)
@@ -274,9 +272,8 @@ def one_clock(recording: Recording, fixes: Iterable[AnyFix] = ()) -> tuple[Recor
     if wifi is not None:
         wifi = dataclasses.replace(wifi, time_s=wifi.time_s + offsets_s[_n_set_backs_before(wifi.time_s, set_backs)])
     unified = dataclasses.replace(recording, **streams, wifi=wifi, notes=notes)
-    return _with_sorted_samples(unified), tuple(
-        on_track_clock(fix, float(offset_s)) for fix, offset_s in zip(fixes, fix_offsets_s, strict=True)
-    )
+    fixes = tuple(on_track_clock(fix, offset_s) for fix, offset_s in zip(fixes, fix_offsets_s.tolist(), strict=True))
+    return _with_sorted_samples(unified), fixes
 
 
 # Sensors whose values are used at the times of the accelerometer.

@@ -36,6 +36,8 @@ from pdr_filter.values import (
 from pdr_filter.values.events import Gap, Stepless, Undecided
 
 Event = Step | WindowContext | Stepless | Undecided | Gap
+# Events, each with the time in s at which it became known.
+KnownEvents = list[tuple[float, Event]]
 
 # The step frequency of a window is the median over this number of last steps, if the first of them is recent. The limit
 # in s allows for the slowest steps (three take 4 s) and the latency of the detector (0.9 s).
@@ -228,7 +230,7 @@ class Sensing:
             processed_s=float("-inf"),
         )
 
-    def update(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def update(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, KnownEvents]:
         """Return the new state and the events that a block of samples reveals.
 
         Parameters
@@ -248,7 +250,7 @@ class Sensing:
         conditioner, uniform = self.conditioner.update(state.conditioner, block)
         return self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
 
-    def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def finish(self, state: SensingState) -> tuple[SensingState, KnownEvents]:
         """Return the new state and the remaining events when the recording has ended.
 
         Parameters
@@ -267,14 +269,12 @@ class Sensing:
         state, events = self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
         return state, [*events, *self._close_segment(state)[1]]
 
-    def _process_blocks(
-        self, state: SensingState, uniform: Sequence[UniformBlock]
-    ) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def _process_blocks(self, state: SensingState, uniform: Sequence[UniformBlock]) -> tuple[SensingState, KnownEvents]:
         """Return the new state and the events of uniform blocks, restarting the stages at gaps.
 
         Events are steps, classified windows and gaps, each with the time at which it became known.
         """
-        events: list[tuple[float, Event]] = []
+        events: KnownEvents = []
         for part in uniform:
             if part.gap_before_s > 0 and state.n_samples > 0:
                 state, last = self._close_segment(state)
@@ -317,7 +317,7 @@ class Sensing:
         error_rad, error_var = drift_in_time(self.heading, state.heading)
         return self.attitude.bias.learnt_device(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
-    def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, KnownEvents]:
         """Return the new state and the events of one uniform block without a gap.
 
         Events are steps and classified windows, each with the time at which it became known.
@@ -338,9 +338,8 @@ class Sensing:
             of_steps[name], steps = stage.update(state.of_steps[name], part, attitude, contexts, steps)
         vibration, moved = self._vibration.update(state.vibration, part, steps)
         # A window comes before a step revealed by the same sample, because its evidence also applies to that step.
-        in_order, cadence = _with_cadences(
-            state.cadence, sorted([*windows, *moved], key=lambda e: e[0]), self.context_set
-        )
+        events = sorted([*windows, *moved], key=lambda e: e[0])
+        in_order, cadence = _with_cadences(state.cadence, events, self.context_set)
         state = SensingState(
             conditioner=state.conditioner,
             attitude=attitude_state,
@@ -356,7 +355,7 @@ class Sensing:
         )
         return state, [(float(part.time_s[i - n_before]), event) for i, event in in_order]
 
-    def _close_segment(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def _close_segment(self, state: SensingState) -> tuple[SensingState, KnownEvents]:
         """Return the state at a gap or at the end, and the steps that were still waiting for samples.
 
         Each step comes with the time of the last processed sample.

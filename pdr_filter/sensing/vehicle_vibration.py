@@ -22,13 +22,13 @@ the steps before it and the uncertainty of the motion without steps.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
 
 import numpy as np
 
 from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.steps.step_log import NumberedSteps
 from pdr_filter.values import FloatArray, Step, check_numbers, replace_unchecked
 from pdr_filter.values.events import Stepless, Undecided
 
@@ -246,7 +246,7 @@ class VehicleVibration:
         return 0.0, max(before_run_s, min(run_s, _SHORT_S))
 
     def update(
-        self, state: VehicleVibrationState, block: UniformBlock, steps: Sequence[tuple[int, Step]]
+        self, state: VehicleVibrationState, block: UniformBlock, steps: NumberedSteps
     ) -> tuple[VehicleVibrationState, list[tuple[int, Step | Stepless | Undecided]]]:
         """Return the state after a block, its steps with their `stepless_s`, and its motion without known steps.
 
@@ -296,9 +296,7 @@ class VehicleVibration:
         state, found = self._with_steps(state, steps[n_known:], first + n_whole)
         return state, [*events, *found]
 
-    def finish(
-        self, state: VehicleVibrationState, steps: Sequence[tuple[int, Step]]
-    ) -> tuple[VehicleVibrationState, list[tuple[int, Step]]]:
+    def finish(self, state: VehicleVibrationState, steps: NumberedSteps) -> tuple[VehicleVibrationState, NumberedSteps]:
         """Return the state and the steps with their `stepless_s` at the end of a segment.
 
         Parameters
@@ -318,10 +316,10 @@ class VehicleVibration:
         return self._with_steps(state, steps, state.n_samples // round(self.rate_hz))
 
     def _with_steps(
-        self, state: VehicleVibrationState, steps: Sequence[tuple[int, Step]], second: int
-    ) -> tuple[VehicleVibrationState, list[tuple[int, Step]]]:
+        self, state: VehicleVibrationState, steps: NumberedSteps, second: int
+    ) -> tuple[VehicleVibrationState, NumberedSteps]:
         """Return the state after steps revealed in second number `second`, and the steps with their `stepless_s`."""
-        found: list[tuple[int, Step]] = []
+        found: NumberedSteps = []
         for number, step in steps:
             begin_s, since_s = step.time_s - step.duration_s, state.last_contact_s + _STEP_S
             stepless_s, judged_s = float(state.stepless_s), state.start_s + second - len(state.waiting_mps2)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right, insort
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import repeat
 from operator import attrgetter
 from typing import Any
@@ -41,6 +41,7 @@ from pdr_filter.values import (
     OnPlan,
     Origin,
     PositionFix,
+    Samples,
     Standstill,
     Step,
     WindowContext,
@@ -247,25 +248,17 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
     return replace_unchecked(state, waiting_climbs=waiting)
 
 
-def add_location(
-    config: Config,
-    state: State,
-    time_s: FloatArray,
-    latitude_deg: FloatArray,
-    longitude_deg: FloatArray,
-    accuracy_m: FloatArray,
-    altitude_m: FloatArray | None = None,
-) -> State:
-    """Return the state with geographic locations, (N,) each, with times on the clock of the samples.
+def add_location(config: Config, state: State, location: Samples) -> State:
+    """Return the state with geographic locations, a stream as in `Recording`, on the clock of the samples.
 
     Some of them become position fixes, in metres from the first usable location.
     """
-    time_s = time_s + state.clock_offset_s
-    locations, fixes = position_fixes(
-        state.locations, time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
-    )
+    location = replace(location, time_s=location.time_s + state.clock_offset_s)
+    latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
+    where = latitude_deg, longitude_deg, accuracy_m
+    locations, fixes = position_fixes(state.locations, location.time_s, *where, altitude_m=altitude_m)
     if locations.origin is not None:
-        state = add_terrain_locations(config, state, locations.origin, time_s, latitude_deg, longitude_deg, accuracy_m)
+        state = add_terrain_locations(config, state, locations.origin, location)
     return add_fixes(config, replace_unchecked(state, locations=locations), fixes)
 
 
@@ -274,18 +267,11 @@ def add_location(
 _LOCATIONS_S = 20.0
 
 
-def add_terrain_locations(
-    config: Config,
-    state: State,
-    origin: Origin,
-    time_s: FloatArray,
-    latitude_deg: FloatArray,
-    longitude_deg: FloatArray,
-    accuracy_m: FloatArray,
-) -> State:
-    """Return the state with locations (N,), on the track clock, that only distinguish hills from storeys."""
+def add_terrain_locations(config: Config, state: State, origin: Origin, location: Samples) -> State:
+    """Return the state with locations, on the track clock, that only distinguish hills from storeys."""
     last = part_of(state.chain, HeightTrack).locations[-1:].tolist()
-    new = good_locations(origin, time_s, latitude_deg, longitude_deg, accuracy_m, *map(tuple, last))
+    latitude_deg, longitude_deg, _, accuracy_m = location.values.T
+    new = good_locations(origin, location.time_s, latitude_deg, longitude_deg, accuracy_m, *map(tuple, last))
     now_s = state.sensing.processed_s
     chain, _ = config.chain.on(state.chain, Locations(new, now_s - _LOCATIONS_S), now_s)
     return replace_unchecked(state, chain=chain)

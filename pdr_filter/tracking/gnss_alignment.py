@@ -160,15 +160,9 @@ def aligned_outputs(
         recording.location, reckoning, report.first_time_s, report.last_time_s, pedestrian.steps.n_final
     )
     if alignment.fixes:
-        pedestrian = replace(
-            pedestrian,
-            frame=alignment.frame,
-            fixes=replace(
-                pedestrian.fixes,
-                n_frozen=alignment.repetitions.count("frozen"),
-                n_repeated=alignment.repetitions.count("repeated"),
-            ),
-        )
+        n_frozen, n_repeated = (alignment.repetitions.count(kind) for kind in ("frozen", "repeated"))
+        fixes = replace(pedestrian.fixes, n_frozen=n_frozen, n_repeated=n_repeated)
+        pedestrian = replace(pedestrian, frame=alignment.frame, fixes=fixes)
         whole.fixes.extend(alignment.results(last.sensing.processed_s))
         if pedestrian.frame.alignment is not None:
             whole.updates[:] = _with_own_errors(finals, reckoning.own_var_m2(alignment.frame.agreeing))

@@ -148,9 +148,8 @@ class WeightedTracker(TrackerEvents[WeightedState]):
 
     def on_gap(self, state: WeightedState, gap_s: float) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
         state, final = self._settle(state, force=True)
-        return replace_unchecked(
-            state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()
-        ), final
+        pedestrian = over_gap(state.pedestrian, gap_s, self.model.noise)
+        return replace_unchecked(state, pedestrian=pedestrian, windows=()), final
 
     def on_fix(self, state: WeightedState, fix: Fix) -> tuple[WeightedState, FixOutcome, float]:
         pedestrian, outcome, nis = use_fix(self._filters, state.pedestrian, fix)

@@ -34,12 +34,7 @@ from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STAT
 from pdr_filter.filter.imm.step_cycle import expect_first_direction
 from pdr_filter.filter.pedestrian.alignment import Alignment, walked_var_m2
 from pdr_filter.filter.pedestrian.fix_history import UsedFix
-from pdr_filter.filter.pedestrian.frame_rotation import (
-    PairedPoint,
-    align,
-    degrees_of_freedom,
-    least_squares_error,
-)
+from pdr_filter.filter.pedestrian.frame_rotation import PairedPoint, align, degrees_of_freedom, least_squares_error
 from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     in_other_frame,

@@ -146,9 +146,8 @@ def level_of(levels: tuple[Level, ...], floor: int, storey_std_m: float) -> Leve
     """
     nearest = min(levels, key=lambda level: abs(level.floor - floor))
     n = floor - nearest.floor
-    return Level(
-        floor, nearest.climbed_m + n * storey_m(levels), math.hypot(nearest.std_m, storey_std_m * math.sqrt(abs(n)))
-    )
+    std_m = math.hypot(nearest.std_m, storey_std_m * math.sqrt(abs(n)))
+    return Level(floor, nearest.climbed_m + n * storey_m(levels), std_m)
 
 
 def after_motion(
@@ -188,13 +187,13 @@ def after_motion(
         return FloorState(floor, floor_since_s, state.levels, climbing, is_numbered=state.is_numbered), 0.0
     since_s = now_s if math.isnan(state.level_since_s) else state.level_since_s
     is_back = floor == climbing.from_floor
+    if is_back and abs(at - floor) < _SAME_STOREY:
+        climbing = _new_climbing(now_s, floor, climbed_m, position)
     state = replace_unchecked(
         state,
         floor=floor,
         floor_since_s=floor_since_s,
-        climbing=_new_climbing(now_s, floor, climbed_m, position)
-        if is_back and abs(at - floor) < _SAME_STOREY
-        else climbing,
+        climbing=climbing,
         level_since_s=since_s,
         n_level_steps=state.n_level_steps + n_steps,
         passages=(),
@@ -223,9 +222,8 @@ def _arrived(state: FloorState, now_s: float, climbed_m: float, position: Positi
     climbing, level_s = state.climbing, now_s if np.isnan(state.level_since_s) else state.level_since_s
     end_s = max(level_s, state.floor_since_s)
     passage = FloorPassage(climbing.start_s, end_s, climbing.from_floor, state.floor, climbing.how(climbed_m))
-    return replace_unchecked(
-        state, climbing=_new_climbing(now_s, state.floor, climbed_m, position), passages=(passage,)
-    )
+    climbing = _new_climbing(now_s, state.floor, climbed_m, position)
+    return replace_unchecked(state, climbing=climbing, passages=(passage,))
 
 
 def known_level(state: FloorState, now_s: float) -> Level | None:

@@ -15,6 +15,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -280,18 +281,15 @@ def on_step(
         height = _after_pressure(seconds[-1], step_log_odds)
         height_at_step = seconds[i + 1].before if i + 1 < len(seconds) else height
         return replace_unchecked(state, step_s=step_s, known=height, recent=tuple(seconds)), height_at_step, ()
-    passages = tuple(p for later_second in state.recent[1:] for p in later_second.before.floors.passages)
-    if state.recent:
-        passages += state.known.floors.passages
     n_unseen = state.n_unseen + state.stairs_unknown_share
     unseen_var = unseen_var_m2(n_unseen) - unseen_var_m2(state.n_unseen) + _UNSEEN_LIFT_M2 * (since_s - elapsed_s)
     slope_var = (_UNMEASURED_SLOPE_M**2 + state.stairs_unknown_share * _UNMEASURED_STAIRS_M**2) * elapsed_s
-    height = _after_unmeasured_step(
-        state.known, step_s, elapsed_s, (up_prob, down_prob), (unseen_var, slope_var), position
-    )
+    stairs_prob, added_var_m2 = (up_prob, down_prob), (unseen_var, slope_var)
+    height = _after_unmeasured_step(state.known, step_s, elapsed_s, stairs_prob, added_var_m2, position)
+    passages = (*_open_passages(state), *height.floors.passages)
     state = replace_unchecked(state, n_unseen=n_unseen)
     state = replace_unchecked(state, step_s=step_s, known=height, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
-    return state, height, passages + height.floors.passages
+    return state, height, passages
 
 
 def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
@@ -317,9 +315,8 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
     before, known = state.known.floors, state.known
     level = level_of(before.levels, floor, _STOREY_STD_M)
     error_var = level.std_m**2 + LEVEL_STD_M**2
-    misfit = (level.climbed_m - known.climbed_m) ** 2 / (
-        vertical.combined_height(known.moments).climbed_var_m2 + error_var
-    )
+    climbed_var = vertical.combined_height(known.moments).climbed_var_m2
+    misfit = (level.climbed_m - known.climbed_m) ** 2 / (climbed_var + error_var)
 
     def on_floor(height: HeightEstimate) -> HeightEstimate:
         """Return a height estimate with the storey renumbered, or its height measured by the storey."""
@@ -330,14 +327,7 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
         floors = replace_unchecked(height.floors, floor=floor)
         if height.floors.floor != floor:
             floors = on_storey(floors, Level(floor, now.climbed_m, _std(now.climbed_var_m2)))
-        return replace_unchecked(
-            height,
-            moments=moments,
-            climbed_m=now.climbed_m,
-            height_m=now.height_m,
-            height_var_m2=now.height_var_m2,
-            floors=floors,
-        )
+        return replace_unchecked(height, floors=floors, **_of_moments(moments, now))
 
     recent = tuple(replace_unchecked(second, before=on_floor(second.before)) for second in state.recent)
     return replace_unchecked(state, known=on_floor(state.known), recent=recent, n_unseen=0.0)
@@ -348,15 +338,18 @@ def finish_height(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, 
 
     These are the passages that were not returned before.
     """
-    passages = [p for later_second in state.recent[1:] for p in later_second.before.floors.passages]
-    if state.recent:
-        passages += state.known.floors.passages
     times = [t for t in (state.step_s, state.known.pressure_s) if np.isfinite(t)]
     last = floors_at_end(state.known.floors, max(times, default=0.0), state.known.climbed_m)
-    return replace_unchecked(state, known=replace_unchecked(state.known, floors=last), recent=()), (
-        *passages,
-        *last.passages,
-    )
+    known = replace_unchecked(state.known, floors=last)
+    return replace_unchecked(state, known=known, recent=()), (*_open_passages(state), *last.passages)
+
+
+def _open_passages(state: HeightState) -> tuple[FloorPassage, ...]:
+    """Return the floor passages of the last seconds, which `on_pressure` has not returned yet."""
+    if not state.recent:
+        return ()
+    estimates = (*(second.before for second in state.recent[1:]), state.known)
+    return tuple(passage for estimate in estimates for passage in estimate.floors.passages)
 
 
 def notes(state: HeightState, barometer: ClimbState, is_absence_named: bool = False) -> list[Note]:
@@ -380,10 +373,8 @@ def notes(state: HeightState, barometer: ClimbState, is_absence_named: bool = Fa
         found.append(Note("height", barometer.note))
     if known.most_air_m >= _NOTABLE_AIR_M:
         hpa = known.most_air_m / _M_PER_HPA
-        words = (
-            f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft, a vehicle or by the weather: "
-        )
-        found.append(Note("height", words + "heights and floors ignore this change"))
+        words = f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft, a vehicle or by the "
+        found.append(Note("height", words + "weather: heights and floors ignore this change"))
     return found
 
 
@@ -430,16 +421,19 @@ def _after_pressure(second: PressureSecond, step_log_odds: float) -> HeightEstim
         floors = with_new_level(floors, climb.time_s, now.climbed_m, _std(now.climbed_var_m2))
     first_air_m = now.air_m if math.isnan(previous.first_air_m) else previous.first_air_m
     return HeightEstimate(
-        moments=moments,
-        climbed_m=now.climbed_m,
-        height_m=now.height_m,
-        height_var_m2=now.height_var_m2,
+        **_of_moments(moments, now),
         pressure_s=climb.time_s,
         ride=ride,
         first_air_m=first_air_m,
         most_air_m=previous.most_air_m if prob[JUMP] > 0.5 else max(previous.most_air_m, abs(now.air_m - first_air_m)),
         floors=floors,
     )
+
+
+def _of_moments(moments: FloatArray, now: vertical.Estimate) -> dict[str, Any]:
+    """Return the fields of a `HeightEstimate` with these moments (7, 5, 5) and their combined estimate `now`."""
+    heights = {"climbed_m": now.climbed_m, "height_m": now.height_m, "height_var_m2": now.height_var_m2}
+    return {"moments": moments, **heights}
 
 
 def unseen_var_m2(n_steps: float) -> float:
@@ -476,14 +470,8 @@ def _after_unmeasured_step(
     if slope_m != 0.0:
         moments = vertical.as_slope(moments, slope_m)
         now = vertical.combined_height(moments)
-    return replace_unchecked(
-        previous,
-        moments=moments,
-        climbed_m=now.climbed_m,
-        height_m=now.height_m,
-        height_var_m2=now.height_var_m2,
-        floors=with_new_level(floors, step_s, now.climbed_m, _std(now.climbed_var_m2)),
-    )
+    floors = with_new_level(floors, step_s, now.climbed_m, _std(now.climbed_var_m2))
+    return replace_unchecked(previous, floors=floors, **_of_moments(moments, now))
 
 
 def _in_vehicle(previous: HeightEstimate, now_s: float, moments: FloatArray, before_m: float) -> HeightEstimate:
@@ -493,17 +481,10 @@ def _in_vehicle(previous: HeightEstimate, now_s: float, moments: FloatArray, bef
     """
     moments = vertical.with_air_unknown(moments, before_m)
     estimate, floor = vertical.combined_height(moments), previous.floors.climbing.from_floor
-    return replace_unchecked(
-        previous,
-        moments=moments,
-        climbed_m=estimate.climbed_m,
-        height_m=estimate.height_m,
-        height_var_m2=estimate.height_var_m2,
-        pressure_s=now_s,
-        ride=None,
-        calm_in_s=CALM_S,
-        floors=replace_unchecked(previous.floors, floor=floor, climbing=Climbing(now_s, floor, before_m), passages=()),
-    )
+    climbing = Climbing(now_s, floor, before_m)
+    floors = replace_unchecked(previous.floors, floor=floor, climbing=climbing, passages=())
+    changes = {"pressure_s": now_s, "ride": None, "calm_in_s": CALM_S, "floors": floors}
+    return replace_unchecked(previous, **changes, **_of_moments(moments, estimate))
 
 
 def _std(variance: float) -> float:

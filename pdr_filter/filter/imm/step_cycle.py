@@ -198,15 +198,8 @@ def advance(
     covariance is P_k = F P_{k-1} F' + Q, with the derivative F of the new state by the old one and the process noise Q.
     The drift of the heading offset is not included (see `predict_heading`).
     """
-    motion = step_motion(
-        step.reference_heading_rad,
-        mean[..., HEADING_OFFSET],
-        mean[..., LOG_SCALE],
-        length_m,
-        length_var_m2,
-        directions,
-        step.turned_rad,
-    )
+    heading_rad, offset_rad, log_scale = step.reference_heading_rad, mean[..., HEADING_OFFSET], mean[..., LOG_SCALE]
+    motion = step_motion(heading_rad, offset_rad, log_scale, length_m, length_var_m2, directions, step.turned_rad)
     # separate components: for so few numbers broadcasting takes longer than the products
     east_m, north_m = motion.length_m * motion.sine, motion.length_m * motion.cosine
     predicted_mean = mean.copy()

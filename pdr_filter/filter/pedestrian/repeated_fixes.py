@@ -14,15 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from pdr_filter.values import (
-    Fix,
-    FloatArray,
-    PositionFix,
-    Standstill,
-    measurement_of,
-    read_only,
-    replace_unchecked,
-)
+from pdr_filter.values import Fix, FloatArray, PositionFix, Standstill, measurement_of, read_only, replace_unchecked
 from pdr_filter.values.fixes import OWN_FIXES
 
 # Equal values within this time are one measurement. Most receivers measure at least every five seconds, and bridges

@@ -348,10 +348,8 @@ def motion_lines(windows: FloatArray) -> MotionLines:
     yaw_rate = np.add.reduce(rate * up, axis=1)
     tilt_rate = rate - up * yaw_rate[:, None]
     turning = about_mean(np.concatenate([tilt_rate, yaw_rate[:, None]], axis=1))
-    up_length = np.maximum(
-        np.sqrt(np.add.reduce(mean[:, 6:9] * mean[:, 6:9], axis=1)), 1e-9
-    )  # zero without a direction
-    mean_up = mean[:, 6:9] / up_length[:, None]
+    up_length = np.sqrt(np.add.reduce(mean[:, 6:9] * mean[:, 6:9], axis=1))  # zero without a direction
+    mean_up = mean[:, 6:9] / np.maximum(up_length, 1e-9)[:, None]
     about_mean_up = _along(mean_up, rate)
     level_rate = about_mean(rate - mean_up[:, :, None] * about_mean_up[:, None])
     rates = np.array([centred[:, 3:6], level_rate, turning[:, :3]])

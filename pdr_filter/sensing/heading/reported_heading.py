@@ -123,9 +123,8 @@ class Reported:
         added_std_rad = math.sqrt(max(before_var - self.var_rad2, 0.0))
         is_unknown = var_rad2 > _UNKNOWN_VAR_RAD2 and change_std_rad == 0
         if gain < _MIN_GAIN or is_unknown:
-            return replace_unchecked(self, var_rad2=max(before_var, self.var_rad2)), {
-                "offset_change_std_rad": added_std_rad
-            }
+            unreported = replace_unchecked(self, var_rad2=max(before_var, self.var_rad2))
+            return unreported, {"offset_change_std_rad": added_std_rad}
         innovation_rad = min(max(change_rad / gain, -_MAX_INNOVATION_RAD), _MAX_INNOVATION_RAD)
         reported = replace_unchecked(
             self,

@@ -16,10 +16,10 @@ swinging hand, every second contact is weak.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
+from pdr_filter.sensing.steps.step_log import NumberedSteps
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.values import Step, replace_unchecked
 
@@ -74,9 +74,9 @@ class ContactTimeSmoothing(StepStage):
         return ContactTimeSmoothingState()
 
     def finish(
-        self, state: ContactTimeSmoothingState, steps: Sequence[tuple[int, Step]]
-    ) -> tuple[ContactTimeSmoothingState, list[tuple[int, Step]]]:
-        moved: list[tuple[int, Step]] = []
+        self, state: ContactTimeSmoothingState, steps: NumberedSteps
+    ) -> tuple[ContactTimeSmoothingState, NumberedSteps]:
+        moved: NumberedSteps = []
         for number, step in steps:
             for part in _halves(step) if step.is_two else (step,):
                 before, state = state, _with_contact(state, part.time_s)

@@ -37,6 +37,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.step_detector import ContextBlock
+from pdr_filter.sensing.steps.step_log import NumberedSteps
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.sensing.steps.walking_evidence import (
     EVIDENCE,
@@ -206,8 +207,8 @@ class StepGate(StepStage):
         block: UniformBlock,
         attitude: AttitudeBlock,
         contexts: ContextBlock,
-        steps: Sequence[tuple[int, Step]],
-    ) -> tuple[StepGateState, list[tuple[int, Step]]]:
+        steps: NumberedSteps,
+    ) -> tuple[StepGateState, NumberedSteps]:
         samples = np.concatenate([state.rest, block.specific_force_mps2])
         n = self._samples_per_row
         whole = samples[: len(samples) // n * n]
@@ -229,9 +230,7 @@ class StepGate(StepStage):
         state, released = self._judge(state, numbers)
         return replace_unchecked(state, rows=state.rows[-self._n_rows_kept :]), released
 
-    def finish(
-        self, state: StepGateState, steps: Sequence[tuple[int, Step]]
-    ) -> tuple[StepGateState, list[tuple[int, Step]]]:
+    def finish(self, state: StepGateState, steps: NumberedSteps) -> tuple[StepGateState, NumberedSteps]:
         # A bout continues after a short gap. The probability of walking decays towards its stationary value with time.
         state = replace_unchecked(state, waiting=(*state.waiting, *steps))
         state, released = self._judge(state, [state.n_samples - 1] * len(state.waiting))
@@ -243,7 +242,7 @@ class StepGate(StepStage):
         """Return the number of the row (specific force averaged to 25 Hz) that contains the contact of a step."""
         return max(math.floor((step.time_s - state.start_s) * EVIDENCE_HZ), 0)
 
-    def _judge(self, state: StepGateState, numbers: Sequence[int]) -> tuple[StepGateState, list[tuple[int, Step]]]:
+    def _judge(self, state: StepGateState, numbers: Sequence[int]) -> tuple[StepGateState, NumberedSteps]:
         """Return the state and the released steps after judging the steps that have waited longest.
 
         `numbers` are the numbers of the samples at which these steps are judged, one for each step.
@@ -254,7 +253,7 @@ class StepGate(StepStage):
         contacts_s = (*state.contacts_s, *(step.time_s for step in steps))
         intervals_s = [self._intervals_s(contacts_s[: i + 1]) for i in range(len(state.contacts_s), len(contacts_s))]
         state = replace_unchecked(state, waiting=state.waiting[len(numbers) :], contacts_s=contacts_s[-4:])
-        released: list[tuple[int, Step]] = []
+        released: NumberedSteps = []
         log_odds = self._log_odds(state, steps, numbers, intervals_s)
         for step, number, step_log_odds, intervals in zip(steps, numbers, log_odds, intervals_s, strict=True):
             log_ratio = self.evidence_weight * step_log_odds
