@@ -46,45 +46,25 @@ _CADENCE_STEPS, _CADENCE_S = 3, 5.0
 
 @dataclass(frozen=True, eq=False)
 class SensingState:
-    """States of all stages.
+    """States of all stages."""
 
-    Attributes
-    ----------
-    conditioner : ConditionerState
-        State of the conditioner.
-    attitude : AttitudeState
-        State of the attitude estimator.
-    contexts, steps : object
-        States of the context stage, None without one, and of the step detector.
-    of_steps : mapping of str to object
-        States of the stages that receive the steps, by the name of the stage in `Sensing`.
-    vibration : VehicleVibrationState
-        State of the detection of motion without steps.
-    cadence : tuple of (float, float)
-        Times (s) and step frequencies (Hz) of the last three steps of this segment.
-    n_samples : int
-        Uniform samples of this segment.
-    context : int
-        Index of the context of the last window into `Sensing.context_set`. -1 if no context has at least half of the
-        probability.
-    carrying_mode : int
-        Index of the carrying mode of the last window into `CARRYING_MODES`. -1 if no mode has at least half of the
-        probability.
-    processed_s : float
-        Time of the last processed uniform sample, s.
-    """
-
-    conditioner: ConditionerState
-    attitude: AttitudeState
+    conditioner: ConditionerState  # state of the conditioner
+    attitude: AttitudeState  # state of the attitude estimator
+    # States of the context stage, None without one, and of the step detector
     contexts: object
     steps: object
-    of_steps: Mapping[str, object]
-    vibration: VehicleVibrationState
+    of_steps: Mapping[str, object]  # states of the stages that receive the steps, by the name of the stage in `Sensing`
+    vibration: VehicleVibrationState  # state of the detection of motion without steps
+    # Times (s) and step frequencies (Hz) of the last three steps of this segment
     cadence: tuple[tuple[float, float], ...]
-    n_samples: int
+    n_samples: int  # uniform samples of this segment
+    # Index of the context of the last window into `Sensing.context_set`. -1 if no context has at least half of the
+    # probability.
     context: int
+    # Index of the carrying mode of the last window into `CARRYING_MODES`. -1 if no mode has at least half of the
+    # probability.
     carrying_mode: int
-    processed_s: float
+    processed_s: float  # time of the last processed uniform sample, s
 
     @property
     def gate(self) -> object:
@@ -150,7 +130,7 @@ class Sensing:
     conditioner: Conditioner = field(default_factory=Conditioner)
     attitude: AttitudeEstimator = field(default_factory=AttitudeEstimator)
     contexts: ContextStage | None = None
-    heading: HeadingStage | None = None
+    heading: HeadingStage[Any] | None = None
     gate: StepGate | None = None
     contact_smoothing: ContactTimeSmoothing | None = None
     north: MagneticNorth | None = None
@@ -180,10 +160,10 @@ class Sensing:
         return VehicleVibration(self.conditioner.rate_hz)
 
     @cached_property
-    def _step_stages(self) -> dict[str, StepStage]:
+    def _step_stages(self) -> dict[str, StepStage[Any]]:
         """Stages that receive the steps of the detector one after the other, by name."""
         sets_offsets = self.heading is None or hasattr(self.heading, "learns_directions")
-        stages: dict[str, StepStage | None] = {
+        stages: dict[str, StepStage[Any] | None] = {
             "gate": self.gate,
             "heading": self.heading,
             "shown_offsets": None if sets_offsets else ShownOffsets(),
@@ -270,10 +250,7 @@ class Sensing:
         return state, [*events, *self._close_segment(state)[1]]
 
     def _process_blocks(self, state: SensingState, uniform: Sequence[UniformBlock]) -> tuple[SensingState, KnownEvents]:
-        """Return the new state and the events of uniform blocks, restarting the stages at gaps.
-
-        Events are steps, classified windows and gaps, each with the time at which it became known.
-        """
+        """Return the new state and the events of uniform blocks, restarting the stages at gaps."""
         events: KnownEvents = []
         for part in uniform:
             if part.gap_before_s > 0 and state.n_samples > 0:
@@ -318,10 +295,7 @@ class Sensing:
         return self.attitude.bias.learnt_device(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, KnownEvents]:
-        """Return the new state and the events of one uniform block without a gap.
-
-        Events are steps and classified windows, each with the time at which it became known.
-        """
+        """Return the new state and the events of one uniform block without a gap."""
         attitude_state, attitude = self.attitude.update(state.attitude, part)
         n_before, n = state.n_samples, len(part.time_s)
         context_state, windows = None, list[tuple[int, WindowContext]]()
@@ -408,8 +382,7 @@ def _with_cadences(
 ) -> tuple[list[tuple[int, Event]], tuple[tuple[float, float], ...]]:
     """Return the events with the step frequency added to the windows, and times and frequencies of the last steps.
 
-    The step frequency of a window is the median over the last three steps, if the first of them is recent. Other
-    windows are unchanged.
+    Windows without enough recent steps (`_CADENCE_STEPS`) are unchanged.
     """
     result: list[tuple[int, Event]] = []
     for number, event in events:

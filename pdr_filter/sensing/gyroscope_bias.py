@@ -50,6 +50,8 @@ _HEADINGS = slice(3, 5)  # field direction and heading error, which are driven b
 _N_STATES = 5
 _IDENTITY = read_only(np.eye(_N_STATES))
 _H_FIELD, _H_ERROR = read_only(_IDENTITY[_FIELD]), read_only(_IDENTITY[_ERROR])
+# Log density of a uniform direction, shifted by the constant that `_update` omits.
+_LOG_ANY_DIRECTION = 0.5 * math.log(2 * math.pi) - math.log(2 * math.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -461,12 +463,11 @@ class GyroBias:
         scatter = self.field_scatter_weight * variance_ut2 / horizontal_ut**2
         variance = inflation * (scatter + self.field_std_rad**2)
         mean, _, _ = bank
-        change_rad = 0.0 if before is None else float(_wrap(direction_rad - before.direction_rad, 2 * math.pi))
+        change_rad = 0.0 if before is None else float(_wrap(direction_rad - before.direction_rad))
         jump_rad = max(self.field_jump_rad, self.field_jump_scatter * math.sqrt(variance_ut2) / horizontal_ut)
         if state.field_tracked and abs(change_rad) < jump_rad:
-            innovation = _wrap(direction_rad - mean[:, _FIELD], 2 * math.pi)
-            outlier = _uniform_log_density(2 * math.pi)
-            bank, inlier = _update(bank, _H_FIELD, innovation, variance, self.field_outlier_prob, outlier)
+            innovation = _wrap(direction_rad - mean[:, _FIELD])
+            bank, inlier = _update(bank, _H_FIELD, innovation, variance, self.field_outlier_prob, _LOG_ANY_DIRECTION)
             weight = np.exp(bank[2])
             inlier_prob = float(weight.dot(inlier)) / float(np.add.reduce(weight))
             n_outliers = state.n_field_outliers + 1 if inlier_prob < 0.5 else 0
@@ -611,14 +612,9 @@ def _outlier_log_density(square: float, n: int, std: float) -> float:
     return -0.5 * square / std**2 - n * math.log(std)
 
 
-def _uniform_log_density(width: float) -> float:
-    """Return the log density of a uniform distribution, shifted by the constant that `_update` omits."""
-    return 0.5 * math.log(2 * math.pi) - math.log(width)
-
-
-def _wrap(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
-    """Return an angle wrapped to half a period on either side of zero."""
-    return angle_rad - period_rad * np.rint(angle_rad / period_rad)
+def _wrap(angle_rad: FloatArray | float) -> FloatArray:
+    """Return an angle wrapped to half a turn on either side of zero."""
+    return angle_rad - 2 * math.pi * np.rint(angle_rad / (2 * math.pi))
 
 
 def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:

@@ -121,30 +121,16 @@ class StreamState:
 
 @dataclass(frozen=True, eq=False)
 class MergerState:
-    """Buffers of all sensors, and the times up to which samples were released.
+    """Buffers of all sensors, and the times up to which samples were released."""
 
-    Attributes
-    ----------
-    streams : tuple of StreamState
-        Buffers in the order of `SENSORS`.
-    first_s : float
-        Smallest time of the accelerometer, s. NaN before its first sample.
-    released_s : float
-        Time of the last released sample of the accelerometer, s.
-    pressure_s : float
-        Time of the last released sample of the barometer, s.
-    looked_s : tuple of float
-        Last time of each sensor when the merger last checked which samples can be released, s.
-    late_s : tuple of float
-        Smallest and largest time of the late samples of the accelerometer since its last sample in time, s. NaN if
-        there are none.
-    """
-
-    streams: tuple[StreamState, ...]
-    first_s: float = np.nan
-    released_s: float = -np.inf
-    pressure_s: float = -np.inf
+    streams: tuple[StreamState, ...]  # buffers in the order of `SENSORS`
+    first_s: float = np.nan  # smallest time of the accelerometer, s. NaN before its first sample.
+    released_s: float = -np.inf  # time of the last released sample of the accelerometer, s
+    pressure_s: float = -np.inf  # time of the last released sample of the barometer, s
+    # Last time of each sensor when the merger last checked which samples can be released, s
     looked_s: tuple[float, ...] = len(SENSORS) * (-np.inf,)
+    # Smallest and largest time of the late samples of the accelerometer since its last sample in time, s. NaN if there
+    # are none.
     late_s: tuple[float, float] = (np.nan, np.nan)
 
     def stream(self, sensor: Sensor) -> StreamState:

@@ -86,27 +86,14 @@ class DeadReckoning:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlignedTrack:
-    """Alignment of a track to the locations of its recording.
+    """Alignment of a track to the locations of its recording."""
 
-    Attributes
-    ----------
-    locations : LocationState
-        State of the conversion from locations to fixes.
-    fixes : tuple of PositionFix
-        Position fixes from the locations.
-    frozen : tuple of bool
-        For each fix, whether it repeats the previous position during walking.
-    pairs : tuple of PairedPoint
-        For each fix, the pair of the fix and the dead-reckoned position at its time.
-    frame : Frame
-        Rotation and shift, if the locations determine them.
-    """
-
-    locations: LocationState
-    fixes: tuple[PositionFix, ...]
+    locations: LocationState  # state of the conversion from locations to fixes
+    fixes: tuple[PositionFix, ...]  # position fixes from the locations
+    # For each fix, whether and how it repeats the previous position (`repeated_fixes.repetitions`)
     repetitions: tuple[Repetition, ...]
-    pairs: tuple[PairedPoint, ...]
-    frame: Frame
+    pairs: tuple[PairedPoint, ...]  # for each fix, the pair of the fix and the dead-reckoned position at its time
+    frame: Frame  # rotation and shift, if the locations determine them
 
     def results(self, at_s: float) -> list[FixResult]:
         """Return the outcome of each fix, "turned", "rejected", "frozen" or "repeated", at the time `at_s`.

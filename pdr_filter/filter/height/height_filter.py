@@ -161,37 +161,20 @@ class PressureSecond:
 
 @dataclass(frozen=True, eq=False)
 class HeightState:
-    """State of the height filter.
+    """State of the height filter."""
 
-    Attributes
-    ----------
-    known : HeightEstimate
-        Present estimate.
-    recent : tuple of PressureSecond
-        Last seconds, oldest first, which late steps can still change.
-    log_evidence : (7,) array
-        Log evidence of windows since the last second.
-    n_steps : int
-        Number of steps since the last second.
-    step_s : float
-        Time of the last step.
-    n_unseen : float
-        Steps since the last measurement of the height, each counted with its `stairs_unknown_share`.
-    stairs_unknown_share : float
-        Dissimilarity of the last window to the stairs of the training data, 0 to 1. At 1, the context probabilities
-        give no evidence of stairs.
-    start_altitude : Altitude
-        Altitude of the start.
-    """
-
-    known: HeightEstimate
-    recent: tuple[PressureSecond, ...] = ()
+    known: HeightEstimate  # present estimate
+    recent: tuple[PressureSecond, ...] = ()  # last seconds, oldest first, which late steps can still change
+    # Log evidence of windows since the last second
     log_evidence: FloatArray = field(default_factory=lambda: np.zeros(N_MODES))
-    n_steps: int = 0
-    step_s: float = np.nan
+    n_steps: int = 0  # number of steps since the last second
+    step_s: float = np.nan  # time of the last step
+    # Steps since the last measurement of the height, each counted with its `stairs_unknown_share`
     n_unseen: float = 0.0
+    # Dissimilarity of the last window to the stairs of the training data, 0 to 1. At 1, the context probabilities give
+    # no evidence of stairs.
     stairs_unknown_share: float = 0.0
-    start_altitude: Altitude = field(default_factory=lambda: Altitude())
+    start_altitude: Altitude = field(default_factory=lambda: Altitude())  # altitude of the start
 
 
 def initial_height() -> HeightState:

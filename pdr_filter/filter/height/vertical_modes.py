@@ -110,23 +110,15 @@ _WALK = _sparse(_NOISE_PER_S), _sparse(_NOISE_PER_S | {(SLOPE, _SLOPED, _SLOPED)
 
 
 class Estimate(NamedTuple):
-    """Combined height estimate of all modes.
+    """Combined height estimate of all modes."""
 
-    Attributes
-    ----------
-    climbed_m, climbed_var_m2 : float
-        Climbed height and its variance.
-    height_m, height_var_m2 : float
-        Height climbed + sloped and its variance.
-    air_m : float
-        Change of the pressure height by the air.
-    """
-
+    # Climbed height and its variance
     climbed_m: float
     climbed_var_m2: float
+    # Height climbed + sloped and its variance
     height_m: float
     height_var_m2: float
-    air_m: float
+    air_m: float  # change of the pressure height by the air
 
 
 def initial() -> FloatArray:

@@ -408,12 +408,7 @@ def consistent_pairs(
 
 
 def _consistent_fit(pairs: tuple[PairedPoint, ...], north_var_rad2: float, n_sure: int) -> _Fit:
-    """Return the fit of shift and rotation to the fixes that are consistent with each other.
-
-    Each pair is a fix with the track position at its time. While the residuals exceed their limit, the pair whose
-    removal reduces them most is removed. The first `n_sure` pairs are never removed. `north_var_rad2` is the prior
-    variance of the rotation.
-    """
+    """Return the fit of shift and rotation to the `consistent_pairs`."""
     fit = _fitted(pairs, north_var_rad2)
     while (n := len(fit.pairs)) > max(n_sure, 1):
         limit = agreement_limit(2 * n - 3) if n > 3 else _MIN_DISAGREEMENT**2

@@ -173,7 +173,7 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
 def _distinct(pose: FloatArray) -> FloatArray:
     """Return the first of each group of equal poses (P, 3), at most `_N_KEPT` of them.
 
-    A pose is a position and a rotation of the track. Poses that differ by at most `_SAME_M` and `_SAME_RAD` are equal.
+    Poses that differ by at most `_SAME_M` and `_SAME_RAD` are equal.
     """
     kept = list[FloatArray]()
     left = pose
@@ -193,13 +193,13 @@ def log_density_unmoved(pairs: Sequence[PairedRange]) -> float:
 
 
 def _is_same(a: FloatArray, b: FloatArray) -> bool:
-    """Return True if two poses, each a position and a rotation, are the same solution within small tolerances."""
+    """Return True if two poses are the same solution within small tolerances."""
     return bool(np.hypot(*(a[:2] - b[:2])) < _SAME_M and abs(float(wrap_angle(a[2] - b[2]))) < _SAME_RAD)
 
 
 @dataclass(frozen=True)
 class _Problem:
-    """Least-squares problem of N ranges to a track, for poses (P, 3): position of the track centre, and rotation."""
+    """Least-squares problem of N ranges to a track, for P poses (P, 3): position of the track centre, and rotation."""
 
     fixes: list[RangeFix]
     lever_m: FloatArray  # (N, 2)
@@ -215,9 +215,8 @@ class _Problem:
     def starts(self) -> FloatArray:
         """Return the poses (P, 3) from which the least squares start.
 
-        A pose is the position and rotation of the track. The positions are on circles about up to three anchors, and at
-        the prior. The rotations are spread over the circle. If the prior of the rotation is narrow, only its mean is
-        used.
+        The positions are on circles about up to three anchors, and at the prior. The rotations are spread over the
+        circle. If the prior of the rotation is narrow, only its mean is used.
         """
         angles = np.linspace(-math.pi, math.pi, _N_ANGLES, endpoint=False)
         if self.prior is not None and self.prior.information[2, 2] > 1.0 / MAX_ANGLE_STD_RAD**2:
@@ -236,10 +235,7 @@ class _Problem:
         return np.column_stack([place, angle])
 
     def _parts(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (P, N) of the ranges at poses (P, 3), and their derivatives (P, N, 3) by the pose.
-
-        A pose is the position and rotation of the track.
-        """
+        """Return the residuals (P, N) of the ranges at poses (P, 3), and their derivatives (P, N, 3) by the pose."""
         c, s = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
         east, north = self.lever_m.T
         turned = np.stack([c * east + s * north, c * north - s * east], axis=-1)
@@ -263,10 +259,7 @@ class _Problem:
         return np.exp(direct - np.logaddexp(direct, reflected))
 
     def _from_prior(self, prior: PriorPose, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the differences (P, 3) of poses from the prior, and their derivatives (P, 3, 3) by the pose.
-
-        A pose is the position and rotation of the track.
-        """
+        """Return the differences (P, 3) of poses from the prior, and their derivatives (P, 3, 3) by the pose."""
         lever = prior.track_m - self.centre_m
         c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         turned = np.column_stack([c * lever[0] + s * lever[1], c * lever[1] - s * lever[0]])
@@ -280,8 +273,7 @@ class _Problem:
     def _normal(self, pose: FloatArray, is_robust: bool) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrices (P, 3, 3) and gradients (P, 3) of the least squares at poses (P, 3).
 
-        A pose is the position and rotation of the track. The prior is included. If `is_robust` is True, each range has
-        the weight of its probability to be direct.
+        The prior is included. If `is_robust` is True, each range has the weight of its probability to be direct.
         """
         residual, J = self._parts(pose)
         weight = (self._direct(residual) if is_robust else np.ones_like(residual)) / self._var_m2
@@ -294,23 +286,17 @@ class _Problem:
         return normal, gradient
 
     def improved(self, pose: FloatArray, is_robust: bool, damping: float) -> FloatArray:
-        """Return the poses (position and rotation) after one damped Gauss-Newton iteration (Levenberg-Marquardt).
-
-        If `is_robust` is True, each range has the weight of its probability to be direct.
-        """
+        """Return the poses after one damped Gauss-Newton iteration (Levenberg-Marquardt) on `_normal`."""
         normal, gradient = self._normal(pose, is_robust)
         damped = normal + damping * np.einsum("paa->pa", normal)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
         return pose - np.linalg.solve(damped, gradient[..., None])[..., 0]
 
     def information(self, pose: FloatArray) -> FloatArray:
-        """Return the information matrix (3, 3) of one pose (position and rotation of the track).
-
-        The ranges that are probably direct and the prior contribute.
-        """
+        """Return the information matrix (3, 3) of one pose, from the prior and the ranges that are probably direct."""
         return self._normal(pose[None], is_robust=True)[0][0]
 
     def log_density(self, pose: FloatArray) -> FloatArray:
-        """Return the log density (P,) of the ranges and the prior at poses (P, 3), which are positions and rotations.
+        """Return the log density (P,) of the ranges and the prior at poses (P, 3).
 
         Each range is either direct, or reflected and longer.
         """
@@ -321,7 +307,7 @@ class _Problem:
         return total - 0.5 * np.einsum("pa,ab,pb->p", difference, self.prior.information, difference)
 
     def fits(self, pose: FloatArray) -> tuple[bool, ...]:
-        """Return, for each range, True if it fits one pose (3,), which is a position and a rotation.
+        """Return, for each range, True if it fits one pose (3,).
 
         Its residual is then below 3.7 standard deviations, and its path is more probably direct than reflected.
         """

@@ -176,10 +176,7 @@ def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def invariant_features_of_motion(motion: MotionLines, rate_hz: float) -> FloatArray:
-    """Return the features (W, F) of a few windows.
-
-    `motion` is the result of `motion_lines` for these windows. The caller computes it once for all feature sets.
-    """
+    """Return the features (W, F) of a few windows, given their `motion_lines`."""
     centred, n = motion.centred, motion.centred.shape[2]
     vertical, horizontal = centred[:, 0], centred[:, 1:3]
     forward, lateral = _main_axes(horizontal)

@@ -81,7 +81,7 @@ class MagneticNorthState:
 
 
 @dataclass(frozen=True)
-class MagneticNorth(StepStage):
+class MagneticNorth(StepStage[MagneticNorthState]):
     """Causal stage that estimates the direction of north at each step from the magnetometer.
 
     It needs a gyroscope and a magnetometer, and sets `Step.north_rad` and `Step.north_std_rad`. The default parameters

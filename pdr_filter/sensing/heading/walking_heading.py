@@ -165,7 +165,7 @@ class WalkingHeadingState:
 
 
 @dataclass(frozen=True)
-class WalkingHeading(StepStage):
+class WalkingHeading(StepStage[WalkingHeadingState]):
     """Causal heading stage that estimates the walking direction of each step for any carrying mode.
 
     It needs a gyroscope, and gives no headings without. It is the heading stage of the default recipe.

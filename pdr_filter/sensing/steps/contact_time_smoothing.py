@@ -46,7 +46,7 @@ class ContactTimeSmoothingState:
 
 
 @dataclass(frozen=True, slots=True)
-class ContactTimeSmoothing(StepStage):
+class ContactTimeSmoothing(StepStage[ContactTimeSmoothingState]):
     """Causal stage that moves contacts to equal intervals of left and right, as far as past steps show their error.
 
     It has no parameters and no delay. It also splits steps that span two steps because a contact was missed.

@@ -93,7 +93,7 @@ class StepGateState:
 
 
 @dataclass(frozen=True)
-class StepGate(StepStage):
+class StepGate(StepStage[StepGateState]):
     """Causal gate that rejects false steps.
 
     Within a bout a step passes `latency_s` (1.04 s) after its contact, or as soon as the detector reveals it. The first
