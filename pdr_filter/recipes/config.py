@@ -520,7 +520,7 @@ class Config:
         _warn_of_state(steps)
         return replace(self, sensing=replace(self.sensing, steps=steps))
 
-    def with_heading(self, heading: HeadingStage) -> Config:
+    def with_heading(self, heading: HeadingStage[Any]) -> Config:
         """Return a copy with another heading stage.
 
         Parameters

@@ -87,30 +87,16 @@ class AttitudeBlock:
 
 @dataclass(frozen=True, eq=False)
 class AttitudeState:
-    """State of VQF, the heading so far, and the state of the bias estimation.
+    """State of VQF, the heading so far, and the state of the bias estimation."""
 
-    Attributes
-    ----------
-    vqf : mapping or None
-        State of VQF as plain values. None before the first sample.
-    device_heading_rad : float
-        Heading of the last sample, clockwise, not wrapped, rad.
-    reference_quat : FloatArray or None
-        Attitude from which the twist is measured, shape (4,). None means the attitude of the next sample.
-    twist_rad : float
-        Twist of the last sample against the reference, clockwise, rad.
-    bias : GyroBiasState
-        State of the bias estimation.
-    window : FloatArray
-        Samples of the present bias window, shape (R, 17). A complete window updates the bias when the next sample
-        arrives (`AttitudeEstimator.bias_state`), so that not all work on windows falls into one hop.
-    """
-
-    vqf: Mapping[str, Any] | None
-    device_heading_rad: float
+    vqf: Mapping[str, Any] | None  # state of VQF as plain values. None before the first sample.
+    device_heading_rad: float  # heading of the last sample, clockwise, not wrapped, rad
+    # (4,) attitude from which the twist is measured. None means the attitude of the next sample.
     reference_quat: FloatArray | None
-    twist_rad: float
-    bias: GyroBiasState
+    twist_rad: float  # twist of the last sample against the reference, clockwise, rad
+    bias: GyroBiasState  # state of the bias estimation
+    # (R, 17) samples of the present bias window. A complete window updates the bias when the next sample arrives
+    # (`AttitudeEstimator.bias_state`), so that not all work on windows falls into one hop.
     window: FloatArray
 
 

@@ -44,58 +44,28 @@ _RUN_ROWS = 256
 
 @dataclass(frozen=True, eq=False)
 class ClockState:
-    """State of the check of times.
+    """State of the check of times."""
 
-    Attributes
-    ----------
-    last_s : float
-        Time of the last accepted row on the track clock, s.
-    offset_s : float
-        Track time minus sample time, s. It changes when the sample clock is set back.
-    held : tuple of FloatArray
-        Rows after a possible gap, shape (C,) each, held until later rows confirm the gap.
-    behind_s : float
-        Time of the last row that lies behind the last accepted one, on the track clock, s.
-    is_running : bool
-        True if the time of any of the `n_behind` rows is later than the time of the row before it. False means that the
-        clock stands still.
-    n_behind : int
-        Consecutive rows that lie behind the last accepted one.
-    n_rejected_times : int
-        Rows received since the last accepted one.
-    """
-
-    last_s: float = -np.inf
-    offset_s: float = 0.0
+    last_s: float = -np.inf  # time of the last accepted row on the track clock, s
+    offset_s: float = 0.0  # track time minus sample time, s. It changes when the sample clock is set back.
+    # (C,) rows after a possible gap each, held until later rows confirm the gap.
     held: tuple[FloatArray, ...] = field(default=())
-    behind_s: float = -np.inf
+    behind_s: float = -np.inf  # time of the last row that lies behind the last accepted one, on the track clock, s
+    # True if the time of any of the `n_behind` rows is later than the time of the row before it. False means that the
+    # clock stands still.
     is_running: bool = False
-    n_behind: int = 0
-    n_rejected_times: int = 0
+    n_behind: int = 0  # consecutive rows that lie behind the last accepted one
+    n_rejected_times: int = 0  # rows received since the last accepted one
 
 
 class AcceptedRows(NamedTuple):
-    """Result of the check of times.
-
-    Attributes
-    ----------
-    clock : ClockState
-        New state.
-    rows : FloatArray
-        Accepted rows, shape (N, C), with increasing times on the track clock.
-    n_dropped : int
-        Dropped rows.
-    n_set_backs : int
-        Backward clock jumps.
-    n_glitches : int
-        Stretches of rows that were dropped because their times were ahead of all later rows.
-    """
+    """Result of the check of times."""
 
     clock: ClockState
-    rows: FloatArray
-    n_dropped: int = 0
-    n_set_backs: int = 0
-    n_glitches: int = 0
+    rows: FloatArray  # (N, C) accepted rows, with increasing times on the track clock
+    n_dropped: int = 0  # dropped rows
+    n_set_backs: int = 0  # backward clock jumps
+    n_glitches: int = 0  # stretches of rows that were dropped because their times were ahead of all later rows
 
 
 def accept_rows(clock: ClockState, rows: FloatArray, max_gap_s: float) -> AcceptedRows:
@@ -260,11 +230,9 @@ def on_track_clock(fix: AnyFix, offset_s: float) -> AnyFix:
     if offset_s == 0.0:
         return fix
     received_s = None if fix.received_time_s is None else fix.received_time_s + offset_s
-    if isinstance(fix, Standstill):
-        return dataclasses.replace(
-            fix, time_s=fix.time_s + offset_s, end_s=fix.end_s + offset_s, received_time_s=received_s
-        )
     times = {"time_s": fix.time_s + offset_s, "received_time_s": received_s}
+    if isinstance(fix, Standstill):
+        times["end_s"] = fix.end_s + offset_s
     if dataclasses.is_dataclass(fix) and times.keys() <= {f.name for f in dataclasses.fields(fix)}:
         return dataclasses.replace(fix, **times)
     later = copy.copy(fix)
@@ -304,9 +272,8 @@ def one_clock(recording: Recording, fixes: Iterable[AnyFix] = ()) -> tuple[Recor
     if wifi is not None:
         wifi = dataclasses.replace(wifi, time_s=wifi.time_s + offsets_s[_n_set_backs_before(wifi.time_s, set_backs)])
     unified = dataclasses.replace(recording, **streams, wifi=wifi, notes=notes)
-    return _with_sorted_samples(unified), tuple(
-        on_track_clock(fix, float(offset_s)) for fix, offset_s in zip(fixes, fix_offsets_s, strict=True)
-    )
+    fixes = tuple(on_track_clock(fix, offset_s) for fix, offset_s in zip(fixes, fix_offsets_s.tolist(), strict=True))
+    return _with_sorted_samples(unified), fixes
 
 
 # Sensors whose values are used at the times of the accelerometer.

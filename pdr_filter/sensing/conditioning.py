@@ -106,76 +106,34 @@ class UniformBlock:
 
 @dataclass(frozen=True)
 class IntakeReport:
-    """Counts of the samples that the conditioner received, dropped and emitted.
+    """Counts of the samples that the conditioner received, dropped and emitted."""
 
-    Attributes
-    ----------
-    n_received : int
-        Rows received.
-    n_not_finite : int
-        Rows without a finite time or specific force. They are bridged, or are part of a gap.
-    n_implausible : int
-        Rows with a specific force or angular rate beyond the range of any phone. A specific force beyond it drops the
-        row, an angular rate beyond it becomes missing.
-    n_not_increasing : int
-        Rows dropped because their time repeats an earlier one or lies before it.
-    n_clock_jumps : int
-        Backward clock jumps. The track follows them.
-    n_clock_glitches : int
-        Times at which the clock was far ahead of all later samples. Samples with such times are dropped.
-    n_dead_force : int
-        Rows dropped because the accelerometer was stuck while the phone moved.
-    n_dead_rate : int
-        Rows whose angular rate was discarded because the gyroscope was stuck while the phone moved.
-    n_dead_field : int
-        Rows whose magnetic field was discarded because the magnetometer was stuck while the phone turned.
-    resolution_mps2 : float
-        Smallest nonzero change of the specific force between two rows, m/s2. Infinite before the first.
-    n_wild_field : int
-        Rows whose magnetic field was discarded because it is beyond the range of any phone.
-    n_gaps : int
-        Gaps between segments.
-    longest_gap_s : float
-        Duration of the longest gap, s.
-    lost_s : float
-        Total duration of all gaps, s.
-    n_emitted : int
-        Uniform samples emitted.
-    n_without_rate : int
-        Uniform samples with unknown angular rate.
-    n_without_turn : int
-        Those of these in which the phone may have turned.
-    n_rejected_times : int
-        Rows rejected since the last accepted row, because their times contradict it.
-    rate_hz : float
-        Rate of the uniform samples, Hz.
-    first_time_s : float
-        Time of the first accepted row, s. NaN before it.
-    last_time_s : float
-        Time of the last accepted row, s. NaN before the first.
-    """
-
-    n_received: int = 0
-    n_not_finite: int = 0
+    n_received: int = 0  # rows received
+    n_not_finite: int = 0  # rows without a finite time or specific force. They are bridged, or are part of a gap.
+    # Rows with a specific force or angular rate beyond the range of any phone. A specific force beyond it drops the
+    # row, an angular rate beyond it becomes missing.
     n_implausible: int = 0
-    n_not_increasing: int = 0
-    n_clock_jumps: int = 0
+    n_not_increasing: int = 0  # rows dropped because their time repeats an earlier one or lies before it
+    n_clock_jumps: int = 0  # backward clock jumps. The track follows them.
+    # Times at which the clock was far ahead of all later samples. Samples with such times are dropped.
     n_clock_glitches: int = 0
-    n_dead_force: int = 0
-    n_dead_rate: int = 0
+    n_dead_force: int = 0  # rows dropped because the accelerometer was stuck while the phone moved
+    n_dead_rate: int = 0  # rows whose angular rate was discarded because the gyroscope was stuck while the phone moved
+    # Rows whose magnetic field was discarded because the magnetometer was stuck while the phone turned.
     n_dead_field: int = 0
+    # Smallest nonzero change of the specific force between two rows, m/s2. Infinite before the first.
     resolution_mps2: float = np.inf
-    n_wild_field: int = 0
-    n_gaps: int = 0
-    longest_gap_s: float = 0.0
-    lost_s: float = 0.0
-    n_emitted: int = 0
-    n_without_rate: int = 0
-    n_without_turn: int = 0
-    n_rejected_times: int = 0
-    rate_hz: float = 100.0
-    first_time_s: float = np.nan
-    last_time_s: float = np.nan
+    n_wild_field: int = 0  # rows whose magnetic field was discarded because it is beyond the range of any phone
+    n_gaps: int = 0  # gaps between segments
+    longest_gap_s: float = 0.0  # duration of the longest gap, s
+    lost_s: float = 0.0  # total duration of all gaps, s
+    n_emitted: int = 0  # uniform samples emitted
+    n_without_rate: int = 0  # uniform samples with unknown angular rate
+    n_without_turn: int = 0  # those of these in which the phone may have turned
+    n_rejected_times: int = 0  # rows rejected since the last accepted row, because their times contradict it
+    rate_hz: float = 100.0  # rate of the uniform samples, Hz
+    first_time_s: float = np.nan  # time of the first accepted row, s. NaN before it.
+    last_time_s: float = np.nan  # time of the last accepted row, s. NaN before the first.
 
     @property
     def has_gyroscope(self) -> bool:
@@ -257,42 +215,19 @@ class IntakeReport:
 
 @dataclass(frozen=True, eq=False)
 class ConditionerState:
-    """Buffered rows, the position of the uniform grid, and the report so far.
+    """Buffered rows, the position of the uniform grid, and the report so far."""
 
-    Attributes
-    ----------
-    rows : FloatArray
-        Accepted rows that later uniform samples still need, shape (R, 12).
-    segment_start_s : float
-        Time of the first sample of the current segment, s, which is the origin of the uniform grid.
-    n_emitted : int
-        Uniform samples already emitted in this segment.
-    gap_before_s : float
-        Gap before this segment, s. It is passed on with the first block of the segment.
-    last_rate : FloatArray
-        Time and value of the last finite angular rate, shape (4,).
-    last_field : FloatArray
-        Time and value of the last finite magnetic field, shape (4,).
-    clock : ClockState
-        State of the check of times.
-    watchdog : WatchdogState
-        State of the detection of stuck sensors.
-    units : UnitsState
-        State of the check of units and signs.
-    report : IntakeReport
-        Counts so far.
-    """
-
-    rows: FloatArray
+    rows: FloatArray  # (R, 12) accepted rows that later uniform samples still need
+    # Time of the first sample of the current segment, s, which is the origin of the uniform grid.
     segment_start_s: float
-    n_emitted: int
-    gap_before_s: float
-    last_rate: FloatArray
-    last_field: FloatArray
-    clock: ClockState
-    watchdog: WatchdogState
-    units: UnitsState
-    report: IntakeReport
+    n_emitted: int  # uniform samples already emitted in this segment
+    gap_before_s: float  # gap before this segment, s. It is passed on with the first block of the segment.
+    last_rate: FloatArray  # (4,) time and value of the last finite angular rate
+    last_field: FloatArray  # (4,) time and value of the last finite magnetic field
+    clock: ClockState  # state of the check of times
+    watchdog: WatchdogState  # state of the detection of stuck sensors
+    units: UnitsState  # state of the check of units and signs
+    report: IntakeReport  # counts so far
 
     def notes(self) -> tuple[str, ...]:
         """Return warnings about units, signs and repaired samples, or an empty tuple."""

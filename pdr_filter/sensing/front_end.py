@@ -36,6 +36,8 @@ from pdr_filter.values import (
 from pdr_filter.values.events import Gap, Stepless, Undecided
 
 Event = Step | WindowContext | Stepless | Undecided | Gap
+# Events, each with the time in s at which it became known.
+KnownEvents = list[tuple[float, Event]]
 
 # The step frequency of a window is the median over this number of last steps, if the first of them is recent. The limit
 # in s allows for the slowest steps (three take 4 s) and the latency of the detector (0.9 s).
@@ -44,45 +46,25 @@ _CADENCE_STEPS, _CADENCE_S = 3, 5.0
 
 @dataclass(frozen=True, eq=False)
 class SensingState:
-    """States of all stages.
+    """States of all stages."""
 
-    Attributes
-    ----------
-    conditioner : ConditionerState
-        State of the conditioner.
-    attitude : AttitudeState
-        State of the attitude estimator.
-    contexts, steps : object
-        States of the context stage, None without one, and of the step detector.
-    of_steps : mapping of str to object
-        States of the stages that receive the steps, by the name of the stage in `Sensing`.
-    vibration : VehicleVibrationState
-        State of the detection of motion without steps.
-    cadence : tuple of (float, float)
-        Times (s) and step frequencies (Hz) of the last three steps of this segment.
-    n_samples : int
-        Uniform samples of this segment.
-    context : int
-        Index of the context of the last window into `Sensing.context_set`. -1 if no context has at least half of the
-        probability.
-    carrying_mode : int
-        Index of the carrying mode of the last window into `CARRYING_MODES`. -1 if no mode has at least half of the
-        probability.
-    processed_s : float
-        Time of the last processed uniform sample, s.
-    """
-
-    conditioner: ConditionerState
-    attitude: AttitudeState
+    conditioner: ConditionerState  # state of the conditioner
+    attitude: AttitudeState  # state of the attitude estimator
+    # States of the context stage, None without one, and of the step detector
     contexts: object
     steps: object
-    of_steps: Mapping[str, object]
-    vibration: VehicleVibrationState
+    of_steps: Mapping[str, object]  # states of the stages that receive the steps, by the name of the stage in `Sensing`
+    vibration: VehicleVibrationState  # state of the detection of motion without steps
+    # Times (s) and step frequencies (Hz) of the last three steps of this segment
     cadence: tuple[tuple[float, float], ...]
-    n_samples: int
+    n_samples: int  # uniform samples of this segment
+    # Index of the context of the last window into `Sensing.context_set`. -1 if no context has at least half of the
+    # probability.
     context: int
+    # Index of the carrying mode of the last window into `CARRYING_MODES`. -1 if no mode has at least half of the
+    # probability.
     carrying_mode: int
-    processed_s: float
+    processed_s: float  # time of the last processed uniform sample, s
 
     @property
     def gate(self) -> object:
@@ -148,7 +130,7 @@ class Sensing:
     conditioner: Conditioner = field(default_factory=Conditioner)
     attitude: AttitudeEstimator = field(default_factory=AttitudeEstimator)
     contexts: ContextStage | None = None
-    heading: HeadingStage | None = None
+    heading: HeadingStage[Any] | None = None
     gate: StepGate | None = None
     contact_smoothing: ContactTimeSmoothing | None = None
     north: MagneticNorth | None = None
@@ -178,10 +160,10 @@ class Sensing:
         return VehicleVibration(self.conditioner.rate_hz)
 
     @cached_property
-    def _step_stages(self) -> dict[str, StepStage]:
+    def _step_stages(self) -> dict[str, StepStage[Any]]:
         """Stages that receive the steps of the detector one after the other, by name."""
         sets_offsets = self.heading is None or hasattr(self.heading, "learns_directions")
-        stages: dict[str, StepStage | None] = {
+        stages: dict[str, StepStage[Any] | None] = {
             "gate": self.gate,
             "heading": self.heading,
             "shown_offsets": None if sets_offsets else ShownOffsets(),
@@ -228,7 +210,7 @@ class Sensing:
             processed_s=float("-inf"),
         )
 
-    def update(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def update(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, KnownEvents]:
         """Return the new state and the events that a block of samples reveals.
 
         Parameters
@@ -248,7 +230,7 @@ class Sensing:
         conditioner, uniform = self.conditioner.update(state.conditioner, block)
         return self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
 
-    def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def finish(self, state: SensingState) -> tuple[SensingState, KnownEvents]:
         """Return the new state and the remaining events when the recording has ended.
 
         Parameters
@@ -267,14 +249,9 @@ class Sensing:
         state, events = self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
         return state, [*events, *self._close_segment(state)[1]]
 
-    def _process_blocks(
-        self, state: SensingState, uniform: Sequence[UniformBlock]
-    ) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the new state and the events of uniform blocks, restarting the stages at gaps.
-
-        Events are steps, classified windows and gaps, each with the time at which it became known.
-        """
-        events: list[tuple[float, Event]] = []
+    def _process_blocks(self, state: SensingState, uniform: Sequence[UniformBlock]) -> tuple[SensingState, KnownEvents]:
+        """Return the new state and the events of uniform blocks, restarting the stages at gaps."""
+        events: KnownEvents = []
         for part in uniform:
             if part.gap_before_s > 0 and state.n_samples > 0:
                 state, last = self._close_segment(state)
@@ -317,11 +294,8 @@ class Sensing:
         error_rad, error_var = drift_in_time(self.heading, state.heading)
         return self.attitude.bias.learnt_device(self.attitude.bias_state(state.attitude), error_rad, error_var)
 
-    def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """Return the new state and the events of one uniform block without a gap.
-
-        Events are steps and classified windows, each with the time at which it became known.
-        """
+    def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, KnownEvents]:
+        """Return the new state and the events of one uniform block without a gap."""
         attitude_state, attitude = self.attitude.update(state.attitude, part)
         n_before, n = state.n_samples, len(part.time_s)
         context_state, windows = None, list[tuple[int, WindowContext]]()
@@ -338,9 +312,8 @@ class Sensing:
             of_steps[name], steps = stage.update(state.of_steps[name], part, attitude, contexts, steps)
         vibration, moved = self._vibration.update(state.vibration, part, steps)
         # A window comes before a step revealed by the same sample, because its evidence also applies to that step.
-        in_order, cadence = _with_cadences(
-            state.cadence, sorted([*windows, *moved], key=lambda e: e[0]), self.context_set
-        )
+        events = sorted([*windows, *moved], key=lambda e: e[0])
+        in_order, cadence = _with_cadences(state.cadence, events, self.context_set)
         state = SensingState(
             conditioner=state.conditioner,
             attitude=attitude_state,
@@ -356,7 +329,7 @@ class Sensing:
         )
         return state, [(float(part.time_s[i - n_before]), event) for i, event in in_order]
 
-    def _close_segment(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def _close_segment(self, state: SensingState) -> tuple[SensingState, KnownEvents]:
         """Return the state at a gap or at the end, and the steps that were still waiting for samples.
 
         Each step comes with the time of the last processed sample.
@@ -409,8 +382,7 @@ def _with_cadences(
 ) -> tuple[list[tuple[int, Event]], tuple[tuple[float, float], ...]]:
     """Return the events with the step frequency added to the windows, and times and frequencies of the last steps.
 
-    The step frequency of a window is the median over the last three steps, if the first of them is recent. Other
-    windows are unchanged.
+    Windows without enough recent steps (`_CADENCE_STEPS`) are unchanged.
     """
     result: list[tuple[int, Event]] = []
     for number, event in events:

@@ -72,18 +72,10 @@ _SURE = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Restored:
-    """Specific force of a recording without gravity.
+    """Specific force of a recording without gravity."""
 
-    Attributes
-    ----------
-    force : Samples
-        Specific force at the times of the acceleration, m/s2.
-    is_sense_sure : bool
-        True if the cues for up agree. Otherwise the path may be mirrored.
-    """
-
-    force: Samples
-    is_sense_sure: bool
+    force: Samples  # specific force at the times of the acceleration, m/s2
+    is_sense_sure: bool  # True if the cues for up agree. Otherwise the path may be mirrored.
 
 
 @dataclass(frozen=True, slots=True, eq=False)

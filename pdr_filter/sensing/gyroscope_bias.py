@@ -50,142 +50,68 @@ _HEADINGS = slice(3, 5)  # field direction and heading error, which are driven b
 _N_STATES = 5
 _IDENTITY = read_only(np.eye(_N_STATES))
 _H_FIELD, _H_ERROR = read_only(_IDENTITY[_FIELD]), read_only(_IDENTITY[_ERROR])
+# Log density of a uniform direction, shifted by the constant that `_update` omits.
+_LOG_ANY_DIRECTION = 0.5 * math.log(2 * math.pi) - math.log(2 * math.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BiasWindow:
-    """Statistics of one window of samples for the estimation of the bias.
+    """Statistics of one window of samples for the estimation of the bias."""
 
-    Attributes
-    ----------
-    angular_rate_radps : FloatArray
-        Mean measured angular rate, shape (3,), rad/s.
-    angular_rate_std_radps : float
-        Standard deviation of the angular rate, rad/s: the square root of the summed variances of the axes.
-    specific_force_std_mps2 : float
-        Standard deviation of the specific force, m/s2, likewise.
-    up_sensor : FloatArray
-        Mean unit vector up in the sensor frame, shape (3,).
-    heading_rad : float
-        Mean corrected heading of the device, not wrapped, rad.
-    angular_rate_known : bool
-        True if the angular rate is known in all samples.
-    magnetic_field_ut : FloatArray
-        Mean magnetic field along east, north and up of the attitude frame, shape (3,), uT.
-    magnetic_field_known : bool
-        True if the magnetic field is known in all samples.
-    """
-
-    angular_rate_radps: FloatArray
+    angular_rate_radps: FloatArray  # (3,) mean measured angular rate, rad/s
+    # Standard deviation of the angular rate, rad/s: the square root of the summed variances of the axes.
     angular_rate_std_radps: float
-    specific_force_std_mps2: float
-    up_sensor: FloatArray
-    heading_rad: float
-    angular_rate_known: bool
-    magnetic_field_ut: FloatArray
-    magnetic_field_known: bool
+    specific_force_std_mps2: float  # standard deviation of the specific force, m/s2, likewise
+    up_sensor: FloatArray  # (3,) mean unit vector up in the sensor frame
+    heading_rad: float  # mean corrected heading of the device, not wrapped, rad
+    angular_rate_known: bool  # True if the angular rate is known in all samples
+    magnetic_field_ut: FloatArray  # (3,) mean magnetic field along east, north and up of the attitude frame, uT
+    magnetic_field_known: bool  # True if the magnetic field is known in all samples
 
 
 @dataclass(frozen=True, eq=False)
 class StraightWalk:
-    """Windows of walking since the last corner, newest last.
+    """Windows of walking since the last corner, newest last."""
 
-    Attributes
-    ----------
-    heading_rad : tuple of float
-        Corrected headings of the last two windows, rad. They serve to detect a corner.
-    measured_rad : tuple of float
-        Uncorrected headings of the windows that have not yet updated the bias estimate, rad. Their negative slope over
-        time is the bias about the vertical.
-    up_sensor : FloatArray
-        Unit vector up in the sensor frame in the first window, shape (3,).
-    n_to_skip : int
-        Number of windows to skip before the walk updates the bias estimate again.
-    """
-
-    heading_rad: tuple[float, ...]
+    heading_rad: tuple[float, ...]  # corrected headings of the last two windows, rad. They serve to detect a corner.
+    # Uncorrected headings of the windows that have not yet updated the bias estimate, rad. Their negative slope over
+    # time is the bias about the vertical.
     measured_rad: tuple[float, ...]
-    up_sensor: FloatArray
-    n_to_skip: int
+    up_sensor: FloatArray  # (3,) unit vector up in the sensor frame in the first window
+    n_to_skip: int  # number of windows to skip before the walk updates the bias estimate again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FieldScatter:
-    """Recent mean and scatter of the magnetic field, with exponential forgetting.
+    """Recent mean and scatter of the magnetic field, with exponential forgetting."""
 
-    Attributes
-    ----------
-    n_windows : int
-        Windows so far.
-    horizontal_ut : float
-        Mean horizontal field, uT.
-    up_ut : float
-        Mean vertical field, uT.
-    variance_ut2 : float
-        Mean of the variances of the horizontal field strength and the vertical field, uT2.
-    direction_rad : float
-        Direction of the field in the last window, clockwise from north of the attitude frame, rad.
-    """
-
-    n_windows: int
-    horizontal_ut: float
-    up_ut: float
-    variance_ut2: float
-    direction_rad: float
+    n_windows: int  # windows so far
+    horizontal_ut: float  # mean horizontal field, uT
+    up_ut: float  # mean vertical field, uT
+    variance_ut2: float  # mean of the variances of the horizontal field strength and the vertical field, uT2
+    direction_rad: float  # direction of the field in the last window, clockwise from north of the attitude frame, rad
 
 
 @dataclass(frozen=True, eq=False)
 class GyroBiasState:
-    """Bank of M Kalman filters, and the history that the measurements need.
+    """Bank of M Kalman filters, and the history that the measurements need."""
 
-    Attributes
-    ----------
-    mean : FloatArray
-        Means of the filters, shape (M, 5).
-    cov : FloatArray
-        Covariances of the filters, shape (M, 5, 5).
-    log_weight : FloatArray
-        Log weights of the filters, shape (M,). The largest is 0.
-    bias_radps : FloatArray
-        Mean bias of the mixture, shape (3,), rad/s.
-    bias_cov_radps2 : FloatArray
-        Covariance of the bias of the mixture, shape (3, 3), (rad/s)^2.
-    heading_error_rad : float
-        Error of the corrected heading since the start, estimated by the mixture, rad.
-    heading_error_var_rad2 : float
-        Variance of `heading_error_rad`, rad2.
-    heading_lost_var_rad2 : float
-        Sum of the heading variance that the uncertain bias has added since the start, without reductions by
-        measurements, rad2. The filter of the track must add this variance, because it receives each measurement
-        separately.
-    corrected_rad : float
-        Total turn by which the bias estimates so far have corrected the heading, rad.
-    n_still : int
-        Consecutive still windows.
-    walk : StraightWalk or None
-        Current straight walk.
-    field : FieldScatter or None
-        Recent scatter of the magnetic field.
-    field_tracked : bool
-        True if the field direction in the filter states is initialised.
-    n_field_outliers : int
-        Consecutive outliers of the field direction.
-    """
-
-    mean: FloatArray
-    cov: FloatArray
-    log_weight: FloatArray
-    bias_radps: FloatArray
-    bias_cov_radps2: FloatArray
-    heading_error_rad: float = 0.0
-    heading_error_var_rad2: float = 0.0
+    mean: FloatArray  # (M, 5) means of the filters
+    cov: FloatArray  # (M, 5, 5) covariances of the filters
+    log_weight: FloatArray  # (M,) log weights of the filters. The largest is 0.
+    bias_radps: FloatArray  # (3,) mean bias of the mixture, rad/s
+    bias_cov_radps2: FloatArray  # (3, 3) covariance of the bias of the mixture, (rad/s)^2
+    heading_error_rad: float = 0.0  # error of the corrected heading since the start, estimated by the mixture, rad
+    heading_error_var_rad2: float = 0.0  # variance of `heading_error_rad`, rad2
+    # Sum of the heading variance that the uncertain bias has added since the start, without reductions by measurements,
+    # rad2. The filter of the track must add this variance, because it receives each measurement separately.
     heading_lost_var_rad2: float = 0.0
-    corrected_rad: float = 0.0
-    n_still: int = 0
-    walk: StraightWalk | None = None
-    field: FieldScatter | None = None
-    field_tracked: bool = False
-    n_field_outliers: int = 0
+    corrected_rad: float = 0.0  # total turn by which the bias estimates so far have corrected the heading, rad
+    n_still: int = 0  # consecutive still windows
+    walk: StraightWalk | None = None  # current straight walk
+    field: FieldScatter | None = None  # recent scatter of the magnetic field
+    field_tracked: bool = False  # True if the field direction in the filter states is initialised
+    n_field_outliers: int = 0  # consecutive outliers of the field direction
 
 
 @dataclass(frozen=True)
@@ -537,12 +463,11 @@ class GyroBias:
         scatter = self.field_scatter_weight * variance_ut2 / horizontal_ut**2
         variance = inflation * (scatter + self.field_std_rad**2)
         mean, _, _ = bank
-        change_rad = 0.0 if before is None else float(_wrap(direction_rad - before.direction_rad, 2 * math.pi))
+        change_rad = 0.0 if before is None else float(_wrap(direction_rad - before.direction_rad))
         jump_rad = max(self.field_jump_rad, self.field_jump_scatter * math.sqrt(variance_ut2) / horizontal_ut)
         if state.field_tracked and abs(change_rad) < jump_rad:
-            innovation = _wrap(direction_rad - mean[:, _FIELD], 2 * math.pi)
-            outlier = _uniform_log_density(2 * math.pi)
-            bank, inlier = _update(bank, _H_FIELD, innovation, variance, self.field_outlier_prob, outlier)
+            innovation = _wrap(direction_rad - mean[:, _FIELD])
+            bank, inlier = _update(bank, _H_FIELD, innovation, variance, self.field_outlier_prob, _LOG_ANY_DIRECTION)
             weight = np.exp(bank[2])
             inlier_prob = float(weight.dot(inlier)) / float(np.add.reduce(weight))
             n_outliers = state.n_field_outliers + 1 if inlier_prob < 0.5 else 0
@@ -687,14 +612,9 @@ def _outlier_log_density(square: float, n: int, std: float) -> float:
     return -0.5 * square / std**2 - n * math.log(std)
 
 
-def _uniform_log_density(width: float) -> float:
-    """Return the log density of a uniform distribution, shifted by the constant that `_update` omits."""
-    return 0.5 * math.log(2 * math.pi) - math.log(width)
-
-
-def _wrap(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
-    """Return an angle wrapped to half a period on either side of zero."""
-    return angle_rad - period_rad * np.rint(angle_rad / period_rad)
+def _wrap(angle_rad: FloatArray | float) -> FloatArray:
+    """Return an angle wrapped to half a turn on either side of zero."""
+    return angle_rad - 2 * math.pi * np.rint(angle_rad / (2 * math.pi))
 
 
 def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:

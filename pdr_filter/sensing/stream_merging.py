@@ -93,30 +93,16 @@ def absences_in(streams: Mapping[str, Samples]) -> list[Note]:
 
 @dataclass(frozen=True, eq=False)
 class StreamState:
-    """Buffer of one sensor.
+    """Buffer of one sensor."""
 
-    Attributes
-    ----------
-    rows : FloatArray
-        Times and values of the samples that wait or are still needed, in order of time, shape (N, 1 + d).
-    recent_s : FloatArray
-        Times of the last samples in the order of their arrival, s.
-    first_s : float
-        Smallest time of a sample, s; inf before the first.
-    n_received : int
-        Samples received.
-    n_late : int
-        Samples dropped because they were late.
-    n_sorted : int
-        Samples that were slightly behind an earlier one, and were sorted by time.
-    """
-
+    # (N, 1 + d) times and values of the samples that wait or are still needed, in order of time.
     rows: FloatArray
+    # Times of the last samples in the order of their arrival, s.
     recent_s: FloatArray = field(default_factory=lambda: np.empty(0))
-    first_s: float = math.inf
-    n_received: int = 0
-    n_late: int = 0
-    n_sorted: int = 0
+    first_s: float = math.inf  # smallest time of a sample, s; inf before the first
+    n_received: int = 0  # samples received
+    n_late: int = 0  # samples dropped because they were late
+    n_sorted: int = 0  # samples that were slightly behind an earlier one, and were sorted by time
 
     @property
     def last_s(self) -> float:
@@ -135,30 +121,16 @@ class StreamState:
 
 @dataclass(frozen=True, eq=False)
 class MergerState:
-    """Buffers of all sensors, and the times up to which samples were released.
+    """Buffers of all sensors, and the times up to which samples were released."""
 
-    Attributes
-    ----------
-    streams : tuple of StreamState
-        Buffers in the order of `SENSORS`.
-    first_s : float
-        Smallest time of the accelerometer, s. NaN before its first sample.
-    released_s : float
-        Time of the last released sample of the accelerometer, s.
-    pressure_s : float
-        Time of the last released sample of the barometer, s.
-    looked_s : tuple of float
-        Last time of each sensor when the merger last checked which samples can be released, s.
-    late_s : tuple of float
-        Smallest and largest time of the late samples of the accelerometer since its last sample in time, s. NaN if
-        there are none.
-    """
-
-    streams: tuple[StreamState, ...]
-    first_s: float = np.nan
-    released_s: float = -np.inf
-    pressure_s: float = -np.inf
+    streams: tuple[StreamState, ...]  # buffers in the order of `SENSORS`
+    first_s: float = np.nan  # smallest time of the accelerometer, s. NaN before its first sample.
+    released_s: float = -np.inf  # time of the last released sample of the accelerometer, s
+    pressure_s: float = -np.inf  # time of the last released sample of the barometer, s
+    # Last time of each sensor when the merger last checked which samples can be released, s
     looked_s: tuple[float, ...] = len(SENSORS) * (-np.inf,)
+    # Smallest and largest time of the late samples of the accelerometer since its last sample in time, s. NaN if there
+    # are none.
     late_s: tuple[float, float] = (np.nan, np.nan)
 
     def stream(self, sensor: Sensor) -> StreamState:
@@ -177,21 +149,11 @@ class MergerState:
 
 
 class Merged(NamedTuple):
-    """Released samples. Pass the pressures to the filter before the inertial samples.
+    """Released samples. Pass the pressures to the filter before the inertial samples."""
 
-    Attributes
-    ----------
-    pressure_time_s : FloatArray
-        Times of the barometer samples, shape (B,), s.
-    pressure_hpa : FloatArray
-        Pressures, shape (B,), hPa.
-    block : ImuBlock
-        Samples of the accelerometer with the other sensors interpolated at their times.
-    """
-
-    pressure_time_s: FloatArray
-    pressure_hpa: FloatArray
-    block: ImuBlock
+    pressure_time_s: FloatArray  # (B,) times of the barometer samples, s
+    pressure_hpa: FloatArray  # (B,) pressures, hPa
+    block: ImuBlock  # samples of the accelerometer with the other sensors interpolated at their times
 
 
 @dataclass(frozen=True)

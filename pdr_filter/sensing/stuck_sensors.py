@@ -47,41 +47,19 @@ class WatchdogState:
     """Extremes of the open window, and how long each sensor has been constant.
 
     Triples are of accelerometer, gyroscope and magnetometer.
-
-    Attributes
-    ----------
-    n_rows : int
-        Rows of the open window so far.
-    low : FloatArray
-        Minima of specific force, angular rate and magnetic field in the open window, shape (9,).
-    high : FloatArray
-        Maxima of these in the open window, shape (9,).
-    last : FloatArray
-        Last row, shape (9,).
-    resolution : FloatArray
-        Smallest nonzero change between two rows of accelerometer and gyroscope so far, shape (2,).
-    turned_rad : FloatArray
-        Turn about each axis in the windows with a constant magnetic field, shape (3,), rad.
-    still_since_s : tuple of float
-        Start of the consecutive windows in which the sensor is constant, s. NaN if the last window is not constant.
-    moved : tuple of bool
-        True if another sensor showed motion in these windows.
-    dead : tuple of bool
-        True if the sensor is stuck.
-    start_s : float
-        Time of the first row of the open window, s.
     """
 
-    n_rows: int
-    low: FloatArray
-    high: FloatArray
-    last: FloatArray
-    resolution: FloatArray
-    turned_rad: FloatArray
+    n_rows: int  # rows of the open window so far
+    low: FloatArray  # (9,) minima of specific force, angular rate and magnetic field in the open window
+    high: FloatArray  # (9,) maxima of these in the open window
+    last: FloatArray  # (9,) last row
+    resolution: FloatArray  # (2,) smallest nonzero change between two rows of accelerometer and gyroscope so far
+    turned_rad: FloatArray  # (3,) turn about each axis in the windows with a constant magnetic field, rad
+    # Start of the consecutive windows in which the sensor is constant, s. NaN if the last window is not constant.
     still_since_s: _Times = _NEVER_S
-    moved: _Flags = _NONE
-    dead: _Flags = _NONE
-    start_s: float = np.nan
+    moved: _Flags = _NONE  # True if another sensor showed motion in these windows
+    dead: _Flags = _NONE  # True if the sensor is stuck
+    start_s: float = np.nan  # time of the first row of the open window, s
 
 
 def init_watchdog() -> WatchdogState:

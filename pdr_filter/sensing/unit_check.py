@@ -27,33 +27,16 @@ _DOWN_COSINE, _DOWN_WINDOWS, _DOWN_SHARE = -0.5, 3, 0.8
 
 @dataclass(frozen=True, eq=False)
 class UnitsState:
-    """Counts over all complete windows, and the rows of the open window.
+    """Counts over all complete windows, and the rows of the open window."""
 
-    Attributes
-    ----------
-    rows : FloatArray
-        Rows of the open window, shape (R, 4): time, norm of the specific force, its z, norm of the angular rate.
-    n : int
-        Complete windows.
-    n_wrong_force : int
-        Windows with an implausible median specific force.
-    n_wrong_rate : int
-        Windows with an implausible median angular rate.
-    n_down : int
-        Windows in which the screen faces down.
-    wrong_force : str
-        Description of the first implausible specific force.
-    wrong_rate : str
-        Description of the first implausible angular rate.
-    """
-
+    # Rows of the open window, shape (R, 4): time, norm of the specific force, its z, norm of the angular rate.
     rows: FloatArray
-    n: int = 0
-    n_wrong_force: int = 0
-    n_wrong_rate: int = 0
-    n_down: int = 0
-    wrong_force: str = ""
-    wrong_rate: str = ""
+    n: int = 0  # complete windows
+    n_wrong_force: int = 0  # windows with an implausible median specific force
+    n_wrong_rate: int = 0  # windows with an implausible median angular rate
+    n_down: int = 0  # windows in which the screen faces down
+    wrong_force: str = ""  # description of the first implausible specific force
+    wrong_rate: str = ""  # description of the first implausible angular rate
 
     @property
     def is_wrong(self) -> bool:

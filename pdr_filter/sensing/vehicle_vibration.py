@@ -22,13 +22,13 @@ the steps before it and the uncertainty of the motion without steps.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
 
 import numpy as np
 
 from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.steps.step_log import NumberedSteps
 from pdr_filter.values import FloatArray, Step, check_numbers, replace_unchecked
 from pdr_filter.values.events import Stepless, Undecided
 
@@ -53,49 +53,25 @@ _WALKING_MPS2 = 0.3
 
 @dataclass(frozen=True, eq=False)
 class VehicleVibrationState:
-    """Seconds that are not judged yet, the current run of vibrating seconds, and the totals.
+    """Seconds that are not judged yet, the current run of vibrating seconds, and the totals."""
 
-    Attributes
-    ----------
-    n_samples : int
-        Samples of the segment.
-    start_s : float
-        Time of the first sample of the segment, s.
-    rest : FloatArray
-        Norm of the specific force for the samples of the incomplete second, m/s2.
-    waiting_mps2 : tuple of (float, float)
-        Jitter and standard deviation of |f| of the complete seconds that are not judged yet, m/s2.
-    steps : tuple of (int, float)
-        Recent steps: number of the sample that revealed the step, and time of the step in s.
-    run_s : float
-        Length of the current run of vibrating seconds without steps, s.
-    before_run_s : float
-        Unexplained time of motion before this run and since the last step, s: the durations of all rides, or up to 2 s
-        if there was only shorter vibration.
-    moving_s : int
-        Total duration of the runs that are long enough, s.
-    seen_s : int
-        Seconds judged.
-    last_contact_s : float
-        Contact of the last known step, s. -inf before the first step.
-    stepless_s : int
-        Seconds since that contact that are judged to be motion without steps.
-    undecided_s : float
-        Begin of the motion whose steps are not known yet, s, or infinity.
-    """
-
-    n_samples: int = 0
-    start_s: float = 0.0
+    n_samples: int = 0  # samples of the segment
+    start_s: float = 0.0  # time of the first sample of the segment, s
+    # Norm of the specific force for the samples of the incomplete second, m/s2
     rest: FloatArray = field(default_factory=lambda: np.empty(0))
+    # Jitter and standard deviation of |f| of the complete seconds that are not judged yet, m/s2
     waiting_mps2: tuple[tuple[float, float], ...] = ()
+    # Recent steps: number of the sample that revealed the step, and time of the step in s
     steps: tuple[tuple[int, float], ...] = ()
-    run_s: float = 0.0
+    run_s: float = 0.0  # length of the current run of vibrating seconds without steps, s
+    # Unexplained time of motion before this run and since the last step, s: the durations of all rides, or up to 2 s if
+    # there was only shorter vibration.
     before_run_s: float = 0.0
-    moving_s: int = 0
-    seen_s: int = 0
-    last_contact_s: float = -np.inf
-    stepless_s: int = 0
-    undecided_s: float = np.inf
+    moving_s: int = 0  # total duration of the runs that are long enough, s
+    seen_s: int = 0  # seconds judged
+    last_contact_s: float = -np.inf  # contact of the last known step, s. -inf before the first step.
+    stepless_s: int = 0  # seconds since that contact that are judged to be motion without steps
+    undecided_s: float = np.inf  # begin of the motion whose steps are not known yet, s, or infinity
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,7 +222,7 @@ class VehicleVibration:
         return 0.0, max(before_run_s, min(run_s, _SHORT_S))
 
     def update(
-        self, state: VehicleVibrationState, block: UniformBlock, steps: Sequence[tuple[int, Step]]
+        self, state: VehicleVibrationState, block: UniformBlock, steps: NumberedSteps
     ) -> tuple[VehicleVibrationState, list[tuple[int, Step | Stepless | Undecided]]]:
         """Return the state after a block, its steps with their `stepless_s`, and its motion without known steps.
 
@@ -296,9 +272,7 @@ class VehicleVibration:
         state, found = self._with_steps(state, steps[n_known:], first + n_whole)
         return state, [*events, *found]
 
-    def finish(
-        self, state: VehicleVibrationState, steps: Sequence[tuple[int, Step]]
-    ) -> tuple[VehicleVibrationState, list[tuple[int, Step]]]:
+    def finish(self, state: VehicleVibrationState, steps: NumberedSteps) -> tuple[VehicleVibrationState, NumberedSteps]:
         """Return the state and the steps with their `stepless_s` at the end of a segment.
 
         Parameters
@@ -318,10 +292,10 @@ class VehicleVibration:
         return self._with_steps(state, steps, state.n_samples // round(self.rate_hz))
 
     def _with_steps(
-        self, state: VehicleVibrationState, steps: Sequence[tuple[int, Step]], second: int
-    ) -> tuple[VehicleVibrationState, list[tuple[int, Step]]]:
+        self, state: VehicleVibrationState, steps: NumberedSteps, second: int
+    ) -> tuple[VehicleVibrationState, NumberedSteps]:
         """Return the state after steps revealed in second number `second`, and the steps with their `stepless_s`."""
-        found: list[tuple[int, Step]] = []
+        found: NumberedSteps = []
         for number, step in steps:
             begin_s, since_s = step.time_s - step.duration_s, state.last_contact_s + _STEP_S
             stepless_s, judged_s = float(state.stepless_s), state.start_s + second - len(state.waiting_mps2)

@@ -161,31 +161,16 @@ _QUIET_MPS2, _QUIET_ROWS = 0.8, 13
 
 
 class Present(NamedTuple):
-    """Position at the time of the newest sample.
+    """Position at the time of the newest sample."""
 
-    Attributes
-    ----------
-    time_s : float
-        Time of the newest sample on the clock of the track, s.
-    pose : Place
-        Position and walking direction.
-    steps : tuple of ProvisionalStep
-        Candidate steps included in the position.
-    extrapolated_m : float
-        Distance from the last contact to the position, m.
-    speed_mps, speed_std_mps : float
-        Walking speed and its standard deviation, m/s. 0 and NaN while the pedestrian stands.
-    reach_m : float
-        Largest possible standard deviation of the position, m (`PedestrianState.reach_m`).
-    """
-
-    time_s: float
-    pose: Pose
-    steps: tuple[ProvisionalStep, ...]
-    extrapolated_m: float
+    time_s: float  # time of the newest sample on the clock of the track, s
+    pose: Pose  # position and walking direction
+    steps: tuple[ProvisionalStep, ...]  # candidate steps included in the position
+    extrapolated_m: float  # distance from the last contact to the position, m
+    # Walking speed and its standard deviation, m/s. 0 and NaN while the pedestrian stands.
     speed_mps: float
     speed_std_mps: float
-    reach_m: float
+    reach_m: float  # largest possible standard deviation of the position, m (`PedestrianState.reach_m`)
 
 
 def present_pose(config: Config, state: State) -> Present:
@@ -245,9 +230,8 @@ def _pose_after(state: State, last: StepUpdate | None, is_candidate: bool) -> Po
         stated_rad = 0.0 if last is None else last.step.reference_heading_rad - last.step.device_heading_rad
         heading_rad = state.sensing.attitude.device_heading_rad + stated_rad + float(mean[HEADING_OFFSET])
         return replace(track_pose(pedestrian), heading_rad=heading_rad)
-    pose = last.of_start or Pose(
-        last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.steps.n_final
-    )
+    n_steps = pedestrian.steps.n_final
+    pose = last.of_start or Pose(last.position_m, last.position_cov_m2, last.walking_heading_rad, n_steps)
     return replace(pose, heading_rad=pose.heading_rad + _turned_since(state, last))
 
 
@@ -326,9 +310,8 @@ def _extrapolated(pose: Pose, extrapolated_m: float, turned_rad: float) -> Pose:
     along = np.array([math.sin(heading_rad), math.cos(heading_rad)])
     across = np.array([along[1], -along[0]])
     share = _ALONG_SHARE**2 * np.outer(along, along) + _ACROSS_SHARE**2 * np.outer(across, across)
-    return replace(
-        pose, position_m=pose.position_m + extrapolated_m * along, cov_m2=pose.cov_m2 + extrapolated_m**2 * share
-    )
+    position_m, cov_m2 = pose.position_m + extrapolated_m * along, pose.cov_m2 + extrapolated_m**2 * share
+    return replace(pose, position_m=position_m, cov_m2=cov_m2)
 
 
 def _on_plan(pose: Pose, base: Pose, on_plan: OnPlan) -> Pose:

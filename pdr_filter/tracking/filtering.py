@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right, insort
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import repeat
 from operator import attrgetter
 from typing import Any
@@ -41,6 +41,7 @@ from pdr_filter.values import (
     OnPlan,
     Origin,
     PositionFix,
+    Samples,
     Standstill,
     Step,
     WindowContext,
@@ -61,70 +62,34 @@ _N_LAST_FIXES = 16
 
 @dataclass(frozen=True, eq=False)
 class WaitingClimbs:
-    """Barometer, and the climb rates that wait for the windows and steps of their times.
+    """Barometer, and the climb rates that wait for the windows and steps of their times."""
 
-    Attributes
-    ----------
-    barometer : ClimbState
-        State of the climb-rate estimator.
-    climbs : tuple of Climb
-        Climb rates whose windows have not been classified yet.
-    n_used : int
-        Number of leading elements of `climbs` that the height filter has used.
-    n_lost : int
-        Number of climb rates dropped because their windows did not come.
-    """
-
-    barometer: ClimbState
-    climbs: tuple[Climb, ...] = ()
-    n_used: int = 0
-    n_lost: int = 0
+    barometer: ClimbState  # state of the climb-rate estimator
+    climbs: tuple[Climb, ...] = ()  # climb rates whose windows have not been classified yet
+    n_used: int = 0  # number of leading elements of `climbs` that the height filter has used
+    n_lost: int = 0  # number of climb rates dropped because their windows did not come
 
 
 @dataclass(frozen=True, eq=False)
 class Statistics:
-    """Numbers and events of the walk so far, for its notes.
+    """Numbers and events of the walk so far, for its notes."""
 
-    Attributes
-    ----------
-    seen : WindowCounts
-        Numbers of all windows and of unreliable ones.
-    walked : StepCounts
-        Numbers of all steps and of unreliable ones.
-    rides : Rides
-        Vehicle rides found in the position fixes.
-    length_fixes : LengthFixes
-        Number and area of the accepted fixes from which the filter learns the step length.
-    n_rejected_fixes : int
-        Number of rejected fixes.
-    """
-
-    seen: WindowCounts = field(default_factory=WindowCounts)
-    walked: StepCounts = field(default_factory=StepCounts)
-    rides: Rides = field(default_factory=Rides)
+    seen: WindowCounts = field(default_factory=WindowCounts)  # numbers of all windows and of unreliable ones
+    walked: StepCounts = field(default_factory=StepCounts)  # numbers of all steps and of unreliable ones
+    rides: Rides = field(default_factory=Rides)  # vehicle rides found in the position fixes
+    # Number and area of the accepted fixes from which the filter learns the step length.
     length_fixes: LengthFixes = field(default_factory=LengthFixes)
-    n_rejected_fixes: int = 0
+    n_rejected_fixes: int = 0  # number of rejected fixes
 
 
 @dataclass(frozen=True, eq=False)
 class LastResults:
-    """Last results of the filter.
+    """Last results of the filter."""
 
-    Attributes
-    ----------
-    window : WindowContext or None
-        Last classified window.
-    fixes : tuple of FixResult
-        Outcomes of the last fixes.
-    update : StepUpdate or None
-        Last step since the last gap, or None if there is none.
-    undecided_s : float
-        Begin of the motion whose steps are not known yet, s, or infinity. Fixes of later times wait for them.
-    """
-
-    window: WindowContext | None = None
-    fixes: tuple[FixResult, ...] = ()
-    update: StepUpdate | None = None
+    window: WindowContext | None = None  # last classified window
+    fixes: tuple[FixResult, ...] = ()  # outcomes of the last fixes
+    update: StepUpdate | None = None  # last step since the last gap, or None if there is none
+    # Begin of the motion whose steps are not known yet, s, or infinity. Fixes of later times wait for them.
     undecided_s: float = math.inf
 
 
@@ -283,25 +248,17 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
     return replace_unchecked(state, waiting_climbs=waiting)
 
 
-def add_location(
-    config: Config,
-    state: State,
-    time_s: FloatArray,
-    latitude_deg: FloatArray,
-    longitude_deg: FloatArray,
-    accuracy_m: FloatArray,
-    altitude_m: FloatArray | None = None,
-) -> State:
-    """Return the state with geographic locations, (N,) each, with times on the clock of the samples.
+def add_location(config: Config, state: State, location: Samples) -> State:
+    """Return the state with geographic locations, a stream as in `Recording`, on the clock of the samples.
 
     Some of them become position fixes, in metres from the first usable location.
     """
-    time_s = time_s + state.clock_offset_s
-    locations, fixes = position_fixes(
-        state.locations, time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
-    )
+    location = replace(location, time_s=location.time_s + state.clock_offset_s)
+    latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
+    where = latitude_deg, longitude_deg, accuracy_m
+    locations, fixes = position_fixes(state.locations, location.time_s, *where, altitude_m=altitude_m)
     if locations.origin is not None:
-        state = add_terrain_locations(config, state, locations.origin, time_s, latitude_deg, longitude_deg, accuracy_m)
+        state = add_terrain_locations(config, state, locations.origin, location)
     return add_fixes(config, replace_unchecked(state, locations=locations), fixes)
 
 
@@ -310,18 +267,11 @@ def add_location(
 _LOCATIONS_S = 20.0
 
 
-def add_terrain_locations(
-    config: Config,
-    state: State,
-    origin: Origin,
-    time_s: FloatArray,
-    latitude_deg: FloatArray,
-    longitude_deg: FloatArray,
-    accuracy_m: FloatArray,
-) -> State:
-    """Return the state with locations (N,), on the track clock, that only distinguish hills from storeys."""
+def add_terrain_locations(config: Config, state: State, origin: Origin, location: Samples) -> State:
+    """Return the state with locations, on the track clock, that only distinguish hills from storeys."""
     last = part_of(state.chain, HeightTrack).locations[-1:].tolist()
-    new = good_locations(origin, time_s, latitude_deg, longitude_deg, accuracy_m, *map(tuple, last))
+    latitude_deg, longitude_deg, _, accuracy_m = location.values.T
+    new = good_locations(origin, location.time_s, latitude_deg, longitude_deg, accuracy_m, *map(tuple, last))
     now_s = state.sensing.processed_s
     chain, _ = config.chain.on(state.chain, Locations(new, now_s - _LOCATIONS_S), now_s)
     return replace_unchecked(state, chain=chain)

@@ -85,9 +85,8 @@ def first_heading_rad(recording: Recording, track: TrackRows) -> float:
     time_s, force = recording.accelerometer.time_s, recording.accelerometer.values
     begin_s, end_s = float(time_s[0]), float(track.time_s[first[-1]])
     at_start = force[time_s < begin_s + _REST_S].mean(axis=0)
-    walking = force[(time_s > track.time_s[first[0]] - track.steps.duration_s[first[0]]) & (time_s <= end_s)].mean(
-        axis=0
-    )
+    step_s = track.time_s[first[0]] - track.steps.duration_s[first[0]]
+    walking = force[(time_s > step_s) & (time_s <= end_s)].mean(axis=0)
     cosine = at_start @ walking / (np.linalg.norm(at_start) * np.linalg.norm(walking))
     if not cosine < np.cos(WalkingHeading.max_tilt_rad):  # also if a mean is unknown
         return 0.0

@@ -39,24 +39,13 @@ MAX_LOCATIONS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReckoning:
-    """Dead-reckoned positions including the start, with their variances for an exactly known heading.
+    """Dead-reckoned positions including the start, with their variances for an exactly known heading."""
 
-    Attributes
-    ----------
-    time_s : ndarray, shape (K + 1,)
-        Times of the start and of the steps, s.
-    position_m : ndarray, shape (K + 1, 2)
-        Positions in the frame of the start, m.
-    walked_m : ndarray, shape (K + 1,)
-        Walked distance, m.
-    walked_var_m2 : ndarray, shape (K + 1,)
-        Variance of each position that remains if the heading is known exactly, mean of both axes, m^2. It increases
-        monotonically.
-    """
-
-    time_s: FloatArray
-    position_m: FloatArray
-    walked_m: FloatArray
+    time_s: FloatArray  # (K + 1,) times of the start and of the steps, s
+    position_m: FloatArray  # (K + 1, 2) positions in the frame of the start, m
+    walked_m: FloatArray  # (K + 1,) walked distance, m
+    # (K + 1,) variance of each position that remains if the heading is known exactly, mean of both axes, m^2. It
+    # increases monotonically.
     walked_var_m2: FloatArray
 
     @classmethod
@@ -97,27 +86,14 @@ class DeadReckoning:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlignedTrack:
-    """Alignment of a track to the locations of its recording.
+    """Alignment of a track to the locations of its recording."""
 
-    Attributes
-    ----------
-    locations : LocationState
-        State of the conversion from locations to fixes.
-    fixes : tuple of PositionFix
-        Position fixes from the locations.
-    frozen : tuple of bool
-        For each fix, whether it repeats the previous position during walking.
-    pairs : tuple of PairedPoint
-        For each fix, the pair of the fix and the dead-reckoned position at its time.
-    frame : Frame
-        Rotation and shift, if the locations determine them.
-    """
-
-    locations: LocationState
-    fixes: tuple[PositionFix, ...]
+    locations: LocationState  # state of the conversion from locations to fixes
+    fixes: tuple[PositionFix, ...]  # position fixes from the locations
+    # For each fix, whether and how it repeats the previous position (`repeated_fixes.repetitions`)
     repetitions: tuple[Repetition, ...]
-    pairs: tuple[PairedPoint, ...]
-    frame: Frame
+    pairs: tuple[PairedPoint, ...]  # for each fix, the pair of the fix and the dead-reckoned position at its time
+    frame: Frame  # rotation and shift, if the locations determine them
 
     def results(self, at_s: float) -> list[FixResult]:
         """Return the outcome of each fix, "turned", "rejected", "frozen" or "repeated", at the time `at_s`.
@@ -171,15 +147,9 @@ def aligned_outputs(
         recording.location, reckoning, report.first_time_s, report.last_time_s, pedestrian.steps.n_final
     )
     if alignment.fixes:
-        pedestrian = replace(
-            pedestrian,
-            frame=alignment.frame,
-            fixes=replace(
-                pedestrian.fixes,
-                n_frozen=alignment.repetitions.count("frozen"),
-                n_repeated=alignment.repetitions.count("repeated"),
-            ),
-        )
+        n_frozen, n_repeated = (alignment.repetitions.count(kind) for kind in ("frozen", "repeated"))
+        fixes = replace(pedestrian.fixes, n_frozen=n_frozen, n_repeated=n_repeated)
+        pedestrian = replace(pedestrian, frame=alignment.frame, fixes=fixes)
         whole.fixes.extend(alignment.results(last.sensing.processed_s))
         if pedestrian.frame.alignment is not None:
             whole.updates[:] = _with_own_errors(finals, reckoning.own_var_m2(alignment.frame.agreeing))

@@ -415,7 +415,9 @@ class OnlineFilter:
                 f"all columns of locations must have the same length, got shapes {shapes}: give one value for each "
                 "time_s"
             )
-        self.state = add_location(self.config, self.state, *rows.values())
+        time, latitude, longitude, accuracy, altitude = rows.values()
+        location = Samples(time, np.column_stack([latitude, longitude, altitude, accuracy]))
+        self.state = add_location(self.config, self.state, location)
         return []
 
     def finish(self) -> list[StepUpdate]:
@@ -639,11 +641,7 @@ class OnlineFilter:
 def _check_state(config: Config, state: State, first: State) -> None:
     """Raise ValueError if a loaded state does not fit the configuration, whose initial state is `first`."""
     try:
-        saved, expected = (
-            f"{', '.join(type(part).__name__ for part in states_of(s.chain))} with {len(s.pedestrian.estimates.prob)} "
-            "modes"
-            for s in (state, first)
-        )
+        saved, expected = map(_parts_of, (state, first))
         if saved != expected:
             raise ValueError(f"it has {saved} instead of {expected}")
     except Exception as error:  # a forged state can have any parts
@@ -651,6 +649,12 @@ def _check_state(config: Config, state: State, first: State) -> None:
             f"the filter was saved with another configuration than {config.name!r} ({error}): give the configuration "
             "with which the filter was created"
         ) from error
+
+
+def _parts_of(state: State) -> str:
+    """Return the names of the classes of the states of a chain, and the number of its modes."""
+    names = ", ".join(type(part).__name__ for part in states_of(state.chain))
+    return f"{names} with {len(state.pedestrian.estimates.prob)} modes"
 
 
 def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[FloatArray, FloatArray]:

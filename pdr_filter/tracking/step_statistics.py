@@ -129,27 +129,13 @@ def is_on_the_spot(is_quick_and_soft: BoolArray | bool, direction_trust: FloatAr
 
 @dataclass(frozen=True, slots=True)
 class WindowCounts:
-    """Number of windows, and of those that are unreliable.
+    """Number of windows, and of those that are unreliable."""
 
-    Attributes
-    ----------
-    n : int
-        All windows.
-    without_gyroscope : int
-        Windows without angular rate.
-    unknown : int
-        Windows that are unlike the training data of the context model.
-    irregular : int
-        Windows in which the phone was handled.
-    unlike : int
-        Windows farther from the training data than nine of ten windows of held-out people.
-    """
-
-    n: int = 0
-    without_gyroscope: int = 0
-    unknown: int = 0
-    irregular: int = 0
-    unlike: int = 0
+    n: int = 0  # all windows
+    without_gyroscope: int = 0  # windows without angular rate
+    unknown: int = 0  # windows that are unlike the training data of the context model
+    irregular: int = 0  # windows in which the phone was handled
+    unlike: int = 0  # windows farther from the training data than nine of ten windows of held-out people
 
     def plus(self, window: WindowContext, contexts: ContextSet) -> WindowCounts:
         """Return the counts with one more window."""
@@ -165,40 +151,22 @@ class WindowCounts:
 
 @dataclass(frozen=True)
 class StepCounts:
-    """Number of steps, of those that are unreliable, and the times of the problems.
+    """Number of steps, of those that are unreliable, and the times of the problems."""
 
-    Attributes
-    ----------
-    n : int
-        All steps.
-    untrusted : int
-        Steps whose strides disagree on the walking direction, after the phone was moved.
-    in_standing : int
-        Steps whose most probable context has no steps.
-    on_the_spot : int
-        Steps that are too quick for walking and too soft for running, and push in no common direction.
-    first_carried_s : float
-        Time when the phone was put into its first place, s. Infinite before the first stride.
-    heading_unknown : int
-        Steps with a standard deviation of the heading above `UNKNOWN_HEADING_RAD`.
-    unknown_from_s, unknown_until_s : float
-        Times of the first and the last step with an unknown heading, s. NaN if there are none.
-    largest_move_m : float
-        Largest correction of the position at a step, besides the step itself, m. 0 if none exceeds `MOVE_M`.
-    largest_move_s : float
-        Time of the step with this largest correction, s. NaN if there is none.
-    """
-
-    n: int = 0
-    untrusted: int = 0
-    in_standing: int = 0
+    n: int = 0  # all steps
+    untrusted: int = 0  # steps whose strides disagree on the walking direction, after the phone was moved
+    in_standing: int = 0  # steps whose most probable context has no steps
+    # Steps that are too quick for walking and too soft for running, and push in no common direction
     on_the_spot: int = 0
+    # Time when the phone was put into its first place, s. Infinite before the first stride.
     first_carried_s: float = math.inf
-    heading_unknown: int = 0
+    heading_unknown: int = 0  # steps with a standard deviation of the heading above `UNKNOWN_HEADING_RAD`
+    # Times of the first and the last step with an unknown heading, s. NaN if there are none.
     unknown_from_s: float = math.nan
     unknown_until_s: float = math.nan
+    # Largest correction of the position at a step, besides the step itself, m. 0 if none exceeds `MOVE_M`.
     largest_move_m: float = 0.0
-    largest_move_s: float = math.nan
+    largest_move_s: float = math.nan  # time of the step with this largest correction, s. NaN if there is none.
 
     def plus(self, step: Step, heading_std_rad: float, moved_m: float) -> StepCounts:
         """Return the counts with one more step.

@@ -249,9 +249,7 @@ def _rejected_fixes(track: TrackRows) -> list[str]:
     rejected = [fix for fix in track.fixes if fix.outcome == "rejected"]
     if not rejected:
         return []
-    times = [f"{fix.time_s:.0f}" for fix in rejected[:_MAX_TIMES]]
-    if len(rejected) > _MAX_TIMES:
-        times.append("...")
+    times = [*(f"{fix.time_s:.0f}" for fix in rejected[:_MAX_TIMES]), *(["..."] if len(rejected) > _MAX_TIMES else [])]
     share = f"{len(rejected)} of {len(track.fixes)} fixes do"
     return [f"{share} {criteria.REJECTED} and were not used: at {', '.join(times)} s."]
 
@@ -280,11 +278,15 @@ def _with_times(stretches: list[tuple[float, float]], words: str) -> list[str]:
     """Return one sentence with the times of all stretches, of which the first `_MAX_TIMES` are listed."""
     if not stretches:
         return []
-    times = [f"from {a:.0f} to {b:.0f} s" for a, b in stretches[:_MAX_TIMES]]
-    if len(stretches) > _MAX_TIMES:
-        times.append(how_many(len(stretches) - _MAX_TIMES, "time", "times") + " more")
+    times = _first_times([f"from {a:.0f} to {b:.0f} s" for a, b in stretches])
     every = " and ".join([", ".join(times[:-1]), times[-1]] if len(times) > 1 else times)
     return [f"{every[:1].upper()}{every[1:]} {words}."]
+
+
+def _first_times(times: list[str]) -> list[str]:
+    """Return the first `_MAX_TIMES` times, and the number of the others."""
+    n_more = len(times) - _MAX_TIMES
+    return [*times[:_MAX_TIMES], how_many(n_more, "time", "times") + " more"] if n_more > 0 else times
 
 
 def _jumps(track: TrackRows) -> list[str]:
@@ -300,9 +302,7 @@ def _jumps(track: TrackRows) -> list[str]:
     late = np.flatnonzero((moved_m > track.step_length_m[1:] + _JUMP_M) & (moved_m < FARTHEST_M))
     if not len(late):
         return []
-    each = [f"{moved_m[i]:.0f} m at {track.time_s[i + 1]:.0f} s" for i in late[:_MAX_TIMES]]
-    if len(late) > _MAX_TIMES:
-        each.append(how_many(len(late) - _MAX_TIMES, "time", "times") + " more")
+    each = _first_times([f"{moved_m[i]:.0f} m at {track.time_s[i + 1]:.0f} s" for i in late])
     return [f"The track jumps ({', '.join(each)}), {criteria.LATE}."]
 
 

@@ -101,12 +101,9 @@ def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
 def _window_notes(seen: WindowCounts) -> Iterator[Note]:
     of_all, notable = f"of {seen.n} windows", max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER)
     if seen.without_gyroscope:
-        words = (
-            f"contexts of {seen.without_gyroscope} {of_all} were classified without gyroscope and are less certain: "
-        )
-        yield Note(
-            "sensors", words + "there was no angular rate; record the gyroscope at the rate of the accelerometer"
-        )
+        words = f"contexts of {seen.without_gyroscope} {of_all} were classified without gyroscope and are less "
+        words += "certain: there was no angular rate; record the gyroscope at the rate of the accelerometer"
+        yield Note("sensors", words)
     if seen.unknown > notable:
         yield Note("contexts", f"in {seen.unknown} {of_all} {criteria.UNFAMILIAR}")
     elif seen.unlike > max(_UNLIKE_SHARE * seen.n, _NOTABLE_NUMBER):
@@ -162,11 +159,9 @@ def _frame_notes(config: Config, state: State) -> Iterator[Note]:
 def rotation_note(what: str, std_rad: float) -> str:
     """Return the warning that the positions named `what` leave the rotation of a track with a standard deviation."""
     figure = f"± {math.degrees(min(std_rad, math.pi)):.0f} degrees, one standard deviation"
+    heading = "heading_rad" if what == "locations" else "a heading fix"
     words = f"the {what} do not determine the rotation of the track ({figure}), probably because they are too few or "
-    return (
-        words
-        + f"too close to each other: give {'heading_rad' if what == 'locations' else 'a heading fix'} or more {what}"
-    )
+    return words + f"too close to each other: give {heading} or more {what}"
 
 
 NORTH_UNKNOWN = "the magnetic field does not determine north"
@@ -212,10 +207,8 @@ def conflict_notes(conflict: FixConflict) -> Iterator[Note]:
             "doubtful. Their axes are probably mirrored or exchanged, they are of another walk, or less accurate than "
             "stated: "
         )
-        yield Note(
-            "fixes",
-            words + "check that positions are (east, north) in m, latitude before longitude, and their accuracy",
-        )
+        words += "check that positions are (east, north) in m, latitude before longitude, and their accuracy"
+        yield Note("fixes", words)
 
 
 def _fix_notes(state: State) -> Iterator[Note]:
@@ -232,23 +225,19 @@ def _fix_notes(state: State) -> Iterator[Note]:
         )
         yield Note("fixes", words + "probably wrong: correct them, or leave the standstill out")
     if fixes.n_repeated:
-        words = (
-            f"{how_many(fixes.n_repeated, 'fix', 'fixes')} not used, because they repeat an earlier fix: a receiver "
-        )
-        yield Note("fixes", words + "or a bridge has probably sent it again; give each fix once, at its own time")
+        words = f"{how_many(fixes.n_repeated, 'fix', 'fixes')} not used, because they repeat an earlier fix: "
+        words += "a receiver or a bridge has probably sent it again; give each fix once, at its own time"
+        yield Note("fixes", words)
     if fixes.n_frozen:
         words = f"{how_many(fixes.n_frozen, 'fix', 'fixes')} not used, because they repeat the last position during "
-        words += "walking: "
-        yield Note("fixes", words + "the phone has probably lost GNSS reception")
+        yield Note("fixes", words + "walking: the phone has probably lost GNSS reception")
     if not state.finished:
         return
     last_s = state.sensing.conditioner.report.last_time_s
     n_late = sum(fix.time_s <= last_s for fix in state.waiting_fixes)
     if n_late:
-        words = (
-            f"{how_many(n_late, 'fix', 'fixes')} not used, because they arrived after the last sample at {last_s:.1f} "
-        )
-        yield Note("fixes", words + "s: smooth the recording (pdr_filter.smooth), which uses late fixes")
+        words = f"{how_many(n_late, 'fix', 'fixes')} not used, because they arrived after the last sample at "
+        yield Note("fixes", words + f"{last_s:.1f} s: smooth the recording (pdr_filter.smooth), which uses late fixes")
     ranges = state.pedestrian.fixes.ranges
     if ranges and next(fix for fix in reversed(state.last.fixes) if fix.anchor_m is not None).outcome == "waiting":
         n_anchors = len({tuple(pair.fix.anchor_m.tolist()) for pair in ranges})

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -145,42 +146,21 @@ def track(
     recording, config = run.recording, replace(run.config, keeps_path=False)
     with_fixes = run.with_location and gnss != "align"
     results = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
-    return run.with_given_origin(
-        track_of_outputs(
-            recording,
-            config,
-            aligned_outputs(recording, results, config.model.context_set) if gnss == "align" else results,
-            georeference.given_origin,
-        )
-    )
+    if gnss == "align":
+        results = aligned_outputs(recording, results, config.model.context_set)
+    return run.with_given_origin(track_of_outputs(recording, config, results, georeference.given_origin))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """Inputs of `track` and `smooth` after all arguments have been checked and combined.
+    """Inputs of `track` and `smooth` after all arguments have been checked and combined."""
 
-    Attributes
-    ----------
-    recording : Recording
-        Recording with all streams on one clock.
-    config : Config
-        Configuration with person, device, weighting, plan and frame.
-    fixes : tuple of Fix
-        Fixes on the clock of the recording.
-    georeference : Georeference
-        Arguments for position, north and floor plan.
-    with_location : bool
-        True if the locations of the recording are used.
-    notes : tuple of str
-        Notes on the arguments, for the track.
-    """
-
-    recording: Recording
-    config: Config
-    fixes: tuple[Fix, ...]
-    georeference: Georeference
-    with_location: bool
-    notes: tuple[str, ...] = ()
+    recording: Recording  # recording with all streams on one clock
+    config: Config  # configuration with person, device, weighting, plan and frame
+    fixes: tuple[Fix, ...]  # fixes on the clock of the recording
+    georeference: Georeference  # arguments for position, north and floor plan
+    with_location: bool  # True if the locations of the recording are used
+    notes: tuple[str, ...] = ()  # notes on the arguments, for the track
 
     def with_given_origin(self, result: Track) -> Track:
         """Return a track with the given origin and heading, with the notes on the arguments.
@@ -256,9 +236,8 @@ def _truth_notes(truth: Truth, fixes: Sequence[Fix]) -> Iterator[str]:
         near = np.clip(rows[:, 0].searchsorted(given[:, 0] + np.array([[-1e-3], [0.0]])), 0, len(rows) - 1)
         is_true |= (np.abs(rows[near] - given) < 1e-3).all(axis=2).any(axis=0)
         if known is truth.position:
-            is_true |= (np.abs(interpolated_rows(given[:, 0], rows[:, 0], rows[:, 1:]) - given[:, 1:]) < 1e-3).all(
-                axis=1
-            )
+            away_m = np.abs(interpolated_rows(given[:, 0], rows[:, 0], rows[:, 1:]) - given[:, 1:])
+            is_true |= (away_m < 1e-3).all(axis=1)
     if given[is_true, 1:].any():
         yield (
             f"{is_true.sum()} of {how_many(len(given), 'position fix', 'position fixes')} are ground truth of the "
@@ -291,12 +270,10 @@ def outputs(
     waiting_climbs = WaitingClimbs(barometer, tuple(climbs))
     state = add_fixes(config, replace(init_filter(config), waiting_climbs=waiting_climbs), fixes)
     if (with_location or with_hills) and (location := recording.location) is not None:
-        latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
-        where = latitude_deg, longitude_deg, accuracy_m
         if with_location:
-            state = add_location(config, state, location.time_s, *where, altitude_m)
+            state = add_location(config, state, location)
         elif (origin := origin_of(location)) is not None:
-            state = add_terrain_locations(config, state, origin, location.time_s, *where)
+            state = add_terrain_locations(config, state, origin, location)
     for part in _parts(merge_streams(recording), progress):
         state, output = update_filter(config, state, part)
         yield state, output
@@ -435,9 +412,9 @@ def classify(recording: Recording, config: Config | None = None) -> Windows:
 def _climbs(config: Config, recording: Recording) -> tuple[ClimbState, list[Climb]]:
     """Return the state after all pressures, and the climb rates, which are none without barometer."""
     state, barometer = config.climb_rate.init(), recording.barometer
-    return (
-        (state, []) if barometer is None else config.climb_rate.update(state, barometer.time_s, barometer.values[:, 0])
-    )
+    if barometer is None:
+        return state, []
+    return config.climb_rate.update(state, barometer.time_s, barometer.values[:, 0])
 
 
 def given_or_default(recording: object, config: Config | None) -> Config:
@@ -486,43 +463,38 @@ def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterato
 
 
 def _windows(contexts: Sequence[WindowContext], context_set: ContextSet) -> Windows:
+    same = ("time_s", "unknown_share", "stairs_unknown_share", "irregular_prob", "climb_rate_mps")
+    columns: dict[str, Any] = {column: _column(contexts, column) for column in same}
     return Windows(
-        time_s=read_only(np.array([w.time_s for w in contexts])),
-        context_prob=read_only(np.array([w.prob for w in contexts]).reshape(-1, len(context_set.names))),
+        context_prob=_column(contexts, "prob", len(context_set.names)),
         contexts=context_set.names,
         standing_contexts=tuple(context_set.names[i] for i in context_set.standing),
-        carrying_prob=read_only(np.array([w.carrying_prob for w in contexts]).reshape(-1, len(CARRYING_MODES))),
+        carrying_prob=_column(contexts, "carrying_prob", len(CARRYING_MODES)),
         carrying_modes=CARRYING_MODES,
-        unknown_share=read_only(np.array([w.unknown_share for w in contexts])),
-        stairs_unknown_share=read_only(np.array([w.stairs_unknown_share for w in contexts])),
-        irregular_prob=read_only(np.array([w.irregular_prob for w in contexts])),
-        climb_rate_mps=read_only(np.array([w.climb_rate_mps for w in contexts])),
         model=tuple(w.model for w in contexts),
+        **columns,
     )
 
 
 def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Windows) -> Track:
-    n, modes, contexts = len(updates), config.model.modes, config.model.contexts
-    steps = step_table([u.step for u in updates])
+    modes, contexts, steps = config.model.modes, config.model.contexts, step_table([u.step for u in updates])
+    speeds = [u.speed for u in updates]
+    same = ("step_length_m", "walked_m", "gap_before_s", "height_m", "height_std_m")
+    columns: dict[str, Any] = {column: _column(updates, column) for column in same}
     return Track(
         name=name,
         time_s=read_only(np.asarray(steps.time_s)),
-        position_m=read_only(np.array([u.position_m for u in updates]).reshape(n, 2)),
-        position_cov_m2=read_only(np.array([u.position_cov_m2 for u in updates]).reshape(n, 2, 2)),
-        step_length_m=read_only(np.array([u.step_length_m for u in updates])),
-        walked_m=read_only(np.array([u.walked_m for u in updates])),
-        walking_heading_rad=read_only(wrap_angle(np.array([u.walking_heading_rad for u in updates]))),
-        step_speed_mps=read_only(np.array([u.speed.step_mps for u in updates])),
-        step_speed_std_mps=read_only(np.array([u.speed.step_std_mps for u in updates])),
-        smoothed_speed_mps=read_only(np.array([u.speed.smoothed_mps for u in updates])),
-        smoothed_speed_std_mps=read_only(np.array([u.speed.smoothed_std_mps for u in updates])),
-        gap_before_s=read_only(np.array([u.gap_before_s for u in updates])),
-        height_m=read_only(np.array([u.height_m for u in updates])),
-        height_std_m=read_only(np.array([u.height_std_m for u in updates])),
+        position_m=_column(updates, "position_m", 2),
+        position_cov_m2=_column(updates, "position_cov_m2", 2, 2),
+        walking_heading_rad=read_only(wrap_angle(_column(updates, "walking_heading_rad"))),
+        step_speed_mps=_column(speeds, "step_mps"),
+        step_speed_std_mps=_column(speeds, "step_std_mps"),
+        smoothed_speed_mps=_column(speeds, "smoothed_mps"),
+        smoothed_speed_std_mps=_column(speeds, "smoothed_std_mps"),
         floor=_whole([u.floor for u in updates]),
-        context_prob=read_only(np.array([u.context_prob for u in updates]).reshape(n, len(contexts))),
+        context_prob=_column(updates, "context_prob", len(contexts)),
         contexts=contexts,
-        mode_prob=read_only(np.array([u.mode_prob for u in updates]).reshape(n, len(modes))),
+        mode_prob=_column(updates, "mode_prob", len(modes)),
         modes=tuple(m.name for m in modes),
         mode_contexts=tuple(m.context for m in modes),
         steps=steps,
@@ -530,7 +502,13 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
         start_time_s=0.0,
         duration_s=0.0,
         weighting=config.tracker.weighting,
+        **columns,
     )
+
+
+def _column(rows: Sequence[object], name: str, *shape: int) -> FloatArray:
+    """Return the values (N, ...) of an attribute of N objects, with the given shape of each."""
+    return read_only(np.array([getattr(row, name) for row in rows]).reshape(len(rows), *shape))
 
 
 def _on_plan(track: Track, plan: Plan, updates: Sequence[StepUpdate]) -> Track:

@@ -139,7 +139,7 @@ def test_events_come_in_the_order_in_which_they_became_known_and_steps_before_th
     assert all(e.time_s > 17.0 for _, e in events[gap:] if isinstance(e, Step))
 
 
-class Askew(StepStage):
+class Askew(StepStage[None]):
     """Heading stage of a person who walks 0.4 rad to the right of the pointing axis of the phone."""
 
     def finish(self, state: None, steps: list[tuple[int, Step]]) -> tuple[None, list[tuple[int, Step]]]:
@@ -156,7 +156,7 @@ class AskewWithOffsets(Askew):
 
 @pytest.mark.parametrize(("stage", "shown"), [(Askew(), (0.4, 0.3)), (AskewWithOffsets(), (0.0, np.inf))])
 def test_only_steps_of_a_heading_stage_without_own_offsets_get_theirs_from_the_walking_heading(
-    stage: StepStage, shown: tuple[float, float]
+    stage: StepStage[None], shown: tuple[float, float]
 ) -> None:
     walk = pdr.merge_streams(simulate([Leg("walking", distance_m=6.0)]))
     steps = [e for _, e in sensed(Sensing(steps=WaveletStepDetector(), heading=stage), [walk]) if isinstance(e, Step)]

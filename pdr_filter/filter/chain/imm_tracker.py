@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from pdr_filter.filter.chain.recent_windows import RecentWindows, n_after, window_before, with_window
+from pdr_filter.filter.chain.tracker import TrackerEvents
 from pdr_filter.filter.fixes.fix_updates import use_fix
+from pdr_filter.filter.fixes.gating import Filters
 from pdr_filter.filter.imm.estimates import Estimates
 from pdr_filter.filter.imm.imm import ImmArithmetic, NumpyImm, mixed_values
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
@@ -21,7 +24,6 @@ from pdr_filter.filter.pedestrian.pedestrian_state import (
     over_gap,
     since_last_step,
     state_after_step,
-    with_reach_after_fix,
     with_withheld_length,
     without_changes,
 )
@@ -40,7 +42,7 @@ class ImmState:
 
 
 @dataclass(frozen=True, eq=False)
-class ImmTracker:
+class ImmTracker(TrackerEvents[ImmState]):
     """Tracker with the interacting multiple model over the modes of a pedestrian model.
 
     Each step is reported once, as soon as it is detected.
@@ -52,6 +54,21 @@ class ImmTracker:
     arithmetic : ImmArithmetic, default NumpyImm()
         Implementation of mixing, update and combination. `filterpy_backend.FilterpyImm()` gives the same track with the
         classes of filterpy, but is many times slower.
+
+    Notes
+    -----
+    A step is one cycle of the IMM estimator, in the order and with the numbers of "One step" in docs/methods/imm.md:
+
+    1. interaction (`imm.mix`), 2. heading and 3. displacement of each mode (`step_cycle`), 4. mode probabilities by
+    the evidence of step and context window (`imm.update_mode_prob`), 5. combination (`imm.combine`).
+
+    The measured heading gives no mode likelihood: it is the direction that the body faces, which all modes predict
+    alike.
+
+    References
+    ----------
+    Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
+    section 11.6.6.
 
     Examples
     --------
@@ -71,69 +88,19 @@ class ImmTracker:
     # A step is final when it is detected. Later windows are evidence for later steps only.
     waits_for_windows = 0
 
-    def init(self) -> ImmState:
-        """Return the state at the origin, before the first event.
+    @cached_property
+    def _filters(self) -> Filters:
+        return Filters(self.model, self.arithmetic, self.model.directions.heading_offset_rad)
 
-        Returns
-        -------
-        ImmState
-            State in which the modes have the stationary probabilities of the transitions.
-        """
+    def init(self) -> ImmState:
         return ImmState(initial_state(self.model, self.model.long_run_mode_prob), (), None, 0)
 
     def on_window(self, state: ImmState, window: WindowContext) -> tuple[ImmState, tuple[StepUpdate, ...]]:
-        """Return the state after a context window.
-
-        Parameters
-        ----------
-        state : ImmState
-            State before the event.
-        window : WindowContext
-            Context probabilities of a window.
-
-        Returns
-        -------
-        state : ImmState
-            State after the window.
-        updates : tuple of StepUpdate
-            Empty: a window makes no step final.
-        """
         windows = with_window(state.windows, window)
         n_unused = state.n_unused + (windows is not state.windows)
         return replace_unchecked(state, windows=windows, n_unused=n_unused), ()
 
     def on_step(self, state: ImmState, step: Step) -> tuple[ImmState, tuple[StepUpdate, ...]]:
-        """Return the state after a step, and the track rows that it produces.
-
-        Parameters
-        ----------
-        state : ImmState
-            State before the event.
-        step : Step
-            Detected step.
-
-        Returns
-        -------
-        state : ImmState
-            State after the step.
-        updates : tuple of StepUpdate
-            Update of this step, which is final.
-
-        Notes
-        -----
-        One cycle of the IMM estimator, in the order and with the numbers of "One step" in docs/methods/imm.md:
-
-        1. interaction (`imm.mix`), 2. heading and 3. displacement of each mode (`step_cycle`), 4. mode probabilities by
-        the evidence of step and context window (`imm.update_mode_prob`), 5. combination (`imm.combine`).
-
-        The measured heading gives no mode likelihood: it is the direction that the body faces, which all modes predict
-        alike.
-
-        References
-        ----------
-        Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
-        section 11.6.6.
-        """
         model, imm = self.model, self.arithmetic
         previous, lengths = before_step(without_changes(state.pedestrian), step), model.lengths(step)
         mixed = self._mixed(previous.estimates)  # 1
@@ -155,18 +122,6 @@ class ImmTracker:
         return replace_unchecked(state, pedestrian=pedestrian), (update,)
 
     def provisional(self, state: ImmState) -> StepUpdate | None:
-        """Return None, because every step is final when it is detected.
-
-        Parameters
-        ----------
-        state : ImmState
-            State after any event.
-
-        Returns
-        -------
-        StepUpdate or None
-            None.
-        """
         return None
 
     def _mixed(self, estimates: Estimates) -> Estimates:
@@ -206,62 +161,11 @@ class ImmTracker:
         )
 
     def on_gap(self, state: ImmState, gap_s: float) -> tuple[ImmState, tuple[StepUpdate, ...]]:
-        """Return the state after a gap, a time without samples.
-
-        Parameters
-        ----------
-        state : ImmState
-            State before the event.
-        gap_s : float
-            Duration of the gap in s.
-
-        Returns
-        -------
-        state : ImmState
-            State after the gap: positions and headings are less certain, and earlier windows are discarded.
-        updates : tuple of StepUpdate
-            Empty: no step is pending.
-        """
         return replace_unchecked(state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()), ()
 
     def on_fix(self, state: ImmState, fix: Fix) -> tuple[ImmState, FixOutcome, float]:
-        """Return the state after a fix, and how the fix was used.
-
-        Parameters
-        ----------
-        state : ImmState
-            State before the event.
-        fix : Fix
-            Measurement of position, heading, speed, range or standstill.
-
-        Returns
-        -------
-        state : ImmState
-            State after the fix.
-        outcome : FixOutcome
-            How the fix was used, such as "used" or "rejected".
-        nis : float
-            Normalised innovation squared of the fix, or NaN if it was not compared with the track.
-        """
-        offset_rad = self.model.directions.heading_offset_rad
-        pedestrian, outcome, nis = use_fix(self.model, self.arithmetic, state.pedestrian, offset_rad, fix)
-        if pedestrian.estimates is not state.pedestrian.estimates:
-            pedestrian = with_reach_after_fix(pedestrian, fix)
+        pedestrian, outcome, nis = use_fix(self._filters, state.pedestrian, fix)
         return replace_unchecked(state, pedestrian=pedestrian), outcome, nis
 
     def finish(self, state: ImmState) -> tuple[ImmState, tuple[StepUpdate, ...]]:
-        """Return the state after the last event.
-
-        Parameters
-        ----------
-        state : ImmState
-            State before the event.
-
-        Returns
-        -------
-        state : ImmState
-            State without pending steps.
-        updates : tuple of StepUpdate
-            Empty: no step is pending.
-        """
         return state, ()

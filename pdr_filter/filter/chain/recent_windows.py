@@ -48,7 +48,6 @@ def window_around(windows: RecentWindows, time_s: float) -> WindowContext | None
 def window_after(windows: RecentWindows, time_s: float) -> WindowContext | None:
     """Return the first window whose new samples all lie at or after a time, or None if it is not yet classified.
 
-    Windows overlap. The new samples of a window are those of its last hop, which no earlier window contains. The result
-    is the window after the one that `window_around` returns.
+    It is the window after the one that `window_around` returns.
     """
     return next((w for w in windows if w.new_since_s >= time_s), None)

@@ -24,37 +24,8 @@ class TrackerState(Protocol):
 S = TypeVar("S", bound=TrackerState)
 
 
-class Tracker(Protocol[S]):
-    """Protocol of a tracker: a frozen dataclass with one pure function for each kind of event.
-
-    The type variable S is the class of its states. `ImmTracker` and `WeightedTracker` fulfil the protocol.
-
-    Examples
-    --------
-    >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
-    >>> tracker = pdr.recipes.default().tracker
-    >>> state, updates = tracker.on_step(tracker.init(), TYPICAL_STEP)
-    >>> updates[0].index, updates[0].is_final
-    (0, True)
-    """
-
-    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # required by `dataclasses.replace`
-
-    @property
-    def model(self) -> PedestrianModel:
-        """Modes, transitions, noise and evidence of the filters."""
-        ...
-
-    @property
-    def weighting(self) -> str:
-        """Short name of the weighting, such as "imm" (interacting multiple model), "wc" or "hc" (`WeightedTracker`)."""
-        ...
-
-    @property
-    def waits_for_windows(self) -> int:
-        """Number of windows that must follow before a step is final."""
-        ...
+class TrackerEvents(Protocol[S]):
+    """One pure function for each kind of event, from the state before it to the state after it."""
 
     def init(self) -> S:
         """Return the state at the origin, before the first event.
@@ -174,4 +145,37 @@ class Tracker(Protocol[S]):
         updates : tuple of StepUpdate
             Steps that became final because no window follows.
         """
+        ...
+
+
+class Tracker(TrackerEvents[S], Protocol[S]):
+    """Protocol of a tracker: a frozen dataclass with one pure function for each kind of event (`TrackerEvents`).
+
+    The type variable S is the class of its states. `ImmTracker` and `WeightedTracker` fulfil the protocol.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
+    >>> tracker = pdr.recipes.default().tracker
+    >>> state, updates = tracker.on_step(tracker.init(), TYPICAL_STEP)
+    >>> updates[0].index, updates[0].is_final
+    (0, True)
+    """
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # required by `dataclasses.replace`
+
+    @property
+    def model(self) -> PedestrianModel:
+        """Modes, transitions, noise and evidence of the filters."""
+        ...
+
+    @property
+    def weighting(self) -> str:
+        """Short name of the weighting, such as "imm" (interacting multiple model), "wc" or "hc" (`WeightedTracker`)."""
+        ...
+
+    @property
+    def waits_for_windows(self) -> int:
+        """Number of windows that must follow before a step is final."""
         ...

@@ -76,12 +76,14 @@ class TwoHypotheses:
             state = replace_unchecked(state, inner=inner, rival=rival)
         else:
             state = replace_unchecked(state, inner=inner, conflict=_with_fix(state.conflict, use, inner.pedestrian))
-            state = self._after_fix(state, use, known_s) if fork is None else _forked(state, fork)
+            if fork is None:
+                state = self._after_fix(state, use, known_s)
+            else:
+                state = replace_unchecked(state, rival=fork.state, rival_log_odds=fork.log_odds)
         if state.rival is None and not state.conflict.is_doubtful:
             return state, outputs
-        return state, tuple(
-            _with_spread(state, o) if isinstance(o, StepUpdate) else o for o in outputs if o is not fork
-        )
+        others = (output for output in outputs if output is not fork)
+        return state, tuple(_with_spread(state, o) if isinstance(o, StepUpdate) else o for o in others)
 
     def _after_fix(self, state: Hypotheses, use: FixUse, known_s: float) -> Hypotheses:
         """Return the state after a fix that the more probable hypothesis has processed.
@@ -108,10 +110,6 @@ def _with_fix(conflict: FixConflict, use: FixUse, pedestrian: PedestrianState) -
         return conflict
     track_m = past_position(pedestrian, use.fix.time_s)
     return conflict.plus(use.outcome, None if track_m is None else use.fix.position_m - track_m)
-
-
-def _forked(state: Hypotheses, fork: Fork) -> Hypotheses:
-    return replace_unchecked(state, rival=fork.state, rival_log_odds=fork.log_odds)
 
 
 def _with_spread(state: Hypotheses, update: StepUpdate) -> StepUpdate:

@@ -19,7 +19,9 @@ from pdr_filter.filter.chain.recent_windows import (
     window_around,
     with_window,
 )
+from pdr_filter.filter.chain.tracker import TrackerEvents
 from pdr_filter.filter.fixes.fix_updates import use_fix
+from pdr_filter.filter.fixes.gating import Filters
 from pdr_filter.filter.imm.imm import NumpyImm
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET
 from pdr_filter.filter.imm.step_cycle import step_cycle
@@ -34,7 +36,6 @@ from pdr_filter.filter.pedestrian.pedestrian_state import (
     over_gap,
     since_last_step,
     state_after_step,
-    with_reach_after_fix,
     with_withheld_length,
     without_changes,
 )
@@ -56,7 +57,7 @@ class WeightedState:
 
 
 @dataclass(frozen=True, eq=False)
-class WeightedTracker:
+class WeightedTracker(TrackerEvents[WeightedState]):
     """Tracker with a single filter over the weighted step lengths of the contexts, for the weightings HC and WC.
 
     HC (highest context) uses the step length of the most probable context. WC (weighted context) uses the mean of the
@@ -125,134 +126,36 @@ class WeightedTracker:
             return str(getattr(self.function, "__name__", type(self.function).__name__))
         return "hc" if self.threshold == HC else "wc"
 
-    def init(self) -> WeightedState:
-        """Return the state at the origin, before the first event.
+    @cached_property
+    def _filters(self) -> Filters:
+        return Filters(self.model, NumpyImm(), np.zeros(1))
 
-        Returns
-        -------
-        WeightedState
-            State with the initial estimate of the only filter.
-        """
+    def init(self) -> WeightedState:
         return WeightedState(initial_state(self.model, np.ones(1)), (), self.model.long_run_mode_prob, ())
 
     def on_window(self, state: WeightedState, window: WindowContext) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """Return the state after a context window.
-
-        Parameters
-        ----------
-        state : WeightedState
-            State before the event.
-        window : WindowContext
-            Context probabilities of a window.
-
-        Returns
-        -------
-        state : WeightedState
-            State after the window.
-        updates : tuple of StepUpdate
-            Steps that this window made final.
-        """
         return self._settle(replace_unchecked(state, windows=with_window(state.windows, window)), force=False)
 
     def on_step(self, state: WeightedState, step: Step) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """Return the state after a step, and the track rows that it produces.
-
-        Parameters
-        ----------
-        state : WeightedState
-            State before the event.
-        step : Step
-            Detected step.
-
-        Returns
-        -------
-        state : WeightedState
-            State after the step.
-        updates : tuple of StepUpdate
-            Steps that became final.
-        """
         pedestrian, pending = without_changes(state.pedestrian), (*state.pending, step)
         return self._settle(replace_unchecked(state, pedestrian=pedestrian, pending=pending), force=False)
 
     def provisional(self, state: WeightedState) -> StepUpdate | None:
-        """Return a provisional update of the last step, or None if no step is pending.
-
-        Parameters
-        ----------
-        state : WeightedState
-            State after any event.
-
-        Returns
-        -------
-        StepUpdate or None
-            Estimate from the windows so far, with `is_final` False.
-        """
         update = None
         while state.pending:
             state, update = self._weighted_step(state, is_final=False)
         return update
 
     def on_gap(self, state: WeightedState, gap_s: float) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """Return the state after a gap, a time without samples.
-
-        Parameters
-        ----------
-        state : WeightedState
-            State before the event.
-        gap_s : float
-            Duration of the gap in s.
-
-        Returns
-        -------
-        state : WeightedState
-            State after the gap: positions and headings are less certain, and earlier windows are discarded.
-        updates : tuple of StepUpdate
-            Pending steps, which the gap makes final.
-        """
         state, final = self._settle(state, force=True)
-        return replace_unchecked(
-            state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()
-        ), final
+        pedestrian = over_gap(state.pedestrian, gap_s, self.model.noise)
+        return replace_unchecked(state, pedestrian=pedestrian, windows=()), final
 
     def on_fix(self, state: WeightedState, fix: Fix) -> tuple[WeightedState, FixOutcome, float]:
-        """Return the state after a fix, and how the fix was used.
-
-        Parameters
-        ----------
-        state : WeightedState
-            State before the event.
-        fix : Fix
-            Measurement of position, heading, speed, range or standstill.
-
-        Returns
-        -------
-        state : WeightedState
-            State after the fix.
-        outcome : FixOutcome
-            How the fix was used, such as "used" or "rejected".
-        nis : float
-            Normalised innovation squared of the fix, or NaN if it was not compared with the track.
-        """
-        pedestrian, outcome, nis = use_fix(self.model, NumpyImm(), state.pedestrian, np.zeros(1), fix)
-        if pedestrian.estimates is not state.pedestrian.estimates:
-            pedestrian = with_reach_after_fix(pedestrian, fix)
+        pedestrian, outcome, nis = use_fix(self._filters, state.pedestrian, fix)
         return replace_unchecked(state, pedestrian=pedestrian), outcome, nis
 
     def finish(self, state: WeightedState) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
-        """Return the state after the last event.
-
-        Parameters
-        ----------
-        state : WeightedState
-            State before the event.
-
-        Returns
-        -------
-        state : WeightedState
-            State without pending steps.
-        updates : tuple of StepUpdate
-            Pending steps, which become final because no window follows.
-        """
         return self._settle(state, force=True)
 
     def _settle(self, state: WeightedState, force: bool) -> tuple[WeightedState, tuple[StepUpdate, ...]]:

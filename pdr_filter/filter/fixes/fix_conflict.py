@@ -18,18 +18,12 @@ class FixConflict:
 
     If many fixes are rejected, those that fit may do so by chance, such as mirrored fixes of a straight leg, or fixes
     with errors larger than stated. The place of the walk in the frame of the fixes is then doubtful.
-
-    Attributes
-    ----------
-    n_used, n_rejected : int
-        Numbers of position fixes since the track was last moved to fixes.
-    square_m2 : float
-        Sum of the squared distances of the rejected fixes from the track.
     """
 
+    # Numbers of position fixes since the track was last moved to fixes.
     n_used: int = 0
     n_rejected: int = 0
-    square_m2: float = 0.0
+    square_m2: float = 0.0  # sum of the squared distances of the rejected fixes from the track
 
     def plus(self, outcome: FixOutcome, away_m: FloatArray | None) -> FixConflict:
         """Return the numbers after one more position fix.

@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.filter.fixes.gating import (
+    Filters,
     KalmanUpdate,
     Result,
     gap_displacement_var_m2,
@@ -29,18 +30,11 @@ from pdr_filter.filter.fixes.gating import (
 )
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
 from pdr_filter.filter.fixes.range_updates import on_range
-from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
 from pdr_filter.filter.imm.step_cycle import expect_first_direction
 from pdr_filter.filter.pedestrian.alignment import Alignment, walked_var_m2
 from pdr_filter.filter.pedestrian.fix_history import UsedFix
-from pdr_filter.filter.pedestrian.frame_rotation import (
-    PairedPoint,
-    align,
-    degrees_of_freedom,
-    least_squares_error,
-)
-from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
+from pdr_filter.filter.pedestrian.frame_rotation import PairedPoint, align, degrees_of_freedom, least_squares_error
 from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     in_other_frame,
@@ -49,6 +43,7 @@ from pdr_filter.filter.pedestrian.pedestrian_state import (
     with_change,
     with_detached_path,
     with_joined_frame,
+    with_reach_after_fix,
     with_reopened_rotation,
 )
 from pdr_filter.filter.pedestrian.relocation import RelocationEvidence
@@ -73,18 +68,23 @@ from pdr_filter.values import (
 from pdr_filter.values.uncertainty import variance_factor
 
 
-def use_fix(
-    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, offset_rad: FloatArray, fix: Fix
-) -> Result:
+def use_fix(filters: Filters, state: PedestrianState, fix: Fix) -> Result:
+    """Return the result of `_after_fix`, in which the state has the reach that a fix of the position gives it."""
+    updated, outcome, nis = _after_fix(filters, state, fix)
+    if updated.estimates is not state.estimates:
+        updated = with_reach_after_fix(updated, fix)
+    return updated, outcome, nis
+
+
+def _after_fix(filters: Filters, state: PedestrianState, fix: Fix) -> Result:
     """Return the state after a fix, the outcome of the fix, and its normalised innovation squared (NIS).
 
     The NIS is that of the mixture of all filters (`gating.gated_update`), or NaN if no filter was compared with the
     fix. A fix is rejected if its NIS exceeds the gate. A fix older than the stored steps is rejected with infinite NIS,
     except speed fixes, grid fixes and standstills. A fix that repeats an earlier one is not used: it is "repeated", or
     "frozen" if it is a position and steps continue. If the frame of the fixes is unknown, the first position fix poses
-    the track in it, and later ones rotate it. A standstill is stored and changes no estimate. `offset_rad` (F,) is the
-    walking heading of each filter minus the heading that the body faces. In an unknown frame, a measurement of position
-    and heading is used as two fixes (`stated_fixes`), with the outcome of the position.
+    the track in it, and later ones rotate it. A standstill is stored and changes no estimate. In an unknown frame, a
+    measurement of position and heading is used as two fixes (`stated_fixes`), with the outcome of the position.
     """
     if isinstance(fix, Standstill):
         return replace(state, fixes=state.fixes.with_standstill(fix)), "used", np.nan
@@ -94,14 +94,14 @@ def use_fix(
             return state, repetition, np.nan
         if isinstance(fix, GridFix):  # used only by the particle filter on a floor plan
             return state, "nothing to compare", np.nan
-        return _on_speed(model, arithmetic, state, fix)
+        return _on_speed(filters, state, fix)
     state = with_reopened_rotation(state)
     if state.frame.is_of_start and not isinstance(fix, PositionFix | HeadingFix | RangeFix):
         state = with_joined_frame(state)  # no density of the rotation follows from a measurement of another class
     if not state.frame.is_joined and isinstance(fix, Measurement) and (stated := stated_fixes(fix)):
         for each in stated[:-1]:
-            state, *_ = use_fix(model, arithmetic, state, offset_rad, each)
-        return use_fix(model, arithmetic, state, offset_rad, stated[-1])
+            state, *_ = _after_fix(filters, state, each)
+        return _after_fix(filters, state, stated[-1])
     pose = _pose_at(state, fix.time_s)
     if pose is None:
         return state, "rejected", np.inf
@@ -110,16 +110,16 @@ def use_fix(
         return state, repetition, np.nan
     track_m, device_heading_rad = pose[:2], float(pose[2])
     if isinstance(fix, HeadingFix):
-        return _on_heading(model, arithmetic, state, offset_rad, fix, device_heading_rad)
+        return _on_heading(filters, state, fix, device_heading_rad)
     if isinstance(fix, RangeFix):
-        return on_range(model, arithmetic, state, offset_rad, fix, pose)
+        return on_range(filters, state, fix, pose)
     if not isinstance(fix, PositionFix):
-        return on_measurement(model, arithmetic, state, offset_rad, fix, pose)
-    if gap_var_m2 := gap_displacement_var_m2(model, state, fix.time_s):
+        return on_measurement(filters, state, fix, pose)
+    if gap_var_m2 := gap_displacement_var_m2(filters, state, fix.time_s):
         fix = replace(fix, cov_m2=read_only(fix.cov_m2 + gap_var_m2 * np.eye(2)))
     if not state.frame.is_joined:
-        return _on_first_positions(model, arithmetic, state, fix, track_m)
-    return _on_known_frame(model, arithmetic, state, fix, track_m)
+        return _on_first_positions(filters, state, fix, track_m)
+    return _on_known_frame(filters, state, fix, track_m)
 
 
 def _with_memory(state: PedestrianState, fix: Fix, pose: FloatArray) -> tuple[PedestrianState, Repetition]:
@@ -134,9 +134,7 @@ def _with_memory(state: PedestrianState, fix: Fix, pose: FloatArray) -> tuple[Pe
     return replace(state, fixes=replace(fixes, memory=memory, n_frozen=n_frozen, n_repeated=n_repeated)), repetition
 
 
-def _on_position(
-    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
-) -> Result:
+def _on_position(filters: Filters, state: PedestrianState, fix: PositionFix, track_m: FloatArray) -> Result:
     """Return the state after a position fix in a joined frame, the outcome "used" or "rejected", and the NIS.
 
     The residual at the time of the fix corrects the present state. A rejected fix leaves the state unchanged. Errors
@@ -144,12 +142,12 @@ def _on_position(
     covariances of track and fixes are increased, with one more degree of freedom for each innovation (M. Roth, E. Ozkan
     and F. Gustafsson, "A Student's t filter for heavy tailed process and measurement noise", ICASSP 2013).
     """
-    z, H, R = _without_shared_error(model, state, fix, track_m)
+    z, H, R = _without_shared_error(filters, state, fix, track_m)
     estimates, fixes = state.estimates, state.fixes
     cov = estimates.cov.copy()
     cov[:, :2, :2] += estimates.consider_cov_m2
-    update = KalmanUpdate(*arithmetic.update(estimates.mean, cov, z, H, R))
-    updated, outcome, nis = gated_update(arithmetic, with_consider_path(state, cov), update, model.fix_gate_nis)
+    update = KalmanUpdate(*filters.arithmetic.update(estimates.mean, cov, z, H, R))
+    updated, outcome, nis = gated_update(filters, with_consider_path(state, cov), update, filters.model.fix_gate_nis)
     if outcome == "used":
         n_errors, squares = fixes.n_errors + 2, fixes.squares + nis
         # factor for all innovations so far; the covariance already contains the factor for the earlier ones
@@ -165,7 +163,7 @@ def _on_position(
 
 
 def _without_shared_error(
-    model: PedestrianModel, state: PedestrianState, fix: PositionFix, track_m: FloatArray
+    filters: Filters, state: PedestrianState, fix: PositionFix, track_m: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return a linear measurement (z, H, R) by a fix, with noise that is independent of the errors of earlier fixes.
 
@@ -191,20 +189,18 @@ def _without_shared_error(
             H[:, :2] -= A
             H[:, HEADING_OFFSET] += A @ (d[1], -d[0])
             H[:, LOG_SCALE] += A @ d
-    since_var = model.noise.log_scale_std**2 + float(P[HEADING_OFFSET, HEADING_OFFSET])
+    since_var = filters.model.noise.log_scale_std**2 + float(P[HEADING_OFFSET, HEADING_OFFSET])
     R = innovation_cov_m2 + since_var * float(since_m @ since_m) * np.eye(2)
     return z + H[:, :2] @ since_m + H[:, 2:] @ x[2:], H, R
 
 
-def _on_known_frame(
-    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
-) -> Result:
+def _on_known_frame(filters: Filters, state: PedestrianState, fix: PositionFix, track_m: FloatArray) -> Result:
     """Return the state after a position fix in a joined frame, the outcome of the fix, and its NIS.
 
     A rejected fix is stored. If many stored fixes contradict the track and agree with each other, the track is
     relocated to them, with outcome "moved".
     """
-    updated, outcome, nis = _on_position(model, arithmetic, state, fix, track_m)
+    updated, outcome, nis = _on_position(filters, state, fix, track_m)
     if outcome == "used":
         return updated, outcome, nis
     pair, heading_var = _paired(state, fix, track_m)
@@ -221,18 +217,11 @@ def _on_known_frame(
     moved = replace(alignment, since=alignment.n_steps)
     state = replace(state, frame=replace(state.frame, later=(*state.frame.later, moved)))
     pairs = [pair.with_moved_track(alignment.positions) for pair in relocation.pairs]
-    state, nis = _with_second_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
+    state, nis = _with_second_half(filters, state, fix, alignment.positions(track_m), pairs)
     return state, "moved", nis
 
 
-def _on_heading(
-    model: PedestrianModel,
-    arithmetic: ImmArithmetic,
-    state: PedestrianState,
-    offset_rad: FloatArray,
-    fix: HeadingFix,
-    device_heading_rad: float,
-) -> Result:
+def _on_heading(filters: Filters, state: PedestrianState, fix: HeadingFix, device_heading_rad: float) -> Result:
     """Return the state after a heading fix z, the outcome of the fix, and its NIS.
 
     The measurement equation is z = device heading at the time of the fix + heading offset (state) + heading offset of
@@ -243,7 +232,7 @@ def _on_heading(
         return state, "nothing to compare", np.nan
     prob = state.estimates.prob
     innovation = fix.walking_heading_rad - device_heading_rad - state.estimates.mean[:, HEADING_OFFSET]
-    innovation = wrap_angle(innovation - offset_rad)
+    innovation = wrap_angle(innovation - filters.offset_rad)
     frame, var = state.frame, fix.std_rad**2
     if frame.is_lost_before_north and state.fixes.n_errors == 0:
         angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))
@@ -257,10 +246,10 @@ def _on_heading(
         turn = Alignment(share * angle_rad, share * var, about_m, about_m, 0.0, state.steps.n_final, frame.since)
         state = in_other_frame(state, turn)
         return replace(state, frame=state.frame.with_north(turn)), "used", np.nan
-    return _on_state(model, arithmetic, state, HEADING_OFFSET, innovation, var)
+    return _on_state(filters, state, HEADING_OFFSET, innovation, var)
 
 
-def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> Result:
+def _on_speed(filters: Filters, state: PedestrianState, fix: SpeedFix) -> Result:
     """Return the state after a speed fix, the outcome of the fix, and its NIS.
 
     With z the speed of the fix and v the smoothed walking speed of the present bout of walking, log z - log v measures
@@ -272,17 +261,10 @@ def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: Pedestri
     v = speed.smoothed_mps
     variance = (fix.std_mps / v) ** 2 + speed.level_var_m2ps2 / v**2
     innovation = np.full(len(state.estimates.mean), np.log(fix.speed_mps / v))
-    return _on_state(model, arithmetic, state, LOG_SCALE, innovation, variance)
+    return _on_state(filters, state, LOG_SCALE, innovation, variance)
 
 
-def _on_state(
-    model: PedestrianModel,
-    arithmetic: ImmArithmetic,
-    state: PedestrianState,
-    index: int,
-    innovation: FloatArray,
-    variance: float,
-) -> Result:
+def _on_state(filters: Filters, state: PedestrianState, index: int, innovation: FloatArray, variance: float) -> Result:
     """Return the state after a measurement of one state component, the outcome, and the NIS of the mixture.
 
     `index` is the index of the component. `innovation` (F,) is the measurement minus the prior mean of each of F
@@ -292,13 +274,12 @@ def _on_state(
     prior = state.estimates
     z = prior.mean[:, index] + innovation
     H, R = np.eye(N_STATES)[[index]], np.array([[variance]])
-    each = [KalmanUpdate(*arithmetic.update(prior.mean[[k]], prior.cov[[k]], z[[k]], H, R)) for k in range(len(z))]
-    return gated_update(arithmetic, state, joined_updates(each), model.scalar_gate_nis)
+    update = filters.arithmetic.update
+    each = [KalmanUpdate(*update(prior.mean[[k]], prior.cov[[k]], z[[k]], H, R)) for k in range(len(z))]
+    return gated_update(filters, state, joined_updates(each), filters.model.scalar_gate_nis)
 
 
-def _on_first_positions(
-    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, track_m: FloatArray
-) -> Result:
+def _on_first_positions(filters: Filters, state: PedestrianState, fix: PositionFix, track_m: FloatArray) -> Result:
     """Return the state after a position fix in a frame that is not joined, the outcome of the fix, and its NIS.
 
     The first fix places the track ("placed"), and later ones rotate it ("turned"). A fix that is inconsistent with the
@@ -327,7 +308,7 @@ def _on_first_positions(
     fixes = replace(state.fixes, n_errors=degrees_of_freedom(agreeing), squares=squares)
     state = replace(state, frame=frame.with_alignment(alignment), fixes=fixes)
     pairs = [pair.with_moved_track(alignment.positions) for pair in agreeing]
-    state, nis = _with_second_half(model, arithmetic, state, fix, alignment.positions(track_m), pairs)
+    state, nis = _with_second_half(filters, state, fix, alignment.positions(track_m), pairs)
     return state, "turned", nis
 
 
@@ -352,12 +333,7 @@ def _on_contradicting_fix(state: PedestrianState, pair: PairedPoint) -> Result:
 
 
 def _with_second_half(
-    model: PedestrianModel,
-    arithmetic: ImmArithmetic,
-    state: PedestrianState,
-    fix: PositionFix,
-    track_m: FloatArray,
-    pairs: Sequence[PairedPoint],
+    filters: Filters, state: PedestrianState, fix: PositionFix, track_m: FloatArray, pairs: Sequence[PairedPoint]
 ) -> tuple[PedestrianState, float]:
     """Return the state after an alignment, updated with the unused half of the last fix, and the NIS of this update.
 
@@ -374,7 +350,7 @@ def _with_second_half(
     )
     state = replace(state, fixes=replace(state.fixes, used=shared[-N_BEFORE:]))
     half = replace(fix, cov_m2=2.0 * fix.cov_m2)
-    updated, outcome, nis = _on_position(model, arithmetic, state, half, track_m)
+    updated, outcome, nis = _on_position(filters, state, half, track_m)
     fixes = updated.fixes
     if outcome == "used" and fix.correlation_s > 0:  # stored with its full covariance, not with that of the half
         fixes = replace(fixes, used=fixes.used[:-1])

@@ -19,6 +19,14 @@ from pdr_filter.values import FixOutcome, FloatArray
 Result = tuple[PedestrianState, FixOutcome, float]
 
 
+class Filters(NamedTuple):
+    """Constants of the F filters of a tracker that an update by a fix needs."""
+
+    model: PedestrianModel
+    arithmetic: ImmArithmetic
+    offset_rad: FloatArray  # (F,) walking heading of each filter minus the heading that the body faces
+
+
 class KalmanUpdate(NamedTuple):
     """Estimates of F filters after a measurement, as returned by `ImmArithmetic.update`."""
 
@@ -33,7 +41,7 @@ def joined_updates(updates: Sequence[KalmanUpdate]) -> KalmanUpdate:
     return KalmanUpdate(*(np.concatenate(arrays) for arrays in zip(*updates, strict=True)))
 
 
-def gated_update(arithmetic: ImmArithmetic, state: PedestrianState, update: KalmanUpdate, gate_nis: float) -> Result:
+def gated_update(filters: Filters, state: PedestrianState, update: KalmanUpdate, gate_nis: float) -> Result:
     """Return the state after an update, the outcome "used" or "rejected", and the NIS of the mixture of all filters.
 
     With the probability p_f and the NIS q_f of filter f, the NIS of the mixture is -2 log sum_f p_f exp(-q_f / 2). A
@@ -48,7 +56,7 @@ def gated_update(arithmetic: ImmArithmetic, state: PedestrianState, update: Kalm
     if not nis <= gate_nis:
         return state, "rejected", nis
     prior_x, _ = state.estimates.combined
-    prob = arithmetic.update_mode_prob(mode_prob, update.log_likelihood)
+    prob = filters.arithmetic.update_mode_prob(mode_prob, update.log_likelihood)
     state = replace(state, estimates=replace(state.estimates, mean=update.mean, cov=update.cov, prob=prob))
     moved = state.estimates.combined[0] - prior_x
     state, shift_m = with_change(state, lambda path: path.after_correction(moved, 1.0)), moved[[EAST, NORTH]]
@@ -69,7 +77,7 @@ def with_consider_path(state: PedestrianState, cov: FloatArray) -> PedestrianSta
     return with_change(state, lambda path: path.with_shared(P, shared_m2, grown_P, end_s, present_m))
 
 
-def gap_displacement_var_m2(model: PedestrianModel, state: PedestrianState, time_s: float) -> float:
+def gap_displacement_var_m2(filters: Filters, state: PedestrianState, time_s: float) -> float:
     """Return the variance along each axis of the displacement in the gap after a time, or 0 without a gap.
 
     Only the part of the gap after that time counts.
@@ -78,4 +86,4 @@ def gap_displacement_var_m2(model: PedestrianModel, state: PedestrianState, time
     if gap_s == 0.0 or len(trail) == 0:
         return 0.0
     into_gap_s = max(time_s - float(trail[-1, TRAIL_TIME]), 0.0)
-    return 0.0 if gap_s <= into_gap_s else float(model.noise.gap_var_m2(gap_s - into_gap_s))
+    return 0.0 if gap_s <= into_gap_s else float(filters.model.noise.gap_var_m2(gap_s - into_gap_s))

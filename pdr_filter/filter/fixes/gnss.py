@@ -225,10 +225,8 @@ def location_at(locations: FloatArray, time_s: float) -> tuple[float, float] | N
     `locations` (P, 3) are the result of `good_locations`. The result is None if there is no location in the last 2 s,
     or if one of them is not accurate.
     """
-    first, end = (
-        np.searchsorted(locations[:, 0], time_s - _PRESENT_S),
-        np.searchsorted(locations[:, 0], time_s, side="right"),
-    )
+    first = np.searchsorted(locations[:, 0], time_s - _PRESENT_S)
+    end = np.searchsorted(locations[:, 0], time_s, side="right")
     if first == end or np.isnan(locations[first:end, 1]).any():
         return None
     east_m, north_m = locations[end - 1, 1:].tolist()
@@ -278,10 +276,8 @@ def origin_of(location: Samples) -> Origin | None:
     known.
     """
     latitude_deg, longitude_deg, _, accuracy_m = location.values.T
-    rows = zip(
-        location.time_s.tolist(), latitude_deg.tolist(), longitude_deg.tolist(), accuracy_m.tolist(), strict=True
-    )
-    for t, latitude, longitude, accuracy in rows:
+    rows = np.column_stack([location.time_s, latitude_deg, longitude_deg, accuracy_m])
+    for t, latitude, longitude, accuracy in rows.tolist():
         if math.isfinite(t) and _is_on_earth(latitude, longitude) and _is_accuracy(accuracy):
             return Origin(latitude, longitude)
     return None

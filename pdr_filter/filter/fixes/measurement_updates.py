@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pdr_filter.filter.fixes.gating import (
+    Filters,
     KalmanUpdate,
     Result,
     gap_displacement_var_m2,
@@ -49,21 +50,18 @@ def gate_of(model: PedestrianModel, n_dimensions: int) -> float:
 
 
 def on_measurement(
-    model: PedestrianModel,
-    arithmetic: ImmArithmetic,
+    filters: Filters,
     state: PedestrianState,
-    offset_rad: FloatArray,
     fix: Measurement,
     earlier: FloatArray,
     regular_prob: Callable[[float, float], float] | None = None,
 ) -> Result:
     """Return the state after a measurement, the outcome, and the normalised innovation squared.
 
-    `earlier` (3,) is east, north and device heading of the track at the time of the measurement. `offset_rad` (F,) is
-    the own heading offset of each filter. `regular_prob` is for scalar measurements: it returns the probability that
-    the measurement is not an outlier, given its residual and the variance of the residual. If it is below one half for
-    all filters, the measurement is rejected. There is "nothing to compare" in a frame that is not joined, or for a
-    measurement of the heading before the first step.
+    `earlier` (3,) is east, north and device heading of the track at the time of the measurement. `regular_prob` is for
+    scalar measurements: it returns the probability that the measurement is not an outlier, given its residual and the
+    variance of the residual. If it is below one half for all filters, the measurement is rejected. There is "nothing to
+    compare" in a frame that is not joined, or for a measurement of the heading before the first step.
 
     Each filter is updated by an iterated extended Kalman filter (B. M. Bell and F. W. Cathey, "The iterated Kalman
     filter update as a Gauss-Newton method", IEEE Trans. Automatic Control 38, 1993).
@@ -78,21 +76,21 @@ def on_measurement(
     east_m, north_m = (track_pose(state).position_m - earlier[:2]).tolist()
     by_state = np.array([[1.0, 0.0, -north_m, -east_m], [0.0, 1.0, east_m, -north_m]])
     shift_m = earlier[:2] - by_state @ estimates.combined[0]
-    gap_var_m2 = gap_displacement_var_m2(model, state, fix.time_s)
+    gap_var_m2 = gap_displacement_var_m2(filters, state, fix.time_s)
     each = [
         _filter_update(
-            arithmetic,
+            filters.arithmetic,
             (mean[None], P[None]),
             _Observation(fix, by_state, shift_m, float(earlier[2]) + own_rad, gap_var_m2),
             regular_prob,
         )
-        for mean, P, own_rad in zip(estimates.mean, cov, offset_rad.tolist(), strict=True)
+        for mean, P, own_rad in zip(estimates.mean, cov, filters.offset_rad.tolist(), strict=True)
     ]
     update = joined_updates([result.update for result in each])
     if max(result.regular_prob for result in each) < _MIN_REGULAR_PROB:
         return state, "rejected", float(update.nis.min())
-    gate_nis = gate_of(model, each[0].n_dimensions)
-    after, outcome, best_nis = gated_update(arithmetic, with_consider_path(state, cov), update, gate_nis)
+    gate_nis = gate_of(filters.model, each[0].n_dimensions)
+    after, outcome, best_nis = gated_update(filters, with_consider_path(state, cov), update, gate_nis)
     if outcome != "used":
         return state, outcome, best_nis
     no_error_m = np.zeros_like(estimates.consider_error_m)

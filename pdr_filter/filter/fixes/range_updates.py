@@ -11,12 +11,10 @@ from functools import partial
 
 import numpy as np
 
-from pdr_filter.filter.fixes.gating import Result, gap_displacement_var_m2
+from pdr_filter.filter.fixes.gating import Filters, Result, gap_displacement_var_m2
 from pdr_filter.filter.fixes.measurement_updates import on_measurement
-from pdr_filter.filter.imm.imm import ImmArithmetic
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE
 from pdr_filter.filter.pedestrian.alignment import transformed_estimates
-from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.pedestrian.pedestrian_state import (
     PedestrianState,
     Rival,
@@ -52,14 +50,7 @@ _SEARCH_INTERVAL_S = 0.5
 _MIN_VAR = 1e-6
 
 
-def on_range(
-    model: PedestrianModel,
-    arithmetic: ImmArithmetic,
-    state: PedestrianState,
-    offset_rad: FloatArray,
-    fix: RangeFix,
-    earlier: FloatArray,
-) -> Result:
+def on_range(filters: Filters, state: PedestrianState, fix: RangeFix, earlier: FloatArray) -> Result:
     """Return the state after a range, the outcome, and the normalised innovation squared.
 
     `earlier` (3,) is east, north and device heading of the track at the time of the range. If the frame of the anchors
@@ -71,7 +62,7 @@ def on_range(
     is_joined = state.frame.is_joined
     if is_joined and not _is_wide(state, fix, earlier):
         direct_prob = partial(fix.direct_prob, reflected_prob=_reflected_prob(state.fixes.ranges))
-        updated, outcome, nis = on_measurement(model, arithmetic, state, offset_rad, fix, earlier, direct_prob)
+        updated, outcome, nis = on_measurement(filters, state, fix, earlier, direct_prob)
         pair = PairedRange(fix, read_only(earlier[:2]), outcome == "used")
         updated = _with_ranges(updated, recent(updated.fixes.ranges, pair))
         if outcome == "used" or not _is_contradicted(updated.fixes.ranges) or _searched_just_now(state, fix):
@@ -82,7 +73,7 @@ def on_range(
         if better < 2.0 * PRIOR_LOG_ODDS or len(found) != 1 or not found[0].is_settled:
             return updated, outcome, nis
         return _with_solution(updated, found[0]), "moved", nis
-    if gap_displacement_var_m2(model, state, fix.time_s):
+    if gap_displacement_var_m2(filters, state, fix.time_s):
         # no steps connect a range within a gap with later ranges
         return state, "nothing to compare", np.nan
     pairs = recent(state.fixes.ranges, PairedRange(fix, read_only(earlier[:2]), is_used=False))

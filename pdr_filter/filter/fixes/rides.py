@@ -26,26 +26,16 @@ _MAX_RIDES = 16  # number of stored rides, because a filter may run for days
 
 @dataclass(frozen=True, slots=True)
 class Ride:
-    """Interval in which position fixes move faster than a walk and the pedestrian makes hardly any steps.
+    """Interval in which position fixes move faster than a walk and the pedestrian makes hardly any steps."""
 
-    Attributes
-    ----------
-    begin_s, end_s : float
-        Times of the first and the last fix.
-    length_m : float
-        Sum of the distances between consecutive fixes.
-    first, last : PositionFix
-        First and last fix.
-    is_still : bool
-        True if the phone lay still in most of the time.
-    """
-
+    # Times of the first and the last fix
     begin_s: float
     end_s: float
-    length_m: float
+    length_m: float  # sum of the distances between consecutive fixes
+    # First and last fix
     first: PositionFix
     last: PositionFix
-    is_still: bool
+    is_still: bool  # True if the phone lay still in most of the time
 
     @property
     def is_outlier(self) -> bool:
@@ -60,20 +50,11 @@ class Ride:
 
 @dataclass(frozen=True, slots=True)
 class Rides:
-    """Last rides between position fixes.
+    """Last rides between position fixes."""
 
-    Attributes
-    ----------
-    found : tuple of Ride
-        Last rides.
-    last : PositionFix or None
-        Last fix with another position than the fix before.
-    seen_s, moving_s : float
-        Time with samples since this fix, and the part of it in which the phone moved.
-    """
-
-    found: tuple[Ride, ...] = ()
-    last: PositionFix | None = None
+    found: tuple[Ride, ...] = ()  # last rides
+    last: PositionFix | None = None  # last fix with another position than the fix before
+    # Time with samples since this fix, and the part of it in which the phone moved.
     seen_s: float = 0.0
     moving_s: float = 0.0
 

@@ -53,49 +53,25 @@ Position = tuple[float, float]
 
 @dataclass(frozen=True)
 class Level:
-    """Height of one storey.
+    """Height of one storey."""
 
-    Attributes
-    ----------
-    floor : int
-        Number of the storey.
-    climbed_m : float
-        Climbed height of the level above the start.
-    std_m : float
-        Standard deviation of the level.
-    """
-
-    floor: int
-    climbed_m: float
-    std_m: float
+    floor: int  # number of the storey
+    climbed_m: float  # climbed height of the level above the start
+    std_m: float  # standard deviation of the level
 
 
 @dataclass(frozen=True)
 class Climbing:
-    """Motion since a storey was left.
+    """Motion since a storey was left."""
 
-    Attributes
-    ----------
-    start_s : float
-        Time at which the storey was left.
-    from_floor : int
-        Number of that storey.
-    from_m : float
-        Climbed height at that time.
-    n_steps : int
-        Steps while climbing.
-    stairs_s, ride_s : float
-        Time on stairs, and time in lifts or on escalators.
-    position : tuple of float or None
-        Position at which the storey was left, if accurate locations are available since then.
-    """
-
-    start_s: float
-    from_floor: int = 0
-    from_m: float = 0.0
-    n_steps: int = 0
+    start_s: float  # time at which the storey was left
+    from_floor: int = 0  # number of that storey
+    from_m: float = 0.0  # climbed height at that time
+    n_steps: int = 0  # steps while climbing
+    # Time on stairs, and time in lifts or on escalators.
     stairs_s: float = 0.0
     ride_s: float = 0.0
+    # Position at which the storey was left, if accurate locations are available since then.
     position: Position | None = None
 
     def is_hill(self, position: Position | None, climbed_m: float) -> bool:
@@ -124,39 +100,17 @@ class Climbing:
 
 @dataclass(frozen=True)
 class FloorState:
-    """Known storeys, the present storey, and the motion towards another one.
+    """Known storeys, the present storey, and the motion towards another one."""
 
-    Attributes
-    ----------
-    floor : int
-        Number of the present storey.
-    floor_since_s : float
-        Time of the last change of `floor`.
-    levels : tuple of Level
-        Known levels, from the lowest to the highest.
-    climbing : Climbing
-        Motion since a storey was left.
-    level_since_s : float
-        Start of the present stay on level ground, or NaN while climbing.
-    n_level_steps : int
-        Steps in the present stay.
-    is_used : bool
-        True if the present stay has already updated a level.
-    passages : tuple of FloorPassage
-        Passages completed by the last event.
-    is_numbered : bool
-        True if a storey was given, so that the numbers of the storeys are known.
-    """
-
-    floor: int = 0
-    floor_since_s: float = np.nan
-    levels: tuple[Level, ...] = (Level(0, 0.0, LEVEL_STD_M),)
-    climbing: Climbing = Climbing(np.nan)
-    level_since_s: float = np.nan
-    n_level_steps: int = 0
-    is_used: bool = False
-    passages: tuple[FloorPassage, ...] = ()
-    is_numbered: bool = False
+    floor: int = 0  # number of the present storey
+    floor_since_s: float = np.nan  # time of the last change of `floor`
+    levels: tuple[Level, ...] = (Level(0, 0.0, LEVEL_STD_M),)  # known levels, from the lowest to the highest
+    climbing: Climbing = Climbing(np.nan)  # motion since a storey was left
+    level_since_s: float = np.nan  # start of the present stay on level ground, or NaN while climbing
+    n_level_steps: int = 0  # steps in the present stay
+    is_used: bool = False  # True if the present stay has already updated a level
+    passages: tuple[FloorPassage, ...] = ()  # passages completed by the last event
+    is_numbered: bool = False  # True if a storey was given, so that the numbers of the storeys are known
 
 
 def storey_m(levels: tuple[Level, ...]) -> float:
@@ -192,9 +146,8 @@ def level_of(levels: tuple[Level, ...], floor: int, storey_std_m: float) -> Leve
     """
     nearest = min(levels, key=lambda level: abs(level.floor - floor))
     n = floor - nearest.floor
-    return Level(
-        floor, nearest.climbed_m + n * storey_m(levels), math.hypot(nearest.std_m, storey_std_m * math.sqrt(abs(n)))
-    )
+    std_m = math.hypot(nearest.std_m, storey_std_m * math.sqrt(abs(n)))
+    return Level(floor, nearest.climbed_m + n * storey_m(levels), std_m)
 
 
 def after_motion(
@@ -234,13 +187,13 @@ def after_motion(
         return FloorState(floor, floor_since_s, state.levels, climbing, is_numbered=state.is_numbered), 0.0
     since_s = now_s if math.isnan(state.level_since_s) else state.level_since_s
     is_back = floor == climbing.from_floor
+    if is_back and abs(at - floor) < _SAME_STOREY:
+        climbing = _new_climbing(now_s, floor, climbed_m, position)
     state = replace_unchecked(
         state,
         floor=floor,
         floor_since_s=floor_since_s,
-        climbing=_new_climbing(now_s, floor, climbed_m, position)
-        if is_back and abs(at - floor) < _SAME_STOREY
-        else climbing,
+        climbing=climbing,
         level_since_s=since_s,
         n_level_steps=state.n_level_steps + n_steps,
         passages=(),
@@ -269,9 +222,8 @@ def _arrived(state: FloorState, now_s: float, climbed_m: float, position: Positi
     climbing, level_s = state.climbing, now_s if np.isnan(state.level_since_s) else state.level_since_s
     end_s = max(level_s, state.floor_since_s)
     passage = FloorPassage(climbing.start_s, end_s, climbing.from_floor, state.floor, climbing.how(climbed_m))
-    return replace_unchecked(
-        state, climbing=_new_climbing(now_s, state.floor, climbed_m, position), passages=(passage,)
-    )
+    climbing = _new_climbing(now_s, state.floor, climbed_m, position)
+    return replace_unchecked(state, climbing=climbing, passages=(passage,))
 
 
 def known_level(state: FloorState, now_s: float) -> Level | None:

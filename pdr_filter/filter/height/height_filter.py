@@ -15,6 +15,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -89,21 +90,11 @@ _M_PER_HPA = 8.3
 
 @dataclass(frozen=True, eq=False)
 class Altitude:
-    """Estimated altitude of the start, from fixes with an altitude.
+    """Estimated altitude of the start, from fixes with an altitude."""
 
-    Attributes
-    ----------
-    altitude_m : float
-        Altitude of the start, or NaN.
-    var_m2 : float
-        Variance of the altitude, infinite before the first fix with an altitude.
-    last_s : float
-        Time of the last fix.
-    """
-
-    altitude_m: float = np.nan
-    var_m2: float = np.inf
-    last_s: float = -np.inf
+    altitude_m: float = np.nan  # altitude of the start, or NaN
+    var_m2: float = np.inf  # variance of the altitude, infinite before the first fix with an altitude
+    last_s: float = -np.inf  # time of the last fix
 
     def of(self, origin: Origin) -> Origin:
         """Return an origin with this altitude, or the unchanged origin if the altitude is unknown."""
@@ -135,42 +126,21 @@ class HeightEstimate:
     """Height estimate at one time.
 
     The air state is the part of the pressure height that changes by weather and draughts and not by motion.
-
-    Attributes
-    ----------
-    moments : (7, 5, 5) array
-        Moments p E[y y'] of the seven vertical modes (`vertical_modes`). p is the probability of a mode, and y = (1,
-        climbed, rate, sloped, air) is its state.
-    climbed_m : float
-        Height climbed on stairs, lifts and escalators since the start.
-    height_m : float
-        Height above the start, including slopes.
-    height_var_m2 : float
-        Variance of `height_m`.
-    pressure_s : float
-        Time of the most recent one-second mean of the barometer.
-    ride : tuple of float or None
-        Start of the present ride, and the climbed height at its start.
-    calm_in_s : float
-        Time for which the pressure must still be calm until a vehicle counts as left, or 0 outside a vehicle.
-    first_air_m : float
-        First estimate of the air state, or NaN before it.
-    most_air_m : float
-        Largest difference of the air state from `first_air_m`.
-    floors : FloorState
-        Estimate of the storey.
     """
 
+    # (7, 5, 5) moments p E[y y'] of the seven vertical modes (`vertical_modes`). p is the probability of a mode, and y
+    # = (1, climbed, rate, sloped, air) is its state.
     moments: FloatArray
-    climbed_m: float = 0.0
-    height_m: float = 0.0
-    height_var_m2: float = 0.0
-    pressure_s: float = np.nan
-    ride: tuple[float, float] | None = None
+    climbed_m: float = 0.0  # height climbed on stairs, lifts and escalators since the start
+    height_m: float = 0.0  # height above the start, including slopes
+    height_var_m2: float = 0.0  # variance of `height_m`
+    pressure_s: float = np.nan  # time of the most recent one-second mean of the barometer
+    ride: tuple[float, float] | None = None  # start of the present ride, and the climbed height at its start
+    # Time for which the pressure must still be calm until a vehicle counts as left, or 0 outside a vehicle.
     calm_in_s: float = 0.0
-    first_air_m: float = np.nan
-    most_air_m: float = 0.0
-    floors: FloorState = field(default_factory=FloorState)
+    first_air_m: float = np.nan  # first estimate of the air state, or NaN before it
+    most_air_m: float = 0.0  # largest difference of the air state from `first_air_m`
+    floors: FloorState = field(default_factory=FloorState)  # estimate of the storey
 
     @property
     def height_std_m(self) -> float:
@@ -180,62 +150,31 @@ class HeightEstimate:
 
 @dataclass(frozen=True, eq=False)
 class PressureSecond:
-    """One second of the barometer, and the estimate before it.
+    """One second of the barometer, and the estimate before it."""
 
-    Attributes
-    ----------
-    before : HeightEstimate
-        Estimate before this second.
-    climb : Climb
-        Pressure height and climb rate.
-    log_evidence : (7,) array
-        Log evidence of the context windows that ended in this second.
-    n_steps : int
-        Number of steps in this second.
-    position : tuple of float or None
-        Position of an accurate location in this second.
-    """
-
-    before: HeightEstimate
-    climb: Climb
-    log_evidence: FloatArray
-    n_steps: int
-    position: Position | None = None
+    before: HeightEstimate  # estimate before this second
+    climb: Climb  # pressure height and climb rate
+    log_evidence: FloatArray  # (7,) log evidence of the context windows that ended in this second
+    n_steps: int  # number of steps in this second
+    position: Position | None = None  # position of an accurate location in this second
 
 
 @dataclass(frozen=True, eq=False)
 class HeightState:
-    """State of the height filter.
+    """State of the height filter."""
 
-    Attributes
-    ----------
-    known : HeightEstimate
-        Present estimate.
-    recent : tuple of PressureSecond
-        Last seconds, oldest first, which late steps can still change.
-    log_evidence : (7,) array
-        Log evidence of windows since the last second.
-    n_steps : int
-        Number of steps since the last second.
-    step_s : float
-        Time of the last step.
-    n_unseen : float
-        Steps since the last measurement of the height, each counted with its `stairs_unknown_share`.
-    stairs_unknown_share : float
-        Dissimilarity of the last window to the stairs of the training data, 0 to 1. At 1, the context probabilities
-        give no evidence of stairs.
-    start_altitude : Altitude
-        Altitude of the start.
-    """
-
-    known: HeightEstimate
-    recent: tuple[PressureSecond, ...] = ()
+    known: HeightEstimate  # present estimate
+    recent: tuple[PressureSecond, ...] = ()  # last seconds, oldest first, which late steps can still change
+    # Log evidence of windows since the last second
     log_evidence: FloatArray = field(default_factory=lambda: np.zeros(N_MODES))
-    n_steps: int = 0
-    step_s: float = np.nan
+    n_steps: int = 0  # number of steps since the last second
+    step_s: float = np.nan  # time of the last step
+    # Steps since the last measurement of the height, each counted with its `stairs_unknown_share`
     n_unseen: float = 0.0
+    # Dissimilarity of the last window to the stairs of the training data, 0 to 1. At 1, the context probabilities give
+    # no evidence of stairs.
     stairs_unknown_share: float = 0.0
-    start_altitude: Altitude = field(default_factory=lambda: Altitude())
+    start_altitude: Altitude = field(default_factory=lambda: Altitude())  # altitude of the start
 
 
 def initial_height() -> HeightState:
@@ -325,18 +264,15 @@ def on_step(
         height = _after_pressure(seconds[-1], step_log_odds)
         height_at_step = seconds[i + 1].before if i + 1 < len(seconds) else height
         return replace_unchecked(state, step_s=step_s, known=height, recent=tuple(seconds)), height_at_step, ()
-    passages = tuple(p for later_second in state.recent[1:] for p in later_second.before.floors.passages)
-    if state.recent:
-        passages += state.known.floors.passages
     n_unseen = state.n_unseen + state.stairs_unknown_share
     unseen_var = unseen_var_m2(n_unseen) - unseen_var_m2(state.n_unseen) + _UNSEEN_LIFT_M2 * (since_s - elapsed_s)
     slope_var = (_UNMEASURED_SLOPE_M**2 + state.stairs_unknown_share * _UNMEASURED_STAIRS_M**2) * elapsed_s
-    height = _after_unmeasured_step(
-        state.known, step_s, elapsed_s, (up_prob, down_prob), (unseen_var, slope_var), position
-    )
+    stairs_prob, added_var_m2 = (up_prob, down_prob), (unseen_var, slope_var)
+    height = _after_unmeasured_step(state.known, step_s, elapsed_s, stairs_prob, added_var_m2, position)
+    passages = (*_open_passages(state), *height.floors.passages)
     state = replace_unchecked(state, n_unseen=n_unseen)
     state = replace_unchecked(state, step_s=step_s, known=height, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
-    return state, height, passages + height.floors.passages
+    return state, height, passages
 
 
 def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
@@ -362,9 +298,8 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
     before, known = state.known.floors, state.known
     level = level_of(before.levels, floor, _STOREY_STD_M)
     error_var = level.std_m**2 + LEVEL_STD_M**2
-    misfit = (level.climbed_m - known.climbed_m) ** 2 / (
-        vertical.combined_height(known.moments).climbed_var_m2 + error_var
-    )
+    climbed_var = vertical.combined_height(known.moments).climbed_var_m2
+    misfit = (level.climbed_m - known.climbed_m) ** 2 / (climbed_var + error_var)
 
     def on_floor(height: HeightEstimate) -> HeightEstimate:
         """Return a height estimate with the storey renumbered, or its height measured by the storey."""
@@ -375,14 +310,7 @@ def with_floor(state: HeightState, floor: int) -> HeightState:
         floors = replace_unchecked(height.floors, floor=floor)
         if height.floors.floor != floor:
             floors = on_storey(floors, Level(floor, now.climbed_m, _std(now.climbed_var_m2)))
-        return replace_unchecked(
-            height,
-            moments=moments,
-            climbed_m=now.climbed_m,
-            height_m=now.height_m,
-            height_var_m2=now.height_var_m2,
-            floors=floors,
-        )
+        return replace_unchecked(height, floors=floors, **_of_moments(moments, now))
 
     recent = tuple(replace_unchecked(second, before=on_floor(second.before)) for second in state.recent)
     return replace_unchecked(state, known=on_floor(state.known), recent=recent, n_unseen=0.0)
@@ -393,15 +321,18 @@ def finish_height(state: HeightState) -> tuple[HeightState, tuple[FloorPassage, 
 
     These are the passages that were not returned before.
     """
-    passages = [p for later_second in state.recent[1:] for p in later_second.before.floors.passages]
-    if state.recent:
-        passages += state.known.floors.passages
     times = [t for t in (state.step_s, state.known.pressure_s) if np.isfinite(t)]
     last = floors_at_end(state.known.floors, max(times, default=0.0), state.known.climbed_m)
-    return replace_unchecked(state, known=replace_unchecked(state.known, floors=last), recent=()), (
-        *passages,
-        *last.passages,
-    )
+    known = replace_unchecked(state.known, floors=last)
+    return replace_unchecked(state, known=known, recent=()), (*_open_passages(state), *last.passages)
+
+
+def _open_passages(state: HeightState) -> tuple[FloorPassage, ...]:
+    """Return the floor passages of the last seconds, which `on_pressure` has not returned yet."""
+    if not state.recent:
+        return ()
+    estimates = (*(second.before for second in state.recent[1:]), state.known)
+    return tuple(passage for estimate in estimates for passage in estimate.floors.passages)
 
 
 def notes(state: HeightState, barometer: ClimbState, is_absence_named: bool = False) -> list[Note]:
@@ -425,10 +356,8 @@ def notes(state: HeightState, barometer: ClimbState, is_absence_named: bool = Fa
         found.append(Note("height", barometer.note))
     if known.most_air_m >= _NOTABLE_AIR_M:
         hpa = known.most_air_m / _M_PER_HPA
-        words = (
-            f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft, a vehicle or by the weather: "
-        )
-        found.append(Note("height", words + "heights and floors ignore this change"))
+        words = f"the pressure changed by {hpa:.0f} hPa without a climb, as in an aircraft, a vehicle or by the "
+        found.append(Note("height", words + "weather: heights and floors ignore this change"))
     return found
 
 
@@ -475,16 +404,19 @@ def _after_pressure(second: PressureSecond, step_log_odds: float) -> HeightEstim
         floors = with_new_level(floors, climb.time_s, now.climbed_m, _std(now.climbed_var_m2))
     first_air_m = now.air_m if math.isnan(previous.first_air_m) else previous.first_air_m
     return HeightEstimate(
-        moments=moments,
-        climbed_m=now.climbed_m,
-        height_m=now.height_m,
-        height_var_m2=now.height_var_m2,
+        **_of_moments(moments, now),
         pressure_s=climb.time_s,
         ride=ride,
         first_air_m=first_air_m,
         most_air_m=previous.most_air_m if prob[JUMP] > 0.5 else max(previous.most_air_m, abs(now.air_m - first_air_m)),
         floors=floors,
     )
+
+
+def _of_moments(moments: FloatArray, now: vertical.Estimate) -> dict[str, Any]:
+    """Return the fields of a `HeightEstimate` with these moments (7, 5, 5) and their combined estimate `now`."""
+    heights = {"climbed_m": now.climbed_m, "height_m": now.height_m, "height_var_m2": now.height_var_m2}
+    return {"moments": moments, **heights}
 
 
 def unseen_var_m2(n_steps: float) -> float:
@@ -521,14 +453,8 @@ def _after_unmeasured_step(
     if slope_m != 0.0:
         moments = vertical.as_slope(moments, slope_m)
         now = vertical.combined_height(moments)
-    return replace_unchecked(
-        previous,
-        moments=moments,
-        climbed_m=now.climbed_m,
-        height_m=now.height_m,
-        height_var_m2=now.height_var_m2,
-        floors=with_new_level(floors, step_s, now.climbed_m, _std(now.climbed_var_m2)),
-    )
+    floors = with_new_level(floors, step_s, now.climbed_m, _std(now.climbed_var_m2))
+    return replace_unchecked(previous, floors=floors, **_of_moments(moments, now))
 
 
 def _in_vehicle(previous: HeightEstimate, now_s: float, moments: FloatArray, before_m: float) -> HeightEstimate:
@@ -538,17 +464,10 @@ def _in_vehicle(previous: HeightEstimate, now_s: float, moments: FloatArray, bef
     """
     moments = vertical.with_air_unknown(moments, before_m)
     estimate, floor = vertical.combined_height(moments), previous.floors.climbing.from_floor
-    return replace_unchecked(
-        previous,
-        moments=moments,
-        climbed_m=estimate.climbed_m,
-        height_m=estimate.height_m,
-        height_var_m2=estimate.height_var_m2,
-        pressure_s=now_s,
-        ride=None,
-        calm_in_s=CALM_S,
-        floors=replace_unchecked(previous.floors, floor=floor, climbing=Climbing(now_s, floor, before_m), passages=()),
-    )
+    climbing = Climbing(now_s, floor, before_m)
+    floors = replace_unchecked(previous.floors, floor=floor, climbing=climbing, passages=())
+    changes = {"pressure_s": now_s, "ride": None, "calm_in_s": CALM_S, "floors": floors}
+    return replace_unchecked(previous, **changes, **_of_moments(moments, estimate))
 
 
 def _std(variance: float) -> float:

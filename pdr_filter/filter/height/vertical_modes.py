@@ -90,9 +90,9 @@ _TRANSITIONS = _transitions()
 _MIN_LOG_PROB = -400.0
 
 
-def _sparse(at: dict[tuple[int, ...], float], shape: tuple[int, ...]) -> FloatArray:
-    """Return a read-only array with values at some indices, else zero."""
-    array = np.zeros(shape)
+def _sparse(at: dict[tuple[int, ...], float]) -> FloatArray:
+    """Return a read-only array (7, 5, 5) with values at some indices, else zero."""
+    array = np.zeros(_SHAPE)
     for index, value in at.items():
         array[index] = value
     return read_only(array)
@@ -101,37 +101,24 @@ def _sparse(at: dict[tuple[int, ...], float], shape: tuple[int, ...]) -> FloatAr
 # Arrays of each mode: persistence of the states (the rate persists only in a lift), rise of a step, variances of each
 # prediction, and variances per second without and with steps.
 _SHAPE = (N_MODES, _SIZE, _SIZE)
-_PERSISTENCE = _sparse(
-    {(m, s, s): 1.0 for m in range(N_MODES) for s in range(_SIZE) if s != _RATE or m == LIFT},
-    _SHAPE,
-)
-_RISE_PER_STEP = _sparse({(UP, _CLIMBED, _ONE): RISER_M, (DOWN, _CLIMBED, _ONE): -RISER_M}, _SHAPE)
+_PERSISTENCE = _sparse({(m, s, s): 1.0 for m in range(N_MODES) for s in range(_SIZE) if s != _RATE or m == LIFT})
+_RISE_PER_STEP = _sparse({(UP, _CLIMBED, _ONE): RISER_M, (DOWN, _CLIMBED, _ONE): -RISER_M})
 _CONSTANT_NOISE = {(m, _CLIMBED, _CLIMBED): STAIRS_STD_M**2 for m in (UP, DOWN)} | {(JUMP, _AIR, _AIR): JUMP_STD_M**2}
 _NOISE_PER_S = {(m, _AIR, _AIR): AIR_WALK_M**2 + (m == DRIFT) * DRIFT_M**2 for m in range(N_MODES)}
-_NOISE = _sparse(_CONSTANT_NOISE, _SHAPE)
-_WALK = tuple(
-    _sparse(more, _SHAPE) for more in (_NOISE_PER_S, _NOISE_PER_S | {(SLOPE, _SLOPED, _SLOPED): SLOPE_MPS**2})
-)
+_NOISE = _sparse(_CONSTANT_NOISE)
+_WALK = _sparse(_NOISE_PER_S), _sparse(_NOISE_PER_S | {(SLOPE, _SLOPED, _SLOPED): SLOPE_MPS**2})
 
 
 class Estimate(NamedTuple):
-    """Combined height estimate of all modes.
+    """Combined height estimate of all modes."""
 
-    Attributes
-    ----------
-    climbed_m, climbed_var_m2 : float
-        Climbed height and its variance.
-    height_m, height_var_m2 : float
-        Height climbed + sloped and its variance.
-    air_m : float
-        Change of the pressure height by the air.
-    """
-
+    # Climbed height and its variance
     climbed_m: float
     climbed_var_m2: float
+    # Height climbed + sloped and its variance
     height_m: float
     height_var_m2: float
-    air_m: float
+    air_m: float  # change of the pressure height by the air
 
 
 def initial() -> FloatArray:
@@ -181,7 +168,8 @@ def moments_after_second(
     mixed = _TRANSITIONS.T.dot(moments.reshape(N_MODES, -1)).reshape(_SHAPE)
     prob = mixed[:, _ONE, _ONE]
     moved = G @ (mixed / prob[:, None, None]) @ G.swapaxes(1, 2) + Q
-    updated, log_likelihood = _measured(moved, _pressure(height_m), DRAUGHT_STD_M**2 + height_var_m2)
+    pressure = np.array([height_m, -1.0, 0.0, -1.0, -1.0])  # pressure height minus climbed, sloped and air
+    updated, log_likelihood = _measured(moved, pressure, DRAUGHT_STD_M**2 + height_var_m2)
     log_likelihood += log_evidence
     rate_mps = float(updated[LIFT, _ONE, _RATE])
     log_likelihood[LIFT] += _log_prob_ride(rate_mps, float(updated[LIFT, _RATE, _RATE]) - rate_mps**2)
@@ -222,15 +210,8 @@ def at_level(moments: FloatArray, climbed_m: float, var_m2: float) -> FloatArray
     """Return the moments (7, 5, 5) after a measurement of the climbed height by the known height of a storey, in m."""
     prob = moments[:, _ONE, _ONE, None, None]
     # without any pressure six modes have the probability zero
-    updated, _ = _measured(
-        moments / np.maximum(prob, math.exp(_MIN_LOG_PROB)), np.array([climbed_m, -1.0, 0.0, 0.0, 0.0]), var_m2
-    )
-    return updated * prob
-
-
-def _pressure(height_m: float) -> FloatArray:
-    """Return the row vector h (5,) with h y = pressure height minus its prediction, for the state vector y (5,)."""
-    return np.array([height_m, -1.0, 0.0, -1.0, -1.0])
+    of_modes = moments / np.maximum(prob, math.exp(_MIN_LOG_PROB))
+    return _measured(of_modes, np.array([climbed_m, -1.0, 0.0, 0.0, 0.0]), var_m2)[0] * prob
 
 
 @lru_cache(maxsize=64)

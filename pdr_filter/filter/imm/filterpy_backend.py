@@ -69,10 +69,7 @@ class MendedIMMEstimator(IMMEstimator):  # filterpy has no type hints
 
 
 def estimator(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray) -> Any:
-    """Return a `MendedIMMEstimator` with one static Kalman filter for each mode.
-
-    Static means that the transition matrix F is the identity and the process noise Q is zero.
-    """
+    """Return a `MendedIMMEstimator` with one static Kalman filter for each mode."""
     return MendedIMMEstimator(_filters(mean, cov), mode_prob, transition_prob)
 
 

@@ -142,24 +142,13 @@ class Mode:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
-    """Walking directions of the modes relative to the body, and their variances.
+    """Walking directions of the modes relative to the body, and their variances."""
 
-    Attributes
-    ----------
-    heading_offset_rad : (M,) array
-        Walking heading minus the heading that the body faces.
-    heading_var_rad2 : (M,) array
-        Variance of the direction of a single step.
-    drift_rad2_per_s : (M,) array
-        Variance rate of the heading offset, in addition to the drift that all modes share.
-    extra_var_m2 : (M,) array
-        Additional variance of a step along each axis.
-    """
-
-    heading_offset_rad: FloatArray
-    heading_var_rad2: FloatArray
+    heading_offset_rad: FloatArray  # (M,) walking heading minus the heading that the body faces
+    heading_var_rad2: FloatArray  # (M,) variance of the direction of a single step
+    # (M,) variance rate of the heading offset, in addition to the drift that all modes share.
     drift_rad2_per_s: FloatArray
-    extra_var_m2: FloatArray
+    extra_var_m2: FloatArray  # (M,) additional variance of a step along each axis
 
     @classmethod
     def of(cls, modes: Sequence[Mode]) -> Directions:

@@ -36,52 +36,26 @@ _MIN_HEADING_VARIANCE = 1e-12
 
 @dataclass(frozen=True, slots=True)
 class HeadingZero:
-    """Heading offset that is the zero of the offset in the filter states: the first measured one.
+    """Heading offset that is the zero of the offset in the filter states: the first measured one."""
 
-    Attributes
-    ----------
-    offset_rad : float
-        Walking heading minus device heading at the first step with a measured walking heading.
-    time_s : float
-        Contact of this step, or infinity before it.
-    """
-
-    offset_rad: float = 0.0
-    time_s: float = math.inf
+    offset_rad: float = 0.0  # walking heading minus device heading at the first step with a measured walking heading
+    time_s: float = math.inf  # contact of this step, or infinity before it
 
 
 class Cycle(NamedTuple):
-    """One step in F filters, before its evidence for the modes.
+    """One step in F filters, before its evidence for the modes."""
 
-    Attributes
-    ----------
-    before : Estimates
-        Estimates before the step. For the IMM these are the mixed estimates, with predicted mode probabilities.
-    unstepped_var_m2 : float
-        Variance of the motion without steps before the step.
-    drifted_cov : (F, 4, 4) array
-        Covariances after the drift of the heading offset, before its measurement.
-    turned_mean, turned_cov : (F, 4) and (F, 4, 4) array
-        Moments after the measured heading, before the displacement.
-    zero : HeadingZero
-        Zero of the heading offset after the step.
-    ahead : Estimates
-        Estimates after the displacement.
-    motion : StepMotion
-        Displacement of each filter.
-    by_state : (F, 4, 4) array
-        Derivative of the state after the displacement with respect to the state before it.
-    """
-
+    # Estimates before the step. For the IMM these are the mixed estimates, with predicted mode probabilities.
     before: Estimates
-    unstepped_var_m2: float
-    drifted_cov: FloatArray
+    unstepped_var_m2: float  # variance of the motion without steps before the step
+    drifted_cov: FloatArray  # (F, 4, 4) covariances after the drift of the heading offset, before its measurement
+    # Moments (F, 4) and (F, 4, 4) after the measured heading, before the displacement.
     turned_mean: FloatArray
     turned_cov: FloatArray
-    zero: HeadingZero
-    ahead: Estimates
-    motion: StepMotion
-    by_state: FloatArray
+    zero: HeadingZero  # zero of the heading offset after the step
+    ahead: Estimates  # estimates after the displacement
+    motion: StepMotion  # displacement of each filter
+    by_state: FloatArray  # (F, 4, 4) derivative of the state after the displacement with respect to the state before it
 
 
 def step_cycle(
@@ -199,23 +173,12 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
 
 
 class Advance(NamedTuple):
-    """Prediction of one step for all modes.
+    """Prediction of one step for all modes."""
 
-    Attributes
-    ----------
-    motion : StepMotion
-        Displacement of each mode.
-    mean : (..., M, 4) array
-        Predicted means.
-    cov : (..., M, 4, 4) array
-        Predicted covariances.
-    by_state : (..., M, 4, 4) array
-        F, the derivative of the predicted state with respect to the state before the step.
-    """
-
-    motion: StepMotion
-    mean: FloatArray
-    cov: FloatArray
+    motion: StepMotion  # displacement of each mode
+    mean: FloatArray  # (..., M, 4) predicted means
+    cov: FloatArray  # (..., M, 4, 4) predicted covariances
+    # (..., M, 4, 4) F, the derivative of the predicted state with respect to the state before the step.
     by_state: FloatArray
 
 
@@ -235,15 +198,8 @@ def advance(
     covariance is P_k = F P_{k-1} F' + Q, with the derivative F of the new state by the old one and the process noise Q.
     The drift of the heading offset is not included (see `predict_heading`).
     """
-    motion = step_motion(
-        step.reference_heading_rad,
-        mean[..., HEADING_OFFSET],
-        mean[..., LOG_SCALE],
-        length_m,
-        length_var_m2,
-        directions,
-        step.turned_rad,
-    )
+    heading_rad, offset_rad, log_scale = step.reference_heading_rad, mean[..., HEADING_OFFSET], mean[..., LOG_SCALE]
+    motion = step_motion(heading_rad, offset_rad, log_scale, length_m, length_var_m2, directions, step.turned_rad)
     # separate components: for so few numbers broadcasting takes longer than the products
     east_m, north_m = motion.length_m * motion.sine, motion.length_m * motion.cosine
     predicted_mean = mean.copy()

@@ -174,26 +174,15 @@ def carrying_log_evidence(prob: FloatArray, previous_prob: FloatArray | None, n_
 
 @dataclass(frozen=True, eq=False)
 class ModeEvidence:
-    """Log evidence of context windows for the modes of a filter.
+    """Log evidence of context windows for the modes of a filter."""
 
-    Attributes
-    ----------
-    contexts : tuple of str
-        Context of each mode: one of `window_contexts`, or "irregular".
-    carrying_modes : tuple of str or None
-        Carrying mode of each mode, or None for any carrying mode.
-    exponent, prior_exponent, floor : float
-        Parameters of `context_log_evidence`.
-    window_contexts : tuple of str, default `CONTEXTS`
-        C contexts in the order of the probabilities of a window.
-    """
-
-    contexts: tuple[str, ...]
-    carrying_modes: tuple[str | None, ...]
+    contexts: tuple[str, ...]  # context of each mode: one of `window_contexts`, or "irregular"
+    carrying_modes: tuple[str | None, ...]  # carrying mode of each mode, or None for any carrying mode
+    # Parameters of `context_log_evidence`.
     exponent: float
     prior_exponent: float
     floor: float
-    window_contexts: tuple[str, ...] = CONTEXTS
+    window_contexts: tuple[str, ...] = CONTEXTS  # C contexts in the order of the probabilities of a window
 
     @cached_property
     def _context_index(self) -> IntArray:

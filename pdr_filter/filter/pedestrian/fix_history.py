@@ -16,18 +16,10 @@ MAX_STANDSTILLS = 16
 
 @dataclass(frozen=True, eq=False)
 class UsedFix:
-    """Used position fix with a correlated error.
-
-    Attributes
-    ----------
-    fix : PositionFix
-        The fix.
-    track_m : (2,) array or None
-        Position of the track at its time, or None if a gap followed the fix.
-    """
+    """Used position fix with a correlated error."""
 
     fix: PositionFix
-    track_m: FloatArray | None
+    track_m: FloatArray | None  # (2,) position of the track at its time, or None if a gap followed the fix
 
 
 # Log evidence of a stated standstill against walking, about a hundred thousand to one. It must outweigh a window that
@@ -91,45 +83,21 @@ class StandstillSteps:
 
 @dataclass(frozen=True, eq=False)
 class FixHistory:
-    """Earlier fixes, stored for gating, for correlated errors and for repeated positions.
+    """Earlier fixes, stored for gating, for correlated errors and for repeated positions."""
 
-    Attributes
-    ----------
-    relocation : RelocationEvidence
-        Rejected position fixes that contradict the track.
-    used : tuple of UsedFix
-        Last used fixes whose errors are correlated with the next one.
-    memory : FixMemory
-        Earlier fixes with which a new one is compared to find repetitions.
-    n_errors : int
-        Number of innovations of used position fixes, one for each axis.
-    squares : float
-        Sum of the normalised squares of these innovations.
-    n_frozen : int
-        Number of position fixes that repeated the previous position while steps continued.
-    n_repeated : int
-        Number of other fixes that repeated an earlier one.
-    standstills : tuple of tuple of float
-        Begin and end of the last standstills, s.
-    standstill_steps : StandstillSteps
-        Steps within the standstills.
-    ranges : tuple of PairedRange
-        Last range fixes, each with the track position at its time.
-    searched_s : float
-        Time of the last search for positions that fit the ranges, or minus infinity.
-    """
-
+    # Rejected position fixes that contradict the track.
     relocation: RelocationEvidence = field(default_factory=RelocationEvidence)
-    used: tuple[UsedFix, ...] = ()
+    used: tuple[UsedFix, ...] = ()  # last used fixes whose errors are correlated with the next one
+    # Earlier fixes with which a new one is compared to find repetitions.
     memory: FixMemory = field(default_factory=FixMemory)
-    n_errors: int = 0
-    squares: float = 0.0
-    n_frozen: int = 0
-    n_repeated: int = 0
-    standstills: tuple[tuple[float, float], ...] = ()
-    standstill_steps: StandstillSteps = StandstillSteps()
-    ranges: tuple[PairedRange, ...] = ()
-    searched_s: float = -math.inf
+    n_errors: int = 0  # number of innovations of used position fixes, one for each axis
+    squares: float = 0.0  # sum of the normalised squares of these innovations
+    n_frozen: int = 0  # number of position fixes that repeated the previous position while steps continued
+    n_repeated: int = 0  # number of other fixes that repeated an earlier one
+    standstills: tuple[tuple[float, float], ...] = ()  # begin and end of the last standstills, s
+    standstill_steps: StandstillSteps = StandstillSteps()  # steps within the standstills
+    ranges: tuple[PairedRange, ...] = ()  # last range fixes, each with the track position at its time
+    searched_s: float = -math.inf  # time of the last search for positions that fit the ranges, or minus infinity
 
     def with_used(self, fix: PositionFix, track_m: FloatArray | None) -> FixHistory:
         """Return the history with one more used fix, if its error can be correlated with the errors of later fixes.

@@ -64,30 +64,15 @@ _UNIT_VECTORS_AND_SQUARES = np.column_stack([_UNIT_VECTORS, _UNIT_VECTORS**2])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairedPoint:
-    """Position fix, and the track position at its time.
+    """Position fix, and the track position at its time."""
 
-    Attributes
-    ----------
-    track_m : (2,) array
-        Position of the track.
-    world_m : (2,) array
-        Position of the fix.
-    var_m2 : float
-        Variance of the fix, as mean of both axes.
-    walked_var_m2 : float
-        Variance of the track since its start that the heading does not explain. It only grows.
-    time_s : float
-        Time of the fix.
-    correlation_s : float
-        Correlation time of the errors of fixes (see `PositionFix`).
-    """
-
-    track_m: FloatArray
-    world_m: FloatArray
-    var_m2: float
+    track_m: FloatArray  # (2,) position of the track
+    world_m: FloatArray  # (2,) position of the fix
+    var_m2: float  # variance of the fix, as mean of both axes
+    # Variance of the track since its start that the heading does not explain. It only grows.
     walked_var_m2: float = 0.0
-    time_s: float = 0.0
-    correlation_s: float = 0.0
+    time_s: float = 0.0  # time of the fix
+    correlation_s: float = 0.0  # correlation time of the errors of fixes (see `PositionFix`)
 
     def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> PairedPoint:
         """Return the pair with the track position transformed by a function of positions (2,)."""
@@ -108,18 +93,10 @@ def spaced_pairs(pairs: tuple[PairedPoint, ...], most: int) -> tuple[PairedPoint
 
 @dataclass(frozen=True, slots=True)
 class Compass:
-    """Rotation from the start frame to true north as measured by the magnetic field.
+    """Rotation from the start frame to true north as measured by the magnetic field."""
 
-    Attributes
-    ----------
-    angle_rad : float
-        Angle of the rotation.
-    var_rad2 : float
-        Variance of the angle if the compass does not fail.
-    """
-
-    angle_rad: float
-    var_rad2: float
+    angle_rad: float  # angle of the rotation
+    var_rad2: float  # variance of the angle if the compass does not fail
 
     @property
     def std_rad(self) -> float:
@@ -431,12 +408,7 @@ def consistent_pairs(
 
 
 def _consistent_fit(pairs: tuple[PairedPoint, ...], north_var_rad2: float, n_sure: int) -> _Fit:
-    """Return the fit of shift and rotation to the fixes that are consistent with each other.
-
-    Each pair is a fix with the track position at its time. While the residuals exceed their limit, the pair whose
-    removal reduces them most is removed. The first `n_sure` pairs are never removed. `north_var_rad2` is the prior
-    variance of the rotation.
-    """
+    """Return the fit of shift and rotation to the `consistent_pairs`."""
     fit = _fitted(pairs, north_var_rad2)
     while (n := len(fit.pairs)) > max(n_sure, 1):
         limit = agreement_limit(2 * n - 3) if n > 3 else _MIN_DISAGREEMENT**2

@@ -178,23 +178,12 @@ class PastSteps:
 
     The position of a step is place + B (x - mean) + e, with mean the estimate of x and e an error that is uncorrelated
     with x. The last axis of all arrays counts the steps.
-
-    Attributes
-    ----------
-    time_s : (N,) array
-        Contacts of the steps.
-    position_m : (2, N) array
-        Estimated positions (east, north) after each step.
-    by_state : (2, 4, N) array
-        B, the derivative of each position with respect to the later state.
-    own_cov_m2 : (3, N) array
-        Covariance of the error e, as (east east, east north, north north).
     """
 
-    time_s: FloatArray
-    position_m: FloatArray
-    by_state: FloatArray
-    own_cov_m2: FloatArray
+    time_s: FloatArray  # (N,) contacts of the steps
+    position_m: FloatArray  # (2, N) estimated positions (east, north) after each step
+    by_state: FloatArray  # (2, 4, N) B, the derivative of each position with respect to the later state
+    own_cov_m2: FloatArray  # (3, N) covariance of the error e, as (east east, east north, north north)
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -29,24 +29,12 @@ from pdr_filter.values import (
 
 
 class ModeLengths(NamedTuple):
-    """Lengths of one step in each mode, without the scale of the person.
+    """Lengths of one step in each mode, without the scale of the person."""
 
-    Attributes
-    ----------
-    length_m : (M,) array
-        Length in m, zero in modes without displacement.
-    var_m2 : (M,) array
-        Variance of the length in m2: residual plus parameters.
-    residual_var_m2 : (M,) array
-        Variance of a single step about the length of its mode.
-    parameter_std_m : (M,) array
-        Standard deviation in m due to the parameters of the length model.
-    """
-
-    length_m: FloatArray
-    var_m2: FloatArray
-    residual_var_m2: FloatArray
-    parameter_std_m: FloatArray
+    length_m: FloatArray  # (M,) length in m, zero in modes without displacement
+    var_m2: FloatArray  # (M,) variance of the length in m2: residual plus parameters
+    residual_var_m2: FloatArray  # (M,) variance of a single step about the length of its mode
+    parameter_std_m: FloatArray  # (M,) standard deviation in m due to the parameters of the length model
 
     def mixture_var_m2(self, weights: FloatArray) -> float:
         """Return the variance in m2 of the length of a step whose mode has probabilities (M,)."""

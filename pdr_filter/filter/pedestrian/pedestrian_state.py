@@ -223,18 +223,10 @@ class PedestrianState:
 
 @dataclass(frozen=True, eq=False)
 class Rival:
-    """Less probable one of two hypotheses about the position and heading of the track.
-
-    Attributes
-    ----------
-    pedestrian : PedestrianState
-        State of the hypothesis.
-    log_odds : float
-        Log of the ratio of the probabilities of this hypothesis and the more probable one, 0 or less.
-    """
+    """Less probable one of two hypotheses about the position and heading of the track."""
 
     pedestrian: PedestrianState
-    log_odds: float
+    log_odds: float  # log of the ratio of the probabilities of this hypothesis and the more probable one, 0 or less
 
 
 def with_change(state: PedestrianState, change: Callable[[PastPath], PastPath]) -> PedestrianState:
@@ -317,24 +309,12 @@ def with_withheld_length(
 
 
 class StepEstimate(NamedTuple):
-    """Estimate after the evidence of a step.
+    """Estimate after the evidence of a step."""
 
-    Attributes
-    ----------
-    estimates : Estimates
-        Estimates of the filters.
-    combined : ((4,) array, (4, 4) array)
-        Combined mean and covariance.
-    mode_prob : (M,) array
-        Probabilities of the modes, or their weights.
-    context_prob : (C,) array
-        Context probabilities.
-    """
-
-    estimates: Estimates
-    combined: tuple[FloatArray, FloatArray]
-    mode_prob: FloatArray
-    context_prob: FloatArray
+    estimates: Estimates  # estimates of the filters
+    combined: tuple[FloatArray, FloatArray]  # combined mean (4,) and covariance (4, 4)
+    mode_prob: FloatArray  # (M,) probabilities of the modes, or their weights
+    context_prob: FloatArray  # (C,) context probabilities
 
 
 def state_after_step(

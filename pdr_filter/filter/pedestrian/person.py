@@ -17,6 +17,7 @@ from pdr_filter.filter.step_length.models import (
     RECORDING_STD,
     TYPICAL_STEP,
     StepLengthFit,
+    is_linear,
     length_and_jacobian,
     scale_std,
 )
@@ -237,27 +238,13 @@ class Person:
 
 @dataclass(frozen=True, slots=True)
 class LengthFixes:
-    """Number of the used fixes that a session is learnt from, and size of the area of the correlated ones.
+    """Number of the used fixes that a session is learnt from, and size of the area of the correlated ones."""
 
-    Attributes
-    ----------
-    n : int, default 0
-        Used positions, ranges and speeds.
-    n_correlated : int, default 0
-        Positions with correlated errors among them, such as the locations of a phone.
-    sum_m : tuple of float, default (0, 0)
-        Sum of the correlated positions, east and north.
-    square_m2 : float, default 0
-        Sum of the squared distances of the correlated positions from the origin.
-    var_m2 : float, default 0
-        Sum of the variances of the correlated positions along one axis.
-    """
-
-    n: int = 0
-    n_correlated: int = 0
-    sum_m: tuple[float, float] = (0.0, 0.0)
-    square_m2: float = 0.0
-    var_m2: float = 0.0
+    n: int = 0  # used positions, ranges and speeds
+    n_correlated: int = 0  # positions with correlated errors among them, such as the locations of a phone
+    sum_m: tuple[float, float] = (0.0, 0.0)  # sum of the correlated positions, east and north
+    square_m2: float = 0.0  # sum of the squared distances of the correlated positions from the origin
+    var_m2: float = 0.0  # sum of the variances of the correlated positions along one axis
 
     def plus(self, fix: Fix) -> LengthFixes:
         """Return the sums with one more used fix. Fixes that say nothing about step lengths change nothing."""
@@ -334,7 +321,7 @@ def _main_mode(modes: Sequence[Mode]) -> Mode:
 
 def _scaled(fit: StepLengthFit, factor: float) -> StepLengthFit:
     """Return the fit with all lengths multiplied by a factor. ValueError for a model that is not linear."""
-    if not hasattr(fit.model, "regressors"):
+    if not is_linear(fit.model):
         raise ValueError(
             f"person cannot scale the step-length model {type(fit.model).__name__}, because it is not linear in its "
             'parameters: use recipe "default" or track without person'

@@ -44,21 +44,11 @@ _MIN_RANGES = 4  # three for the unknowns, and one to verify them
 
 @dataclass(frozen=True, eq=False)
 class PairedRange:
-    """Range, and the track position at its time.
-
-    Attributes
-    ----------
-    fix : RangeFix
-        The range.
-    track_m : (2,) array
-        Position of the track.
-    is_used : bool
-        True if the filter has used the range.
-    """
+    """Range, and the track position at its time."""
 
     fix: RangeFix
-    track_m: FloatArray
-    is_used: bool
+    track_m: FloatArray  # (2,) position of the track
+    is_used: bool  # True if the filter has used the range
 
     def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> PairedRange:
         """Return the range with the track position transformed by a function of positions (..., 2)."""
@@ -67,52 +57,26 @@ class PairedRange:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorPose:
-    """Prior of the pose: the position of one point of the track and the rotation of the frame.
+    """Prior of the pose: the position of one point of the track and the rotation of the frame."""
 
-    Attributes
-    ----------
-    track_m : (2,) array
-        Point of the track.
-    position_m : (2,) array
-        Prior mean of the position of this point in the frame of the anchors.
-    information : (3, 3) array
-        Information matrix of the position and the rotation.
-    angle_rad : float
-        Prior mean of the rotation from the track to the frame of the anchors.
-    """
-
-    track_m: FloatArray
-    position_m: FloatArray
-    information: FloatArray
-    angle_rad: float = 0.0
+    track_m: FloatArray  # (2,) point of the track
+    position_m: FloatArray  # (2,) prior mean of the position of this point in the frame of the anchors
+    information: FloatArray  # (3, 3) information matrix of the position and the rotation
+    angle_rad: float = 0.0  # prior mean of the rotation from the track to the frame of the anchors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RangeSolution:
-    """Shift and rotation of the track that fit the ranges.
+    """Shift and rotation of the track that fit the ranges."""
 
-    Attributes
-    ----------
-    track_centre_m, world_centre_m : (2,) array
-        Centre of rotation in both frames.
-    angle_rad : float
-        Angle of the rotation.
-    cov : (3, 3) array
-        Covariance of the centre and the angle.
-    log_odds : float
-        Log of the ratio of the probabilities of this solution and the most probable one, 0 or less.
-    log_density : float
-        Log density of the ranges and the prior at this pose.
-    fits : tuple of bool
-        True for ranges that fit the pose and are more probably direct than reflected, in the order of the ranges.
-    """
-
+    # (2,) centre of rotation in both frames.
     track_centre_m: FloatArray
     world_centre_m: FloatArray
-    angle_rad: float
-    cov: FloatArray
-    log_odds: float
-    log_density: float
+    angle_rad: float  # angle of the rotation
+    cov: FloatArray  # (3, 3) covariance of the centre and the angle
+    log_odds: float  # log of the ratio of the probabilities of this solution and the most probable one, 0 or less
+    log_density: float  # log density of the ranges and the prior at this pose
+    # True for ranges that fit the pose and are more probably direct than reflected, in the order of the ranges.
     fits: tuple[bool, ...]
 
     @property
@@ -209,7 +173,7 @@ def solutions(pairs: Sequence[PairedRange], prior: PriorPose | None = None) -> l
 def _distinct(pose: FloatArray) -> FloatArray:
     """Return the first of each group of equal poses (P, 3), at most `_N_KEPT` of them.
 
-    A pose is a position and a rotation of the track. Poses that differ by at most `_SAME_M` and `_SAME_RAD` are equal.
+    Poses that differ by at most `_SAME_M` and `_SAME_RAD` are equal.
     """
     kept = list[FloatArray]()
     left = pose
@@ -229,13 +193,13 @@ def log_density_unmoved(pairs: Sequence[PairedRange]) -> float:
 
 
 def _is_same(a: FloatArray, b: FloatArray) -> bool:
-    """Return True if two poses, each a position and a rotation, are the same solution within small tolerances."""
+    """Return True if two poses are the same solution within small tolerances."""
     return bool(np.hypot(*(a[:2] - b[:2])) < _SAME_M and abs(float(wrap_angle(a[2] - b[2]))) < _SAME_RAD)
 
 
 @dataclass(frozen=True)
 class _Problem:
-    """Least-squares problem of N ranges to a track, for poses (P, 3): position of the track centre, and rotation."""
+    """Least-squares problem of N ranges to a track, for P poses (P, 3): position of the track centre, and rotation."""
 
     fixes: list[RangeFix]
     lever_m: FloatArray  # (N, 2)
@@ -251,9 +215,8 @@ class _Problem:
     def starts(self) -> FloatArray:
         """Return the poses (P, 3) from which the least squares start.
 
-        A pose is the position and rotation of the track. The positions are on circles about up to three anchors, and at
-        the prior. The rotations are spread over the circle. If the prior of the rotation is narrow, only its mean is
-        used.
+        The positions are on circles about up to three anchors, and at the prior. The rotations are spread over the
+        circle. If the prior of the rotation is narrow, only its mean is used.
         """
         angles = np.linspace(-math.pi, math.pi, _N_ANGLES, endpoint=False)
         if self.prior is not None and self.prior.information[2, 2] > 1.0 / MAX_ANGLE_STD_RAD**2:
@@ -272,10 +235,7 @@ class _Problem:
         return np.column_stack([place, angle])
 
     def _parts(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the residuals (P, N) of the ranges at poses (P, 3), and their derivatives (P, N, 3) by the pose.
-
-        A pose is the position and rotation of the track.
-        """
+        """Return the residuals (P, N) of the ranges at poses (P, 3), and their derivatives (P, N, 3) by the pose."""
         c, s = np.cos(pose[:, 2, None]), np.sin(pose[:, 2, None])
         east, north = self.lever_m.T
         turned = np.stack([c * east + s * north, c * north - s * east], axis=-1)
@@ -299,10 +259,7 @@ class _Problem:
         return np.exp(direct - np.logaddexp(direct, reflected))
 
     def _from_prior(self, prior: PriorPose, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the differences (P, 3) of poses from the prior, and their derivatives (P, 3, 3) by the pose.
-
-        A pose is the position and rotation of the track.
-        """
+        """Return the differences (P, 3) of poses from the prior, and their derivatives (P, 3, 3) by the pose."""
         lever = prior.track_m - self.centre_m
         c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
         turned = np.column_stack([c * lever[0] + s * lever[1], c * lever[1] - s * lever[0]])
@@ -316,8 +273,7 @@ class _Problem:
     def _normal(self, pose: FloatArray, is_robust: bool) -> tuple[FloatArray, FloatArray]:
         """Return the normal matrices (P, 3, 3) and gradients (P, 3) of the least squares at poses (P, 3).
 
-        A pose is the position and rotation of the track. The prior is included. If `is_robust` is True, each range has
-        the weight of its probability to be direct.
+        The prior is included. If `is_robust` is True, each range has the weight of its probability to be direct.
         """
         residual, J = self._parts(pose)
         weight = (self._direct(residual) if is_robust else np.ones_like(residual)) / self._var_m2
@@ -330,23 +286,17 @@ class _Problem:
         return normal, gradient
 
     def improved(self, pose: FloatArray, is_robust: bool, damping: float) -> FloatArray:
-        """Return the poses (position and rotation) after one damped Gauss-Newton iteration (Levenberg-Marquardt).
-
-        If `is_robust` is True, each range has the weight of its probability to be direct.
-        """
+        """Return the poses after one damped Gauss-Newton iteration (Levenberg-Marquardt) on `_normal`."""
         normal, gradient = self._normal(pose, is_robust)
         damped = normal + damping * np.einsum("paa->pa", normal)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
         return pose - np.linalg.solve(damped, gradient[..., None])[..., 0]
 
     def information(self, pose: FloatArray) -> FloatArray:
-        """Return the information matrix (3, 3) of one pose (position and rotation of the track).
-
-        The ranges that are probably direct and the prior contribute.
-        """
+        """Return the information matrix (3, 3) of one pose, from the prior and the ranges that are probably direct."""
         return self._normal(pose[None], is_robust=True)[0][0]
 
     def log_density(self, pose: FloatArray) -> FloatArray:
-        """Return the log density (P,) of the ranges and the prior at poses (P, 3), which are positions and rotations.
+        """Return the log density (P,) of the ranges and the prior at poses (P, 3).
 
         Each range is either direct, or reflected and longer.
         """
@@ -357,7 +307,7 @@ class _Problem:
         return total - 0.5 * np.einsum("pa,ab,pb->p", difference, self.prior.information, difference)
 
     def fits(self, pose: FloatArray) -> tuple[bool, ...]:
-        """Return, for each range, True if it fits one pose (3,), which is a position and a rotation.
+        """Return, for each range, True if it fits one pose (3,).
 
         Its residual is then below 3.7 standard deviations, and its path is more probably direct than reflected.
         """

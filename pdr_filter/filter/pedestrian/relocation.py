@@ -43,21 +43,11 @@ _MIN_REJECTED = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelocationEvidence:
-    """Rejected position fixes that are consistent with each other.
+    """Rejected position fixes that are consistent with each other."""
 
-    Attributes
-    ----------
-    pairs : tuple of PairedPoint
-        Rejected fixes that are consistent up to a shift and rotation of the track.
-    rival : tuple of PairedPoint
-        Later fixes that are consistent with each other but not with `pairs`.
-    is_used_last : bool
-        True if the last fix was used.
-    """
-
-    pairs: tuple[PairedPoint, ...] = ()
-    rival: tuple[PairedPoint, ...] = ()
-    is_used_last: bool = False
+    pairs: tuple[PairedPoint, ...] = ()  # rejected fixes that are consistent up to a shift and rotation of the track
+    rival: tuple[PairedPoint, ...] = ()  # later fixes that are consistent with each other but not with `pairs`
+    is_used_last: bool = False  # True if the last fix was used
 
     def with_moved_track(self, positions: Callable[[FloatArray], FloatArray]) -> RelocationEvidence:
         """Return the evidence with the track positions of its fixes transformed by a function of positions (..., 2)."""

@@ -14,15 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from pdr_filter.values import (
-    Fix,
-    FloatArray,
-    PositionFix,
-    Standstill,
-    measurement_of,
-    read_only,
-    replace_unchecked,
-)
+from pdr_filter.values import Fix, FloatArray, PositionFix, Standstill, measurement_of, read_only, replace_unchecked
 from pdr_filter.values.fixes import OWN_FIXES
 
 # Equal values within this time are one measurement. Most receivers measure at least every five seconds, and bridges
@@ -43,49 +35,24 @@ Repetition = Literal["", "frozen", "repeated"]
 
 @dataclass(frozen=True, eq=False)
 class SeenPosition:
-    """Last fix position that was not a repetition, and the track at that time.
+    """Last fix position that was not a repetition, and the track at that time."""
 
-    Attributes
-    ----------
-    position_m : (2,) array
-        Position of the fix.
-    track_m : (2,) array
-        Position of the track at the time of the fix.
-    walked_m : float
-        Distance of all steps until then.
-    is_frozen : bool
-        True if fixes repeated the position while steps continued.
-    floor : int or None
-        Storey of the fix. The same position on another storey is not a repetition.
-    """
-
-    position_m: FloatArray
-    track_m: FloatArray
-    walked_m: float
-    is_frozen: bool = False
-    floor: int | None = None
+    position_m: FloatArray  # (2,) position of the fix
+    track_m: FloatArray  # (2,) position of the track at the time of the fix
+    walked_m: float  # distance of all steps until then
+    is_frozen: bool = False  # True if fixes repeated the position while steps continued
+    floor: int | None = None  # storey of the fix. The same position on another storey is not a repetition.
 
 
 @dataclass(frozen=True, eq=False)
 class RecentFix:
-    """Fix that was not a repetition.
+    """Fix that was not a repetition."""
 
-    Attributes
-    ----------
-    kind : str
-        Name of the class.
-    time_s : float
-        Time of the fix.
-    pose : (3,) array
-        East, north and heading of the track at which a measurement of a user-defined class was evaluated.
-    values : str
-        Hash of all values except the times.
-    """
-
-    kind: str
-    time_s: float
+    kind: str  # name of the class
+    time_s: float  # time of the fix
+    # (3,) east, north and heading of the track at which a measurement of a user-defined class was evaluated.
     pose: FloatArray
-    values: str
+    values: str  # hash of all values except the times
 
 
 def recent_after(recent: tuple[RecentFix, ...], fix: Fix, pose: FloatArray) -> tuple[RecentFix, ...]:
@@ -133,18 +100,10 @@ def seen_after(previous: SeenPosition | None, fix: PositionFix, track_m: FloatAr
 
 @dataclass(frozen=True, eq=False)
 class FixMemory:
-    """Earlier fixes with which a new one is compared.
+    """Earlier fixes with which a new one is compared."""
 
-    Attributes
-    ----------
-    seen : SeenPosition or None
-        Last position that was not a repetition.
-    recent : tuple of RecentFix
-        Last fixes of all kinds that were not repetitions.
-    """
-
-    seen: SeenPosition | None = None
-    recent: tuple[RecentFix, ...] = ()
+    seen: SeenPosition | None = None  # last position that was not a repetition
+    recent: tuple[RecentFix, ...] = ()  # last fixes of all kinds that were not repetitions
 
     def plus(self, fix: Fix, pose: FloatArray, walked_m: float) -> tuple[FixMemory, Repetition]:
         """Return the memory after one more fix, and whether the fix is a repetition.

@@ -66,10 +66,7 @@ def _model_to_plain(model: StepLengthModel) -> dict[str, Any]:
         return {"class": None, "n_params": model.n_params}
     # JSON has no infinity
     values = {f.name: getattr(model, f.name) for f in fields(cast(Any, model))}
-    return {
-        "class": type(model).__name__,
-        **{n: None if v == np.inf else v for n, v in values.items() if n != "n_params"},
-    }
+    return {"class": type(model).__name__, **{name: None if v == np.inf else v for name, v in values.items()}}
 
 
 def _model_from_plain(context: str, plain: Mapping[str, Any], own: OwnModels) -> StepLengthModel:
@@ -81,7 +78,7 @@ def _model_from_plain(context: str, plain: Mapping[str, Any], own: OwnModels) ->
             f"no step-length model {plain['class']!r}: the file was written by another "
             "version of pdr_filter; calibrate again"
         )
-    values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name not in ("class", "n_params")}
+    values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name != "class"}
     return cast(StepLengthModel, kind(**values))
 
 

@@ -76,7 +76,7 @@ def _parameter_lines(result: CalibrationResult) -> list[str]:
 
 
 def _error_lines(result: CalibrationResult) -> list[str]:
-    lines = [f"{'error of segments in %':<34}{'bias':>7}{'spread':>8}{'RMS':>7}"]
+    lines, rms_of = [f"{'error of segments in %':<34}{'bias':>7}{'spread':>8}{'RMS':>7}"], dict[str, float]()
     for label, column in (
         ("uncalibrated (prior)", "uncalibrated_m"),
         ("calibrated, in sample", "predicted_m"),
@@ -84,14 +84,12 @@ def _error_lines(result: CalibrationResult) -> list[str]:
         ("calibrated, person held out", "stranger_m"),
     ):
         bias, spread, rms = _errors_percent(result.segments[column], result.segments.distance_m)
+        rms_of[column] = rms
         is_alone = column == "stranger_m" and len(result.subject_ids) < 2
         missing = "needs two persons" if is_alone else "not determined"
         values = f"{bias:>+7.1f}{spread:>8.1f}{rms:>7.1f}" if np.isfinite(rms) else f"{missing:>22}"
         lines.append(f"{label:<34}{values}")
-    (_, _, before), (_, _, stranger) = (
-        _errors_percent(result.segments[column], result.segments.distance_m)
-        for column in ("uncalibrated_m", "stranger_m")
-    )
+    before, stranger = rms_of["uncalibrated_m"], rms_of["stranger_m"]
     if stranger > before:
         lines.append(
             f"segments of held-out persons have an RMS error of {stranger:.1f} % with this calibration and of "

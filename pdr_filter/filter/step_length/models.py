@@ -1,7 +1,8 @@
 """Step-length models, and fits of their parameters.
 
 A model gives the length of a step as a function of the step and of parameters theta. The filter and the calibration use
-the same models. docs/methods/step_length.md compares them on real walks.
+the same models. docs/methods/step_length.md compares them on real walks. The pages of docs/methods that are named after
+the papers (martinelli2018, tian2016, guo2018, zhou2019) have the full references.
 """
 
 from __future__ import annotations
@@ -36,35 +37,7 @@ class _Parameters(Protocol):
         ...
 
 
-class LinearStepLengthModel(_Parameters, Protocol):
-    """Protocol of a step-length model that is linear in its parameters.
-
-    The length in m is `regressors(step) @ theta`, with p parameters theta. Any class with `n_params` and `regressors`
-    fulfils the protocol. A frozen dataclass is recommended, because instances should be hashable and can then be saved.
-
-    Attributes
-    ----------
-    n_params : int
-        Number p of parameters.
-
-    Examples
-    --------
-    >>> from dataclasses import dataclass
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
-    >>> @dataclass(frozen=True)
-    ... class Affine:
-    ...     n_params: int = 2
-    ...
-    ...     def regressors(self, step):
-    ...         return np.array([1.0, step.frequency_hz])
-    >>> fit = pdr.StepLengthFit(Affine(), np.array([0.2, 0.25]), np.zeros((2, 2)), residual_std_m=0.06)
-    >>> length_m, var_m2 = fit.predict(TYPICAL_STEP)
-    >>> round(length_m, 4), round(var_m2, 4)
-    (0.6625, 0.0036)
-    """
-
+class _Linear(Protocol):
     def regressors(self, step: Step) -> FloatArray:
         """Return the regressors of one step, which are also the derivative of its length with respect to theta.
 
@@ -81,38 +54,7 @@ class LinearStepLengthModel(_Parameters, Protocol):
         ...
 
 
-class SmoothStepLengthModel(_Parameters, Protocol):
-    """Protocol of a step-length model that is a smooth, nonlinear function of its parameters.
-
-    Any class with `n_params`, `length_m` and `jacobian` fulfils the protocol. The parameters theta may have leading
-    axes, so that one call evaluates many parameter vectors.
-
-    Attributes
-    ----------
-    n_params : int
-        Number p of parameters.
-
-    Examples
-    --------
-    >>> from dataclasses import dataclass
-    >>> import numpy as np
-    >>> import pdr_filter as pdr
-    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
-    >>> @dataclass(frozen=True)
-    ... class PowerLaw:
-    ...     n_params: int = 2
-    ...
-    ...     def length_m(self, step, theta):
-    ...         return theta[..., 0] * step.frequency_hz ** theta[..., 1]
-    ...
-    ...     def jacobian(self, step, theta):
-    ...         power = step.frequency_hz ** theta[..., 1]
-    ...         return np.stack([power, theta[..., 0] * power * np.log(step.frequency_hz)], axis=-1)
-    >>> fit = pdr.StepLengthFit(PowerLaw(), np.array([0.5, 0.6]), np.zeros((2, 2)), residual_std_m=0.06)
-    >>> round(fit.predict(TYPICAL_STEP)[0], 3)
-    0.723
-    """
-
+class _Smooth(Protocol):
     def length_m(self, step: Step, theta: FloatArray) -> FloatArray:
         """Return the length of a step for given parameters.
 
@@ -146,6 +88,69 @@ class SmoothStepLengthModel(_Parameters, Protocol):
             Derivative of the length in m with respect to each parameter.
         """
         ...
+
+
+class LinearStepLengthModel(_Parameters, _Linear, Protocol):
+    """Protocol of a step-length model that is linear in its parameters.
+
+    The length in m is `regressors(step) @ theta`, with p parameters theta. Any class with `n_params` and `regressors`
+    fulfils the protocol. A frozen dataclass is recommended, because instances should be hashable and can then be saved.
+
+    Attributes
+    ----------
+    n_params : int
+        Number p of parameters.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
+    >>> @dataclass(frozen=True)
+    ... class Affine:
+    ...     n_params: int = 2
+    ...
+    ...     def regressors(self, step):
+    ...         return np.array([1.0, step.frequency_hz])
+    >>> fit = pdr.StepLengthFit(Affine(), np.array([0.2, 0.25]), np.zeros((2, 2)), residual_std_m=0.06)
+    >>> length_m, var_m2 = fit.predict(TYPICAL_STEP)
+    >>> round(length_m, 4), round(var_m2, 4)
+    (0.6625, 0.0036)
+    """
+
+
+class SmoothStepLengthModel(_Parameters, _Smooth, Protocol):
+    """Protocol of a step-length model that is a smooth, nonlinear function of its parameters.
+
+    Any class with `n_params`, `length_m` and `jacobian` fulfils the protocol. The parameters theta may have leading
+    axes, so that one call evaluates many parameter vectors.
+
+    Attributes
+    ----------
+    n_params : int
+        Number p of parameters.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass
+    >>> import numpy as np
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP
+    >>> @dataclass(frozen=True)
+    ... class PowerLaw:
+    ...     n_params: int = 2
+    ...
+    ...     def length_m(self, step, theta):
+    ...         return theta[..., 0] * step.frequency_hz ** theta[..., 1]
+    ...
+    ...     def jacobian(self, step, theta):
+    ...         power = step.frequency_hz ** theta[..., 1]
+    ...         return np.stack([power, theta[..., 0] * power * np.log(step.frequency_hz)], axis=-1)
+    >>> fit = pdr.StepLengthFit(PowerLaw(), np.array([0.5, 0.6]), np.zeros((2, 2)), residual_std_m=0.06)
+    >>> round(fit.predict(TYPICAL_STEP)[0], 3)
+    0.723
+    """
 
 
 #: A step-length model that is linear in its parameters, or one with a Jacobian.
@@ -214,20 +219,11 @@ def _is_smooth(model: StepLengthModel) -> TypeGuard[SmoothStepLengthModel]:
 USUAL_HEIGHT_M = 1.70
 
 
-class _LinearModel:
-    """Base class of the models below that are linear in their parameters, with the docstring of the protocol."""
-
-    def regressors(self, step: Step) -> FloatArray:
-        raise NotImplementedError
-
-    regressors.__doc__ = LinearStepLengthModel.regressors.__doc__
-
-
 # --- models from papers ---------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class StaticStepLength(_LinearModel):
+class StaticStepLength(_Linear):
     """Step length proportional to the body height, L = k h.
 
     The parameter theta = (k,) has no unit.
@@ -236,20 +232,10 @@ class StaticStepLength(_LinearModel):
     ----------
     height_m : float
         Body height h in m.
-    n_params : int, default 1
-        Number p of parameters. Do not change it.
 
     Notes
     -----
     Tian et al. (2016), eq. 2; Guo et al. (2018), eq. 10.
-
-    References
-    ----------
-    Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using
-    Smartphones", IEEE Sensors Journal, 2016, doi:10.1109/JSEN.2015.2510364.
-
-    G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, "A Pose Awareness Solution for Estimating Pedestrian
-    Walking Speed", Remote Sensing 11(1), 55, 2019, doi:10.3390/rs11010055.
 
     Examples
     --------
@@ -259,7 +245,7 @@ class StaticStepLength(_LinearModel):
     """
 
     height_m: float
-    n_params: int = 1
+    n_params = 1
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -269,24 +255,14 @@ class StaticStepLength(_LinearModel):
 
 
 @dataclass(frozen=True)
-class FrequencyStepLength(_LinearModel):
+class FrequencyStepLength(_Linear):
     """Step length linear in the step frequency, L = k0 + k1 f.
 
     The parameters are theta = (k0, k1) in m and m s.
 
-    Attributes
-    ----------
-    n_params : int, default 2
-        Number p of parameters. Do not change it.
-
     Notes
     -----
     Model M1 of Zhou et al. (2019), eq. 7.
-
-    References
-    ----------
-    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
-    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
 
     Examples
     --------
@@ -295,14 +271,14 @@ class FrequencyStepLength(_LinearModel):
     array([1.  , 1.85])
     """
 
-    n_params: int = 2
+    n_params = 2
 
     def regressors(self, step: Step) -> FloatArray:
         return np.array([1.0, step.frequency_hz])
 
 
 @dataclass(frozen=True)
-class FrequencyVarianceStepLength(_LinearModel):
+class FrequencyVarianceStepLength(_Linear):
     """Step length linear in step frequency and variance, L = k0 + k1 f_s + k2 sigma_f^2.
 
     The parameters are theta = (k0, k1, k2) in m, m s and s4/m. sigma_f^2 is the variance of the magnitude of the
@@ -317,8 +293,6 @@ class FrequencyVarianceStepLength(_LinearModel):
     max_frequency_hz : float, default 4.5
         Upper bound of f_s in Hz; larger values count as the bound. Sprinters reach 4.5 steps per second. Shorter
         intervals end at a false contact.
-    n_params : int, default 3
-        Number p of parameters. Do not change it.
 
     Raises
     ------
@@ -330,14 +304,6 @@ class FrequencyVarianceStepLength(_LinearModel):
     Martinelli et al. (2018), eq. 12; model M2 of Zhou et al. (2019), eq. 8. The bounds are a deviation: each
     paper has only one placement of the sensor (waist or foot) and no bound.
 
-    References
-    ----------
-    A. Martinelli, H. Gao, P. D. Groves, S. Morosi, "Probabilistic Context-Aware Step Length Estimation for
-    Pedestrian Dead Reckoning", IEEE Sensors Journal 18(4), 2018, doi:10.1109/JSEN.2017.2776100.
-
-    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
-    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
-
     Examples
     --------
     >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, FrequencyVarianceStepLength
@@ -347,7 +313,7 @@ class FrequencyVarianceStepLength(_LinearModel):
 
     max_variance: float = np.inf
     max_frequency_hz: float = 4.5
-    n_params: int = 3
+    n_params = 3
 
     def __post_init__(self) -> None:
         check_numbers(self, infinite=("max_variance", "max_frequency_hz"))
@@ -358,25 +324,15 @@ class FrequencyVarianceStepLength(_LinearModel):
 
 
 @dataclass(frozen=True)
-class PeriodPeakStepLength(_LinearModel):
+class PeriodPeakStepLength(_Linear):
     """Step length linear in step duration and acceleration maximum, L = k0 + k1 / f + k2 max(a).
 
     The parameters are theta = (k0, k1, k2) in m, m/s and s2. a = |f| - g is the magnitude of the specific force less
     standard gravity.
 
-    Attributes
-    ----------
-    n_params : int, default 3
-        Number p of parameters. Do not change it.
-
     Notes
     -----
     Model M3 of Zhou et al. (2019), eq. 9.
-
-    References
-    ----------
-    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
-    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
 
     Examples
     --------
@@ -385,34 +341,21 @@ class PeriodPeakStepLength(_LinearModel):
     array([1.   , 0.541, 3.993])
     """
 
-    n_params: int = 3
+    n_params = 3
 
     def regressors(self, step: Step) -> FloatArray:
         return np.array([1.0, 1 / step.frequency_hz, step.magnitude_max_mps2 - STANDARD_GRAVITY_MPS2])
 
 
 @dataclass(frozen=True)
-class WeinbergStepLength(_LinearModel):
+class WeinbergStepLength(_Linear):
     """Step length from the range of the vertical acceleration, L = k (a_max - a_min)^(1/4).
 
     The parameter theta = (k,) has the unit m^(3/4) s^(1/2). a is the vertical specific force less gravity.
 
-    Attributes
-    ----------
-    n_params : int, default 1
-        Number p of parameters. Do not change it.
-
     Notes
     -----
     Tian et al. (2016), eq. 3; Guo et al. (2018), eq. 11.
-
-    References
-    ----------
-    Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using
-    Smartphones", IEEE Sensors Journal, 2016, doi:10.1109/JSEN.2015.2510364.
-
-    G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, "A Pose Awareness Solution for Estimating Pedestrian
-    Walking Speed", Remote Sensing 11(1), 55, 2019, doi:10.3390/rs11010055.
 
     Examples
     --------
@@ -421,32 +364,22 @@ class WeinbergStepLength(_LinearModel):
     array([1.627])
     """
 
-    n_params: int = 1
+    n_params = 1
 
     def regressors(self, step: Step) -> FloatArray:
         return np.array([step.vertical_range_mps2**0.25])
 
 
 @dataclass(frozen=True)
-class MagnitudeRangeStepLength(_LinearModel):
+class MagnitudeRangeStepLength(_Linear):
     """Step length from the range of the acceleration magnitude, L = k (max(a) - min(a))^(1/4).
 
     The parameter theta = (k,) has the unit m^(3/4) s^(1/2). a = |f| - g is the magnitude of the specific force less
     standard gravity.
 
-    Attributes
-    ----------
-    n_params : int, default 1
-        Number p of parameters. Do not change it.
-
     Notes
     -----
     Model M4 of Zhou et al. (2019), eq. 10.
-
-    References
-    ----------
-    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
-    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
 
     Examples
     --------
@@ -455,23 +388,18 @@ class MagnitudeRangeStepLength(_LinearModel):
     array([1.627])
     """
 
-    n_params: int = 1
+    n_params = 1
 
     def regressors(self, step: Step) -> FloatArray:
         return np.array([(step.magnitude_max_mps2 - step.magnitude_min_mps2) ** 0.25])
 
 
 @dataclass(frozen=True)
-class KimStepLength(_LinearModel):
+class KimStepLength(_Linear):
     """Step length from the mean absolute acceleration, L = k (mean |a|)^(1/3).
 
     The parameter theta = (k,) has the unit m^(2/3) s^(2/3). a = |f| - g is the magnitude of the specific force less
     standard gravity.
-
-    Attributes
-    ----------
-    n_params : int, default 1
-        Number p of parameters. Do not change it.
 
     Notes
     -----
@@ -482,17 +410,6 @@ class KimStepLength(_LinearModel):
     - Zhou et al. average a without the modulus. This works for the impacts of a foot-mounted sensor. For a phone the
       mean of |f| - g is about zero, so the modulus is needed.
 
-    References
-    ----------
-    Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using
-    Smartphones", IEEE Sensors Journal, 2016, doi:10.1109/JSEN.2015.2510364.
-
-    G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, "A Pose Awareness Solution for Estimating Pedestrian
-    Walking Speed", Remote Sensing 11(1), 55, 2019, doi:10.3390/rs11010055.
-
-    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
-    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
-
     Examples
     --------
     >>> from pdr_filter.filter.step_length.models import TYPICAL_STEP, KimStepLength
@@ -500,14 +417,14 @@ class KimStepLength(_LinearModel):
     array([1.193])
     """
 
-    n_params: int = 1
+    n_params = 1
 
     def regressors(self, step: Step) -> FloatArray:
         return np.array([np.cbrt(step.mean_abs_mps2)])
 
 
 @dataclass(frozen=True)
-class TianStepLength(_LinearModel):
+class TianStepLength(_Linear):
     """Step length from body height and step frequency, L = k h sqrt(f).
 
     The parameter theta = (k,) has the unit s^(1/2).
@@ -516,23 +433,10 @@ class TianStepLength(_LinearModel):
     ----------
     height_m : float
         Body height h in m.
-    n_params : int, default 1
-        Number p of parameters. Do not change it.
 
     Notes
     -----
     Tian et al. (2016), eq. 9; Guo et al. (2018), eq. 12; model M5 of Zhou et al. (2019), eq. 11.
-
-    References
-    ----------
-    Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using
-    Smartphones", IEEE Sensors Journal, 2016, doi:10.1109/JSEN.2015.2510364.
-
-    G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, "A Pose Awareness Solution for Estimating Pedestrian
-    Walking Speed", Remote Sensing 11(1), 55, 2019, doi:10.3390/rs11010055.
-
-    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
-    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
 
     Examples
     --------
@@ -542,7 +446,7 @@ class TianStepLength(_LinearModel):
     """
 
     height_m: float
-    n_params: int = 1
+    n_params = 1
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -552,7 +456,7 @@ class TianStepLength(_LinearModel):
 
 
 @dataclass(frozen=True)
-class ChenStepLength:
+class ChenStepLength(_Smooth):
     """Step length from body height and step frequency with three parameters of the person.
 
     L = (0.7 + a (h - 1.75) + b (f - 1.79) h / 1.75) c. The parameters are theta = (a, b, c); a and c have no unit, b is
@@ -562,17 +466,10 @@ class ChenStepLength:
     ----------
     height_m : float
         Body height h in m.
-    n_params : int, default 3
-        Number p of parameters. Do not change it.
 
     Notes
     -----
     Guo et al. (2018), eq. 14, after Chen et al. (2011). All three parameters belong to the person.
-
-    References
-    ----------
-    G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, "A Pose Awareness Solution for Estimating Pedestrian
-    Walking Speed", Remote Sensing 11(1), 55, 2019, doi:10.3390/rs11010055.
 
     Examples
     --------
@@ -584,47 +481,16 @@ class ChenStepLength:
     """
 
     height_m: float
-    n_params: int = 3
+    n_params = 3
 
     def __post_init__(self) -> None:
         check_numbers(self)
 
     def length_m(self, step: Step, theta: FloatArray) -> FloatArray:
-        """Return the length of a step for given parameters.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-        theta : (..., 3) array
-            Parameters (a, b, c), with any leading axes.
-
-        Returns
-        -------
-        (...) array
-            Length in m.
-        """
         a, b, c = theta[..., 0], theta[..., 1], theta[..., 2]
         return (0.7 + a * (self.height_m - 1.75) + b * self._quickness(step)) * c
 
     def jacobian(self, step: Step, theta: FloatArray) -> FloatArray:
-        """Return the derivative of the length with respect to the parameters.
-
-        The parameters are theta = (a, b, c). The derivative is (c (h - 1.75), c (f - 1.79) h / 1.75, L / c), with the
-        body height h in m, the step frequency f in Hz and the length L in m.
-
-        Parameters
-        ----------
-        step : Step
-            Step whose length is modelled.
-        theta : (..., 3) array
-            Parameters (a, b, c), with any leading axes.
-
-        Returns
-        -------
-        (..., 3) array
-            Derivative of the length in m with respect to a, b and c.
-        """
         a, b, c = theta[..., 0], theta[..., 1], theta[..., 2]
         taller, quicker = self.height_m - 1.75, self._quickness(step)
         return np.stack([c * taller, c * quicker, 0.7 + a * taller + b * quicker], axis=-1)
@@ -634,26 +500,16 @@ class ChenStepLength:
 
 
 @dataclass(frozen=True)
-class ZhouWalkingStepLength(_LinearModel):
+class ZhouWalkingStepLength(_Linear):
     """Step length of walking from step duration and acceleration maximum, model M7 of Zhou et al.
 
     L = k0 + k1 / f + k2 / sqrt(f) + k3 max(a), with a = |f| - g the magnitude of the specific force less standard
     gravity. The parameters are theta = (k0, k1, k2, k3) in m, m/s, m/s^(1/2) and s2.
 
-    Attributes
-    ----------
-    n_params : int, default 4
-        Number p of parameters. Do not change it.
-
     Notes
     -----
     Walking part of Zhou et al. (2019), eq. 14. The running part is `KimStepLength`, which belongs to a separate mode of
     the filter.
-
-    References
-    ----------
-    Z. Zhou, S. Mo, J. Wu, H. Fourati, "Behaviors classification based distance measuring system for pedestrians via a
-    foot-mounted inertial sensor", Asian Journal of Control 21(4), 2019, doi:10.1002/asjc.2005.
 
     Examples
     --------
@@ -662,7 +518,7 @@ class ZhouWalkingStepLength(_LinearModel):
     array([1.   , 0.541, 0.735, 3.993])
     """
 
-    n_params: int = 4
+    n_params = 4
 
     def regressors(self, step: Step) -> FloatArray:
         f = step.frequency_hz
@@ -673,7 +529,7 @@ class ZhouWalkingStepLength(_LinearModel):
 
 
 @dataclass(frozen=True)
-class BounceStepLength(_LinearModel):
+class BounceStepLength(_Linear):
     """Default step-length model, L = k h r A^(1/4), from body height and vertical bounce.
 
     The parameter theta = (k,) has the unit s^(1/2) m^(-1/4). A is the amplitude of the vertical force at the frequency
@@ -696,8 +552,6 @@ class BounceStepLength(_LinearModel):
         and values up to 2.3 are as good.
     max_turn_rate_radps : float, default 1.5
         Upper bound of the turn rate in rad/s: half a turn in two seconds. Quicker turns are movements of the hand.
-    n_params : int, default 1
-        Number p of parameters. Do not change it.
 
     Raises
     ------
@@ -741,7 +595,7 @@ class BounceStepLength(_LinearModel):
     max_frequency_hz: float = 2.4
     turn_scale_radps: float = 2.2
     max_turn_rate_radps: float = 1.5
-    n_params: int = 1
+    n_params = 1
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -1011,11 +865,6 @@ def static_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
     -----
     k is printed in the text of eq. 2 of Tian et al. (2016). Its standard deviation is from their Table VII: the
     distances of ten people over 28 m have a standard deviation of 3.58 m.
-
-    References
-    ----------
-    Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using
-    Smartphones", IEEE Sensors Journal, 2016, doi:10.1109/JSEN.2015.2510364.
 
     Examples
     --------

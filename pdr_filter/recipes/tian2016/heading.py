@@ -80,7 +80,7 @@ class OffsetCompensationState:
 
 
 @dataclass(frozen=True)
-class OffsetCompensation(StepStage):
+class OffsetCompensation(StepStage[OffsetCompensationState]):
     """Heading stage of Tian et al. 2016 with adaptive offset compensation.
 
     `walking_heading_rad` of a step is the device heading while the phone is held. During a transition, and until the

@@ -145,18 +145,10 @@ M = TypeVar("M")  # memory of a stage: its state between windows, apart from the
 
 @dataclass(frozen=True, eq=False)
 class WindowStageState(Generic[W, M]):
-    """State of a stage that classifies windows.
+    """State of a stage that classifies windows."""
 
-    Attributes
-    ----------
-    windows : W
-        State of the sliding windows.
-    memory : M
-        State of the classification, which is updated by each window.
-    """
-
-    windows: W
-    memory: M
+    windows: W  # state of the sliding windows
+    memory: M  # state of the classification, which is updated by each window
 
 
 @dataclass(frozen=True, eq=False)
@@ -439,9 +431,7 @@ class ContextModels:
         An assessment is None if there is no model for the sensors of the window. The context probabilities are then the
         training prior, with the unknown share 1. `standing` are the indices of the contexts without steps.
         """
-        model = (
-            self.with_gyroscope if window.has_gyroscope or self.without_gyroscope is None else self.without_gyroscope
-        )
+        model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope or self.with_gyroscope
         assessment = context_assessment or Assessment(model.training_prior, 1.0, 1.0, True)
         prob, unknown, unlike_stairs, is_unlike = assessment
         prob = (1 - unknown) * prob + unknown * model.training_prior

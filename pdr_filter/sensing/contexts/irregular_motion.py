@@ -56,33 +56,16 @@ _LIMIT = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IrregularGate:
-    """Logistic model of irregular motion with a rule for still windows.
+    """Logistic model of irregular motion with a rule for still windows."""
 
-    Attributes
-    ----------
-    feature_names : tuple of str
-        Names of the F features of the logistic model, from `pdr_filter.sensing.features.invariant.NAMES`.
-    mean : FloatArray
-        Means m of the features, shape (F,).
-    scale : FloatArray
-        Standard deviations s of the features, shape (F,).
-    weight : FloatArray
-        Weights w, shape (F,).
-    intercept : float
-        Intercept b.
-    still_names : tuple of str
-        Names of the S features that are all below their limits in a still window.
-    still_below : FloatArray
-        Limits of these features, shape (S,).
-    """
-
+    # Names of the F features of the logistic model, from `pdr_filter.sensing.features.invariant.NAMES`.
     feature_names: tuple[str, ...]
-    mean: FloatArray
-    scale: FloatArray
-    weight: FloatArray
-    intercept: float
-    still_names: tuple[str, ...]
-    still_below: FloatArray
+    mean: FloatArray  # (F,) means m of the features
+    scale: FloatArray  # (F,) standard deviations s of the features
+    weight: FloatArray  # (F,) weights w
+    intercept: float  # intercept b
+    still_names: tuple[str, ...]  # names of the S features that are all below their limits in a still window
+    still_below: FloatArray  # (S,) limits of these features
 
     def __post_init__(self) -> None:
         check_numbers(self, signed=("intercept",))

@@ -115,13 +115,8 @@ def attitude_free_contexts(classifier: str = "blend") -> LearnedContexts:
             "recipes.with_context_model"
         )
     name = _MODELS[classifier]
-    models = ContextModels(
-        load_model(name),
-        load_model(f"{name}_accelerometer"),
-        load_model("carrying"),
-        load_model("carrying_accelerometer"),
-    )
-    return LearnedContexts(FeatureWindows(features=ATTITUDE_FREE), models)
+    of_context, of_carrying = ((load_model(n), load_model(f"{n}_accelerometer")) for n in (name, "carrying"))
+    return LearnedContexts(FeatureWindows(features=ATTITUDE_FREE), ContextModels(*of_context, *of_carrying))
 
 
 def stage_of(
@@ -173,10 +168,8 @@ def with_carrying_models(
         )
     both = models if isinstance(models, tuple) else (models, None if models.needs_gyroscope else models)
     stage = _with_features_of(both, present)
-    return replace(
-        stage,
-        models=replace(stage.models, carrying_with_gyroscope=both[0], carrying_without_gyroscope=both[1]),
-    )
+    changed = replace(stage.models, carrying_with_gyroscope=both[0], carrying_without_gyroscope=both[1])
+    return replace(stage, models=changed)
 
 
 def _with_features_of(models: Sequence[ContextModel | None], stage: LearnedContexts) -> LearnedContexts:

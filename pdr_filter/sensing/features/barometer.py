@@ -54,33 +54,16 @@ _CLOCK_RESET_SAMPLES = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClimbState:
-    """Buffered samples, the end of the next window, and the check of the clock.
+    """Buffered samples, the end of the next window, and the check of the clock."""
 
-    Attributes
-    ----------
-    samples : FloatArray
-        Times and pressures that later windows still need, shape (2, B).
-    due_s : float
-        Nominal end of the next window, s. The window ends with the sample nearest to it.
-    behind_s : float
-        Time of the last sample that lies behind the last accepted one, s.
-    n_behind : int
-        Consecutive samples with increasing times that lie behind the last accepted one.
-    quantum_hpa : float
-        Smallest nonzero difference of consecutive samples, hPa. Infinite before the first change.
-    changed_s : float
-        Time of the last change of the pressure, or of the first sample after a gap, s.
-    stuck_s : float
-        Time for which the sensor was stuck in total, s.
-    """
-
-    samples: FloatArray
-    due_s: float
-    behind_s: float = -np.inf
-    n_behind: int = 0
+    samples: FloatArray  # (2, B) times and pressures that later windows still need
+    due_s: float  # nominal end of the next window, s. The window ends with the sample nearest to it.
+    behind_s: float = -np.inf  # time of the last sample that lies behind the last accepted one, s
+    n_behind: int = 0  # consecutive samples with increasing times that lie behind the last accepted one
+    # Smallest nonzero difference of consecutive samples, hPa. Infinite before the first change.
     quantum_hpa: float = np.inf
-    changed_s: float = np.nan
-    stuck_s: float = 0.0
+    changed_s: float = np.nan  # time of the last change of the pressure, or of the first sample after a gap, s
+    stuck_s: float = 0.0  # time for which the sensor was stuck in total, s
 
     @property
     def resolution_hpa(self) -> float:

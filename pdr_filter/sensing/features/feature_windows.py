@@ -75,18 +75,11 @@ class FeatureWindow(DescribedWindow):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowState:
-    """State of the feature windows.
+    """State of the feature windows."""
 
-    Attributes
-    ----------
-    zi : FloatArray or None
-        Memory of the low-pass filter, shape (1, 1, 2). None before the first sample, and for feature sets without
-        low-pass.
-    buffer : WindowBuffer
-        Buffered signals: 1 or 0 for a known or unknown angular rate, followed by the `N_SIGNALS` signals.
-    """
-
+    # (1, 1, 2) memory of the low-pass filter. None before the first sample, and for feature sets without low-pass.
     zi: FloatArray | None
+    # Buffered signals: 1 or 0 for a known or unknown angular rate, followed by the `N_SIGNALS` signals
     buffer: WindowBuffer
 
 

@@ -176,10 +176,7 @@ def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def invariant_features_of_motion(motion: MotionLines, rate_hz: float) -> FloatArray:
-    """Return the features (W, F) of a few windows.
-
-    `motion` is the result of `motion_lines` for these windows. The caller computes it once for all feature sets.
-    """
+    """Return the features (W, F) of a few windows, given their `motion_lines`."""
     centred, n = motion.centred, motion.centred.shape[2]
     vertical, horizontal = centred[:, 0], centred[:, 1:3]
     forward, lateral = _main_axes(horizontal)
@@ -317,51 +314,23 @@ class MotionLines:
 
     The last four are the swing of the limb about its main horizontal axis, with the specific force along and across the
     axis. The sign of the axis is arbitrary.
-
-    Attributes
-    ----------
-    windows : FloatArray
-        The signals of `SIGNALS`, shape (W, 12, N).
-    mean : FloatArray
-        Their means, shape (W, 12).
-    centred : FloatArray
-        The signals minus their means, shape (W, 12, N).
-    yaw_rate : FloatArray
-        Angular rate about up, shape (W, N), rad/s.
-    tilt_rate : FloatArray
-        Angular rate minus its part about up, sensor frame, shape (W, 3, N), rad/s.
-    turning : FloatArray
-        `tilt_rate` and `yaw_rate` minus their means, shape (W, 4, N), rad/s.
-    axes : FloatArray
-        Principal axes as columns, that of the largest variance last, shape (3, W, 3, 3): of the angular rate, of the
-        rate about horizontal axes, and of `tilt_rate`.
-    variance : FloatArray
-        Variances along these axes, shape (3, W, 3), (rad/s)^2.
-    about_mean_up : FloatArray
-        Angular rate about the mean of up, shape (W, N), rad/s.
-    rate : FloatArray
-        Angular rate about the axis, shape (W, N), rad/s.
-    roll_rate : FloatArray
-        Angular rate about the horizontal axis perpendicular to it, shape (W, N), rad/s.
-    across : FloatArray
-        Specific force across the axis, which is the direction of the swing, shape (W, N), m/s2.
-    along : FloatArray
-        Specific force along the axis, shape (W, N), m/s2.
     """
 
-    windows: FloatArray
-    mean: FloatArray
-    centred: FloatArray
-    yaw_rate: FloatArray
-    tilt_rate: FloatArray
-    turning: FloatArray
+    windows: FloatArray  # (W, 12, N) the signals of `SIGNALS`
+    mean: FloatArray  # (W, 12) their means
+    centred: FloatArray  # (W, 12, N) the signals minus their means
+    yaw_rate: FloatArray  # (W, N) angular rate about up, rad/s
+    tilt_rate: FloatArray  # (W, 3, N) angular rate minus its part about up, sensor frame, rad/s
+    turning: FloatArray  # (W, 4, N) `tilt_rate` and `yaw_rate` minus their means, rad/s
+    # Principal axes as columns, that of the largest variance last, shape (3, W, 3, 3): of the angular rate, of the rate
+    # about horizontal axes, and of `tilt_rate`.
     axes: FloatArray
-    variance: FloatArray
-    about_mean_up: FloatArray
-    rate: FloatArray
-    roll_rate: FloatArray
-    across: FloatArray
-    along: FloatArray
+    variance: FloatArray  # (3, W, 3) variances along these axes, (rad/s)^2
+    about_mean_up: FloatArray  # (W, N) angular rate about the mean of up, rad/s
+    rate: FloatArray  # (W, N) angular rate about the axis, rad/s
+    roll_rate: FloatArray  # (W, N) angular rate about the horizontal axis perpendicular to it, rad/s
+    across: FloatArray  # (W, N) specific force across the axis, which is the direction of the swing, m/s2
+    along: FloatArray  # (W, N) specific force along the axis, m/s2
 
 
 def motion_lines(windows: FloatArray) -> MotionLines:
@@ -376,10 +345,8 @@ def motion_lines(windows: FloatArray) -> MotionLines:
     yaw_rate = np.add.reduce(rate * up, axis=1)
     tilt_rate = rate - up * yaw_rate[:, None]
     turning = about_mean(np.concatenate([tilt_rate, yaw_rate[:, None]], axis=1))
-    up_length = np.maximum(
-        np.sqrt(np.add.reduce(mean[:, 6:9] * mean[:, 6:9], axis=1)), 1e-9
-    )  # zero without a direction
-    mean_up = mean[:, 6:9] / up_length[:, None]
+    up_length = np.sqrt(np.add.reduce(mean[:, 6:9] * mean[:, 6:9], axis=1))  # zero without a direction
+    mean_up = mean[:, 6:9] / np.maximum(up_length, 1e-9)[:, None]
     about_mean_up = _along(mean_up, rate)
     level_rate = about_mean(rate - mean_up[:, :, None] * about_mean_up[:, None])
     rates = np.array([centred[:, 3:6], level_rate, turning[:, :3]])

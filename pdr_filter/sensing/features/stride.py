@@ -130,11 +130,7 @@ def _all_stride_parts(lines: FloatArray, rate_hz: float) -> FloatArray:
 
 
 def stride_features_of_motion(motion: MotionLines, rate_hz: float) -> FloatArray:
-    """Return the features (W, F) of a few windows.
-
-    `motion` is the result of `invariant.motion_lines` for these windows. The caller computes it once for all feature
-    sets.
-    """
+    """Return the features (W, F) of a few windows, given their `invariant.motion_lines`."""
     n_windows, _, n = motion.centred.shape
     vertical, yaw_rate = motion.centred[:, 0], about_mean(motion.about_mean_up)
     lines = side_by_side(vertical, motion.across, motion.along, motion.rate, yaw_rate, motion.roll_rate)
@@ -195,12 +191,9 @@ def _factors() -> tuple[IntArray, IntArray]:
 
 
 def _phases(coefficients: FloatArray, amplitude: FloatArray, share: FloatArray) -> FloatArray:
-    """Return the cosine and sine (W, 2 P) of the P phases named in `PHASES`, each multiplied by shares.
+    """Return cosine and sine (W, 2 P) of the P phases named in `PHASES`, times the shares of their harmonics.
 
-    A phase is the angle of a product of complex harmonics. A share is the amplitude of a harmonic relative to all
-    harmonics of its signal, 0 to 1. Each cosine and sine is multiplied by the shares of all harmonics in its product.
-
-    The shares make the phase of noise vanish.
+    The shares (`_factors`) make the phase of noise vanish.
     """
     n_windows = len(share)
     unit = (coefficients[..., 1::2] - 1j * coefficients[..., 2::2]) / np.maximum(amplitude, 1e-12)

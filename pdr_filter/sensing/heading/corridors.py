@@ -29,31 +29,17 @@ _ALONG_AXIS = np.array([1.0, 0.0, 1.0, 0.0])  # measurement vector: the heading 
 
 @dataclass(frozen=True, eq=False)
 class CorridorState:
-    """Bank of M Kalman filters, and the log odds of axes.
+    """Bank of M Kalman filters, and the log odds of axes."""
 
-    Attributes
-    ----------
-    bank : FloatArray
-        Mean (first row) and covariance of each filter, shape (M, 5, 4). They are stacked so that one matrix product
-        applies a measurement vector to both. The state is drift (rad), drift rate (rad/s), direction of the axes (rad)
-        and scale error (rad of drift per rad of turn), all clockwise.
-    log_weight : FloatArray
-        Log probabilities of the filters, shape (M,).
-    log_odds : float
-        Log odds that the walk follows axes.
-    turned_rad : float
-        Total turn since the start, rad.
-    leg_rad : float
-        Last heading of a straight part (a leg), rad. NaN before the first.
-    recent : tuple of (float, float)
-        Times (s) and headings (rad) of the last steps, which may form a straight part.
-    """
-
+    # (M, 5, 4) mean (first row) and covariance of each filter. They are stacked so that one matrix product applies a
+    # measurement vector to both. The state is drift (rad), drift rate (rad/s), direction of the axes (rad) and scale
+    # error (rad of drift per rad of turn), all clockwise.
     bank: FloatArray
-    log_weight: FloatArray
-    log_odds: float
-    turned_rad: float = 0.0
-    leg_rad: float = math.nan
+    log_weight: FloatArray  # (M,) log probabilities of the filters
+    log_odds: float  # log odds that the walk follows axes
+    turned_rad: float = 0.0  # total turn since the start, rad
+    leg_rad: float = math.nan  # last heading of a straight part (a leg), rad. NaN before the first.
+    # Times (s) and headings (rad) of the last steps, which may form a straight part
     recent: tuple[tuple[float, float], ...] = ()
 
     @property

@@ -39,16 +39,10 @@ class Offset:
     o is the walking heading minus the device heading, in the frame of the track. It is 0 in the first placement of the
     phone by definition of that frame. g is the angle from the device to the walking direction in the first placement.
     Strides measure o + g + s, with the systematic error s of the strides in the present placement.
-
-    Attributes
-    ----------
-    mean : tuple of float
-        Means of (o, g, s), rad.
-    cov : tuple of float
-        Covariances oo, og, os, gg, gs and ss, rad2.
     """
 
-    mean: Vector = (0.0, 0.0, 0.0)
+    mean: Vector = (0.0, 0.0, 0.0)  # means of (o, g, s), rad
+    # Covariances oo, og, os, gg, gs and ss, rad2.
     cov: tuple[float, float, float, float, float, float] = (_DEFINED_RAD2, 0.0, 0.0, _NO_IDEA_RAD2, 0.0, 0.0)
 
     @property

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any, Protocol
 
-from pdr_filter.sensing.steps.step_stage import StepStage
+from pdr_filter.sensing.steps.step_stage import S, StepStage
 from pdr_filter.values import HeadingDrift, Step, Table, replace_unchecked
 
 
-class HeadingStage(StepStage, Protocol):
+class HeadingStage(StepStage[S], Protocol[S]):
     """Interface of a causal stage that sets the walking headings of steps.
 
     The stage sets `Step.walking_heading_rad`, `Step.walking_heading_std_rad` and `Step.offset_change_std_rad`.
@@ -51,22 +51,22 @@ class HeadingStage(StepStage, Protocol):
     """
 
 
-def drift_of(stage: HeadingStage | None) -> HeadingDrift | None:
+def drift_of(stage: HeadingStage[Any] | None) -> HeadingDrift | None:
     """Return the heading drift that a stage assumes, or None if it states none."""
     return getattr(stage, "drift", None)
 
 
-def learns_directions(stage: HeadingStage | None) -> bool:
+def learns_directions(stage: HeadingStage[Any] | None) -> bool:
     """Return True if the steps of a stage tell the walking direction relative to the phone."""
     return stage is not None and bool(getattr(stage, "learns_directions", True))
 
 
-def knows_north(stage: HeadingStage | None) -> bool:
+def knows_north(stage: HeadingStage[Any] | None) -> bool:
     """Return True if a stage states directions from north."""
     return bool(getattr(stage, "knows_north", False))
 
 
-def drift_in_time(stage: HeadingStage | None, state: Any) -> tuple[float, float]:
+def drift_in_time(stage: HeadingStage[Any] | None, state: Any) -> tuple[float, float]:
     """Return the error of the device heading accumulated over time, in rad, and its variance.
 
     The variance is infinite if the stage does not know the error.
@@ -75,13 +75,13 @@ def drift_in_time(stage: HeadingStage | None, state: Any) -> tuple[float, float]
     return (0.0, math.inf) if of_stage is None else of_stage(state)
 
 
-def after_first_pass(stage: HeadingStage | None, steps: Table) -> HeadingStage | None:
+def after_first_pass(stage: HeadingStage[Any] | None, steps: Table) -> HeadingStage[Any] | None:
     """Return the stage for a second pass, or the same stage if it learns nothing from the first pass."""
     of_stage = getattr(stage, "after_first_pass", None)
     return stage if of_stage is None else of_stage(steps)
 
 
-class ShownOffsets(StepStage):
+class ShownOffsets(StepStage[None]):
     """Stage that sets `Step.shown_offset_rad` from the walking heading, for a heading stage that does not set it."""
 
     def finish(self, state: None, steps: list[tuple[int, Step]]) -> tuple[None, list[tuple[int, Step]]]:

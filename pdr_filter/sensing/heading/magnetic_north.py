@@ -29,6 +29,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.step_detector import ContextBlock
+from pdr_filter.sensing.steps.step_log import NumberedSteps
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.values import FloatArray, Step, read_only, replace_unchecked
 from pdr_filter.values.quaternions import rotation_matrix
@@ -64,42 +65,23 @@ class MagneticNorthState:
     The model of a reading f (3,) in the attitude frame is f = X (m, b) + e with X = [1 R], (3, 6). m is the field of
     the Earth, and b the hard iron of the phone. R is the rotation from the sensor to the attitude frame, and e the
     disturbance of the place. A reading adds the matrix [X f]' [X f], (7, 7), to the sums.
-
-    Attributes
-    ----------
-    samples : FloatArray
-        Samples since the last complete reading, shape (R, 8).
-    readings : FloatArray
-        Time and matrix [X f]' [X f] of each buffered reading, from its mean rotation and mean field, shape (W, 50).
-    n : float
-        Effective number of readings used, with exponential forgetting.
-    squares : FloatArray
-        Sum of [X f]' [X f] over all readings, with exponential forgetting, shape (7, 7).
-    variance_ut2 : float
-        Estimated variance of the disturbance e on each axis, uT2.
-    used_s : float
-        Time of the last reading used, s.
-    n_fresh : int
-        Readings used since the regression was last solved.
-    north_rad : float
-        Direction of true north at the last solution, clockwise from north of the attitude frame, rad.
-    north_std_rad : float
-        Standard deviation of `north_rad`, rad.
     """
 
-    samples: FloatArray
+    samples: FloatArray  # (R, 8) samples since the last complete reading
+    # (W, 50) time and matrix [X f]' [X f] of each buffered reading, from its mean rotation and mean field.
     readings: FloatArray
-    n: float
-    squares: FloatArray
-    variance_ut2: float
-    used_s: float
-    n_fresh: int = 0
+    n: float  # effective number of readings used, with exponential forgetting
+    squares: FloatArray  # (7, 7) sum of [X f]' [X f] over all readings, with exponential forgetting
+    variance_ut2: float  # estimated variance of the disturbance e on each axis, uT2
+    used_s: float  # time of the last reading used, s
+    n_fresh: int = 0  # readings used since the regression was last solved
+    # Direction of true north at the last solution, clockwise from north of the attitude frame, rad.
     north_rad: float = 0.0
-    north_std_rad: float = math.inf
+    north_std_rad: float = math.inf  # standard deviation of `north_rad`, rad
 
 
 @dataclass(frozen=True)
-class MagneticNorth(StepStage):
+class MagneticNorth(StepStage[MagneticNorthState]):
     """Causal stage that estimates the direction of north at each step from the magnetometer.
 
     It needs a gyroscope and a magnetometer, and sets `Step.north_rad` and `Step.north_std_rad`. The default parameters
@@ -182,12 +164,11 @@ class MagneticNorth(StepStage):
         block: UniformBlock,
         attitude: AttitudeBlock,
         contexts: ContextBlock,
-        steps: list[tuple[int, Step]],
-    ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
+        steps: NumberedSteps,
+    ) -> tuple[MagneticNorthState, NumberedSteps]:
         is_sampled = block.magnetic_field_known & block.angular_rate_known
-        samples = np.concatenate(
-            [state.samples, np.column_stack([block.magnetic_field_ut, attitude.quat, is_sampled.astype(float)])]
-        )
+        new = np.column_stack([block.magnetic_field_ut, attitude.quat, is_sampled.astype(float)])
+        samples = np.concatenate([state.samples, new])
         size, n_waiting = round(_READING_S * self.rate_hz), len(state.samples)
         whole = samples[: len(samples) // size * size].reshape(-1, size, _SAMPLE_COLUMNS)
         ends_s = block.time_s[np.arange(1, len(whole) + 1) * size - 1 - n_waiting]
@@ -200,16 +181,13 @@ class MagneticNorth(StepStage):
         recent = state.readings[:, _TIME] > block.time_s[-1] - _MAX_LATENCY_S
         return replace_unchecked(state, readings=state.readings[recent]), steps
 
-    def finish(
-        self, state: MagneticNorthState, steps: list[tuple[int, Step]]
-    ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
-        result: list[tuple[int, Step]] = []
+    def finish(self, state: MagneticNorthState, steps: NumberedSteps) -> tuple[MagneticNorthState, NumberedSteps]:
+        result: NumberedSteps = []
         times: list[float] = state.readings[:, _TIME].tolist()
         for number, step in steps:
             state = self._at_step(state, step, times)
-            result.append(
-                (number, replace_unchecked(step, north_rad=state.north_rad, north_std_rad=state.north_std_rad))
-            )
+            step = replace_unchecked(step, north_rad=state.north_rad, north_std_rad=state.north_std_rad)
+            result.append((number, step))
         return state, result
 
     def _at_step(self, state: MagneticNorthState, step: Step, times: list[float]) -> MagneticNorthState:
@@ -286,10 +264,8 @@ class MagneticNorth(StepStage):
         prior_hz = 1.0 / np.square(self.field_std_ut)
         uJ = directions @ J[:, :2]
         hh, hz, zz = (uJ[..., :2] * directions).sum(axis=-1) + prior_hz[0], uJ[..., 2], J[:, 2, 2, None] + prior_hz[1]
-        y_h, y_z = (
-            Jm[:, :2] @ directions.T + prior_hz[0] * self.field_ut[0],
-            Jm[:, 2, None] + prior_hz[1] * self.field_ut[1],
-        )
+        y_h = Jm[:, :2] @ directions.T + prior_hz[0] * self.field_ut[0]
+        y_z = Jm[:, 2, None] + prior_hz[1] * self.field_ut[1]
         determinant = hh * zz - hz**2
         h, z = (zz * y_h - hz * y_z) / determinant, (hh * y_z - hz * y_h) / determinant
         log_prob = log_evidence[:, None] + 0.5 * (h * y_h + z * y_z - np.log(determinant))

@@ -40,44 +40,22 @@ class Placement:
 
     Vectors are horizontal, with components forward and right of the reference axis in m/s2. Sums are exponentially
     forgotten.
-
-    Attributes
-    ----------
-    start_s : float
-        Time when the phone was put there, s.
-    carrying_mode : int
-        Index into `CARRYING_MODES`; -1 if unknown.
-    old_mode : int
-        Carrying mode of the previous placement, which the classifier still reports for some seconds; -1 if none.
-    up : tuple of float
-        Mean unit vector up of the strides, sensor frame.
-    n_strides : int
-        Strides in this placement.
-    n_read : int
-        Strides during which the phone may have been read.
-    vectors : tuple of tuple of float
-        Sums of the three horizontal vectors of `Stride.vectors`: at stride frequency, and two at step frequency.
-    squares : tuple of float
-        Sums of the squared lengths of these vectors.
-    product : float
-        Sum of the inner products of the two vectors at step frequency, the second and third of `Stride.vectors`.
-    weight : float
-        Effective number of strides in the sums.
-    powers : tuple of float
-        Mean squared amplitudes, as in `Stride.powers`.
     """
 
-    start_s: float
-    carrying_mode: int
+    start_s: float  # time when the phone was put there, s
+    carrying_mode: int  # index into `CARRYING_MODES`; -1 if unknown
+    # Carrying mode of the previous placement, which the classifier still reports for some seconds; -1 if none.
     old_mode: int
-    up: Vector
-    n_strides: int = 0
-    n_read: int = 0
+    up: Vector  # mean unit vector up of the strides, sensor frame
+    n_strides: int = 0  # strides in this placement
+    n_read: int = 0  # strides during which the phone may have been read
+    # Sums of the three horizontal vectors of `Stride.vectors`: at stride frequency, and two at step frequency.
     vectors: tuple[_Plane, _Plane, _Plane] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
-    squares: Vector = (0.0, 0.0, 0.0)
+    squares: Vector = (0.0, 0.0, 0.0)  # sums of the squared lengths of these vectors
+    # Sum of the inner products of the two vectors at step frequency, the second and third of `Stride.vectors`.
     product: float = 0.0
-    weight: float = 0.0
-    powers: Vector = (0.0, 0.0, 0.0)
+    weight: float = 0.0  # effective number of strides in the sums
+    powers: Vector = (0.0, 0.0, 0.0)  # mean squared amplitudes, as in `Stride.powers`
 
 
 @dataclass(frozen=True)

@@ -27,21 +27,11 @@ _MAX_LOST_VAR_RAD2 = 1.0
 
 
 class Shown(NamedTuple):
-    """Heading offset (walking heading minus device heading) that strides and the axis of the phone show.
+    """Heading offset (walking heading minus device heading) that strides and the axis of the phone show."""
 
-    Attributes
-    ----------
-    offset_rad : float
-        Heading offset, rad.
-    var_rad2 : float
-        Variance of the offset, rad2.
-    axes_prob : float
-        Probability that the walk follows the axes of a building.
-    """
-
-    offset_rad: float
-    var_rad2: float
-    axes_prob: float
+    offset_rad: float  # heading offset, rad
+    var_rad2: float  # variance of the offset, rad2
+    axes_prob: float  # probability that the walk follows the axes of a building
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,33 +40,18 @@ class Reported:
 
     A measurement that a step passes to this filter is called reported. The offset that strides and the axis of the
     phone show is called the shown offset (`Shown`).
-
-    Attributes
-    ----------
-    offset_rad : float
-        Walking heading minus device heading, rad.
-    shown_rad : float
-        Part of the offset that comes from strides and the axis of the phone, rad.
-    shown_var_rad2 : float
-        Smallest variance of `shown_rad` in the present placement of the phone so far, rad2.
-    error_rad : float
-        Error of the device heading (estimate minus truth) in the last report, rad.
-    var_rad2 : float
-        Variance of `offset_rad`, rad2. Infinite before the first report.
-    lost_var_rad2 : float
-        Part of `var_rad2` due to the device heading itself: gaps, times without angular rate, and the uncertain
-        gyroscope bias, rad2. It only grows, up to 1 rad2, because measurements by strides cannot reduce it.
-    time_s : float
-        Time of the last step, s.
     """
 
-    offset_rad: float = 0.0
-    shown_rad: float = 0.0
+    offset_rad: float = 0.0  # walking heading minus device heading, rad
+    shown_rad: float = 0.0  # part of the offset that comes from strides and the axis of the phone, rad
+    # Smallest variance of `shown_rad` in the present placement of the phone so far, rad2.
     shown_var_rad2: float = math.inf
-    error_rad: float = 0.0
-    var_rad2: float = math.inf
+    error_rad: float = 0.0  # error of the device heading (estimate minus truth) in the last report, rad
+    var_rad2: float = math.inf  # variance of `offset_rad`, rad2. Infinite before the first report.
+    # Part of `var_rad2` due to the device heading itself: gaps, times without angular rate, and the uncertain gyroscope
+    # bias, rad2. It only grows, up to 1 rad2, because measurements by strides cannot reduce it.
     lost_var_rad2: float = 0.0
-    time_s: float = math.nan
+    time_s: float = math.nan  # time of the last step, s
 
     def after_loss(self, lost_var_rad2: float) -> Reported:
         """Return the estimate with a variance increased by `lost_var_rad2`.
@@ -148,9 +123,8 @@ class Reported:
         added_std_rad = math.sqrt(max(before_var - self.var_rad2, 0.0))
         is_unknown = var_rad2 > _UNKNOWN_VAR_RAD2 and change_std_rad == 0
         if gain < _MIN_GAIN or is_unknown:
-            return replace_unchecked(self, var_rad2=max(before_var, self.var_rad2)), {
-                "offset_change_std_rad": added_std_rad
-            }
+            unreported = replace_unchecked(self, var_rad2=max(before_var, self.var_rad2))
+            return unreported, {"offset_change_std_rad": added_std_rad}
         innovation_rad = min(max(change_rad / gain, -_MAX_INNOVATION_RAD), _MAX_INNOVATION_RAD)
         reported = replace_unchecked(
             self,

@@ -87,48 +87,25 @@ class Stride:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StrideSamples:
-    """Concatenated samples of K strides.
+    """Concatenated samples of K strides."""
 
-    Attributes
-    ----------
-    ends : IntArray
-        First column of each stride, and the number of columns T, shape (K + 1,).
-    force_mps2 : FloatArray
-        Specific force in the sensor frame, shape (3, T), m/s2.
-    up : FloatArray
-        Unit vectors up in the sensor frame, shape (3, T).
-    east_mps2, north_mps2, vertical_mps2 : FloatArray
-        Specific force in the attitude frame, shape (T,), m/s2.
-    heading_rad : FloatArray
-        Device heading, shape (T,), rad.
-    """
-
-    ends: IntArray
-    force_mps2: FloatArray
-    up: FloatArray
+    ends: IntArray  # (K + 1,) first column of each stride, and the number of columns T
+    force_mps2: FloatArray  # (3, T) specific force in the sensor frame, m/s2
+    up: FloatArray  # (3, T) unit vectors up in the sensor frame
+    # (T,) specific force in the attitude frame, m/s2.
     east_mps2: FloatArray
     north_mps2: FloatArray
     vertical_mps2: FloatArray
-    heading_rad: FloatArray
+    heading_rad: FloatArray  # (T,) device heading, rad
 
 
 @dataclass(frozen=True)
 class Phases:
-    """Phases by which the vertical specific force is advanced to be in phase with the push forward.
+    """Phases by which the vertical specific force is advanced to be in phase with the push forward."""
 
-    Attributes
-    ----------
-    walking_rad : float
-        Phase of walking, rad.
-    running_rad : float
-        Phase of running, rad.
-    running_mps2 : float
-        Vertical amplitude at step frequency from which the motion is running, m/s2.
-    """
-
-    walking_rad: float
-    running_rad: float
-    running_mps2: float
+    walking_rad: float  # phase of walking, rad
+    running_rad: float  # phase of running, rad
+    running_mps2: float  # vertical amplitude at step frequency from which the motion is running, m/s2
 
 
 def strides_of(samples: StrideSamples, is_running: BoolArray, rate_hz: float, phases: Phases) -> list[Stride]:

@@ -39,6 +39,7 @@ from pdr_filter.sensing.heading.reported_heading import Reported, Shown
 from pdr_filter.sensing.heading.stride_harmonics import Phases, Stride, StrideSamples, carry_axis, strides_of
 from pdr_filter.sensing.heading.vectors import Vector, cross, dot, linear_sum, unit
 from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_contexts
+from pdr_filter.sensing.steps.step_log import NumberedSteps
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.values import (
     CARRYING_MODES,
@@ -119,104 +120,52 @@ def known_placements(steps: Table) -> tuple[KnownPlacement, ...]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreviousPlacement:
-    """A previous placement of the phone, to which it may return.
+    """A previous placement of the phone, to which it may return."""
 
-    Attributes
-    ----------
-    left_s : float
-        Time when the phone left the placement, s.
-    n_strides : int
-        Strides in the placement.
-    up : tuple of float
-        Mean unit vector up of its last stride, sensor frame.
-    direction : tuple of float
-        Walking direction, a unit vector perpendicular to `up`, sensor frame.
-    """
+    left_s: float  # time when the phone left the placement, s
+    n_strides: int  # strides in the placement
+    up: Vector  # mean unit vector up of its last stride, sensor frame
+    direction: Vector  # walking direction, a unit vector perpendicular to `up`, sensor frame
 
-    left_s: float
-    n_strides: int
-    up: Vector
-    direction: Vector
+
+@dataclass(frozen=True, slots=True)
+class BiasError:
+    """Error of the device heading due to the gyroscope bias."""
+
+    error_rad: float = 0.0
+    var_rad2: float = 0.0  # variance of `error_rad`
+    lost_var_rad2: float = 0.0  # heading variance that the uncertain bias has added since the start
 
 
 @dataclass(frozen=True, eq=False)
 class WalkingHeadingState:
-    """Buffered signals, the last contacts, and the estimates of the stage.
+    """Buffered signals, the last contacts, and the estimates of the stage."""
 
-    Attributes
-    ----------
-    n_samples : int
-        Samples of the segment.
-    start_s : float
-        Time of the first sample of the segment, s.
-    signals : FloatArray
-        Buffered signals, shape (15, H).
-    contacts_s : tuple of float
-        Last two contacts, s.
-    up : tuple of float or None
-        Mean unit vector up of the last stride, sensor frame. None before the first.
-    axis : tuple of float
-        Reference axis, a unit vector perpendicular to `up`, sensor frame.
-    placement : Placement or None
-        Statistics of the strides in the present placement of the phone.
-    offset : Offset
-        Heading offset without temporary information (the axis of the phone, and the first strides of a placement).
-    shown : Offset
-        Heading offset with the temporary information.
-    trust : float
-        Agreement of the strides in this placement, 0 to 1.
-    corridors : CorridorState
-        State of the estimation of drift from the axes of a building.
-    error_at_restart_rad : float
-        Error of the device heading when the search for axes last restarted, rad.
-    bias_error_at_restart_rad : float
-        Error of the device heading according to the gyroscope bias at that time, rad.
-    bias_error_rad : float
-        Present error of the device heading according to the gyroscope bias, rad.
-    bias_error_var_rad2 : float
-        Variance of `bias_error_rad`, rad2.
-    lost_var_rad2 : float
-        Heading variance that the uncertain gyroscope bias has added since the start, rad2.
-    reported : Reported
-        Information already passed to the filter.
-    walking_rad : float
-        Last walking heading in the frame of the track, not wrapped, rad. NaN before the first.
-    walking_s : float
-        Time of the last walking heading, s.
-    direction : tuple of float
-        Last walking direction, a unit vector perpendicular to `direction_up`, sensor frame.
-    direction_up : tuple of float
-        Mean unit vector up of that stride, sensor frame.
-    previous_placements : tuple of PreviousPlacement
-        Up to three previous placements of the phone.
-    """
-
-    n_samples: int
-    start_s: float
-    signals: FloatArray
-    contacts_s: tuple[float, ...]
-    up: Vector | None
-    axis: Vector
-    placement: Placement | None
+    n_samples: int  # samples of the segment
+    start_s: float  # time of the first sample of the segment, s
+    signals: FloatArray  # (15, H) buffered signals
+    contacts_s: tuple[float, ...]  # last two contacts, s
+    up: Vector | None  # mean unit vector up of the last stride, sensor frame. None before the first.
+    axis: Vector  # reference axis, a unit vector perpendicular to `up`, sensor frame
+    placement: Placement | None  # statistics of the strides in the present placement of the phone
+    # Heading offset without temporary information (the axis of the phone, and the first strides of a placement).
     offset: Offset
-    shown: Offset
-    trust: float
-    corridors: CorridorState
-    error_at_restart_rad: float
-    bias_error_at_restart_rad: float
-    bias_error_rad: float
-    bias_error_var_rad2: float
-    lost_var_rad2: float
-    reported: Reported
-    walking_rad: float
-    walking_s: float
-    direction: Vector
-    direction_up: Vector
-    previous_placements: tuple[PreviousPlacement, ...]
+    shown: Offset  # heading offset with the temporary information
+    trust: float  # agreement of the strides in this placement, 0 to 1
+    corridors: CorridorState  # state of the estimation of drift from the axes of a building
+    error_at_restart_rad: float  # error of the device heading when the search for axes last restarted, rad
+    bias_error_at_restart_rad: float  # error of the device heading according to the gyroscope bias at that time, rad
+    bias: BiasError  # present error of the device heading according to the gyroscope bias
+    reported: Reported  # information already passed to the filter
+    walking_rad: float  # last walking heading in the frame of the track, not wrapped, rad. NaN before the first.
+    walking_s: float  # time of the last walking heading, s
+    direction: Vector  # last walking direction, a unit vector perpendicular to `direction_up`, sensor frame
+    direction_up: Vector  # mean unit vector up of that stride, sensor frame
+    previous_placements: tuple[PreviousPlacement, ...]  # up to three previous placements of the phone
 
 
 @dataclass(frozen=True)
-class WalkingHeading(StepStage):
+class WalkingHeading(StepStage[WalkingHeadingState]):
     """Causal heading stage that estimates the walking direction of each step for any carrying mode.
 
     It needs a gyroscope, and gives no headings without. It is the heading stage of the default recipe.
@@ -336,9 +285,7 @@ class WalkingHeading(StepStage):
             corridors=self.corridors.init(),
             error_at_restart_rad=0.0,
             bias_error_at_restart_rad=0.0,
-            bias_error_rad=0.0,
-            bias_error_var_rad2=0.0,
-            lost_var_rad2=0.0,
+            bias=BiasError(),
             reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
@@ -362,12 +309,10 @@ class WalkingHeading(StepStage):
         WalkingHeadingState
             State before the first sample after the gap.
         """
-        signals = np.empty((_N_ROWS, 0))
-        state = self._without_axes(state)
         return replace_unchecked(
-            state,
+            self._without_axes(state),
             n_samples=0,
-            signals=signals,
+            signals=np.empty((_N_ROWS, 0)),
             contacts_s=(),
             walking_rad=math.nan,
             walking_s=math.nan,
@@ -380,8 +325,8 @@ class WalkingHeading(StepStage):
         block: UniformBlock,
         attitude: AttitudeBlock,
         contexts: ContextBlock,
-        steps: list[tuple[int, Step]],
-    ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
+        steps: NumberedSteps,
+    ) -> tuple[WalkingHeadingState, NumberedSteps]:
         n_before = state.n_samples
         if n_before == 0:
             gap_s = block.gap_before_s if math.isfinite(block.gap_before_s) else 0.0
@@ -405,9 +350,7 @@ class WalkingHeading(StepStage):
         state, result = self._with_headings(state, steps, at_steps)
         return replace_unchecked(state, signals=state.signals[:, -self._n_kept :]), result
 
-    def finish(
-        self, state: WalkingHeadingState, steps: list[tuple[int, Step]]
-    ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
+    def finish(self, state: WalkingHeadingState, steps: NumberedSteps) -> tuple[WalkingHeadingState, NumberedSteps]:
         return self._with_headings(state, steps, unknown_contexts(len(steps)))
 
     @property
@@ -416,11 +359,8 @@ class WalkingHeading(StepStage):
         return round((_MAX_STRIDE_S + _MAX_LATENCY_S) * self.rate_hz)
 
     def _with_headings(
-        self,
-        state: WalkingHeadingState,
-        steps: list[tuple[int, Step]],
-        contexts: ContextBlock,
-    ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
+        self, state: WalkingHeadingState, steps: NumberedSteps, contexts: ContextBlock
+    ) -> tuple[WalkingHeadingState, NumberedSteps]:
         """Return the new state and the steps with their walking headings."""
         if not steps:
             return state, []
@@ -431,34 +371,25 @@ class WalkingHeading(StepStage):
             for i, (number, _) in enumerate(steps)
         ]
         strides = self._strides(samples, contexts)
-        result: list[tuple[int, Step]] = []
+        result: NumberedSteps = []
         for (number, step), stride, mode in zip(steps, strides, contexts.carrying_mode.tolist(), strict=True):
             state, changes = self._annotate(state, step, self._bias_error(state, step.time_s, number), stride, mode)
             result.append((number, replace_unchecked(step, **changes) if changes else step))
         return replace_unchecked(state, contacts_s=contacts_s[-2:]), result
 
     def _annotate(
-        self,
-        state: WalkingHeadingState,
-        step: Step,
-        bias_error: tuple[float, float, float],
-        stride: Stride | None,
-        carrying_mode: int,
+        self, state: WalkingHeadingState, step: Step, bias: BiasError, stride: Stride | None, carrying_mode: int
     ) -> tuple[WalkingHeadingState, dict[str, Any]]:
         """Return the new state and the changed fields of a step.
 
         The stride that the step ends updates the placement of the phone and the heading offset. The new information is
         reported in the fields of the step. `stride` is None if the step ends no usable stride. The step then receives
         only the heading error due to the gyroscope bias and the present offset. Before the first usable stride there is
-        no offset. `bias_error` holds the three results of `_bias_error`: the error of the device heading due to the
-        gyroscope bias in rad, and two variances in rad2.
+        no offset.
         """
-        loss = self._bias_field(state, step, bias_error[2] - state.lost_var_rad2)
+        loss = self._bias_field(state, step, bias.lost_var_rad2 - state.bias.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
-        bias_error_rad, bias_error_var_rad2, lost_var_rad2 = bias_error
-        state = replace_unchecked(
-            state, bias_error_rad=bias_error_rad, bias_error_var_rad2=bias_error_var_rad2, lost_var_rad2=lost_var_rad2
-        )
+        state = replace_unchecked(state, bias=bias)
         if stride is None and state.placement is None:
             return replace_unchecked(state, reported=reported), loss
         if stride is None:
@@ -466,7 +397,7 @@ class WalkingHeading(StepStage):
             # complete stride.
             report = dict[str, float]()
             if step.heading_unknown_s == 0:
-                error_rad, var_rad2 = self._error(state, state.shown.var_rad2 + bias_error_var_rad2)
+                error_rad, var_rad2 = self._error(state, state.shown.var_rad2 + bias.var_rad2)
                 reported, report = reported.with_report(step, self._reportable(state), error_rad, var_rad2, 0.0)
             return replace_unchecked(state, reported=reported), loss | report | _shown_fields(state)
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
@@ -478,9 +409,8 @@ class WalkingHeading(StepStage):
             known_direction = cmath.rect(1.0, known_placement.shown_rad)
             offset = offset.after_measurement(AXIS_MEASUREMENT, known_direction, known_placement.var_rad2)
         may_read = placement.carrying_mode == _TEXTING or (placement.carrying_mode < 0 and stride.up[2] > 0.5)
-        placement = self.strides.learn(
-            replace_unchecked(placement, n_read=placement.n_read + may_read), stride, step.duration_s
-        )
+        placement = replace_unchecked(placement, n_read=placement.n_read + may_read)
+        placement = self.strides.learn(placement, stride, step.duration_s)
         elapsed_s = step.duration_s if math.isnan(state.walking_s) else step.time_s - state.walking_s
         offset, shown, trust = self._update_offset(placement, offset, stride, elapsed_s)
         shown = self._with_axis(placement, shown, stride, trust) if known_placement is None else offset
@@ -504,7 +434,7 @@ class WalkingHeading(StepStage):
             direction_up=stride.up,
             corridors=self.corridors.update(state.corridors, step.time_s, walking_rad),
         )
-        error_rad, var_rad2 = self._error(state, shown.var_rad2 + bias_error_var_rad2)
+        error_rad, var_rad2 = self._error(state, shown.var_rad2 + bias.var_rad2)
         reported, report = reported.with_report(step, self._reportable(state), error_rad, var_rad2, change_std_rad)
         shown_fields = _shown_fields(state, on_axes=self.corridors.is_sure(state.corridors))
         return replace_unchecked(state, reported=reported), loss | report | shown_fields
@@ -525,19 +455,12 @@ class WalkingHeading(StepStage):
         since_s = step.duration_s if math.isnan(state.reported.time_s) else step.time_s - state.reported.time_s
         return {"yaw_bias_std_radps": math.sqrt(lost_var_rad2 / (2.0 * self.drift.bias_correlation_s * since_s))}
 
-    def _bias_error(self, state: WalkingHeadingState, contact_s: float, number: int) -> tuple[float, float, float]:
-        """Return the error of the device heading due to the gyroscope bias at a contact, rad, and two variances, rad2.
-
-        The first is the variance of this error. The second is the heading variance that the uncertain bias has added
-        since the start (`GyroBiasState.heading_lost_var_rad2`).
-
-        If the sample of the contact is no longer buffered, the values of the previous step are returned.
-        """
+    def _bias_error(self, state: WalkingHeadingState, contact_s: float, number: int) -> BiasError:
+        """Return the error of the device heading at a contact, or that of the previous step if it is not buffered."""
         index = round((contact_s - state.start_s) * self.rate_hz) - 1
         if not max(number + 1 - self._n_kept, 0) <= index <= number:
-            return state.bias_error_rad, state.bias_error_var_rad2, state.lost_var_rad2
-        error_rad, var_rad2, lost_var_rad2 = state.signals[_ERROR:, index - state.n_samples].tolist()
-        return error_rad, var_rad2, lost_var_rad2
+            return state.bias
+        return BiasError(*state.signals[_ERROR:, index - state.n_samples].tolist())
 
     def drift_in_time(self, state: WalkingHeadingState) -> tuple[float, float]:
         """Return the error of the device heading accumulated over time, and its variance.
@@ -565,7 +488,7 @@ class WalkingHeading(StepStage):
         The axes of a building measure the walking heading itself. Without axes, the error follows from the gyroscope
         bias, and the variance is `free_var_rad2`. The result is the mixture of both cases.
         """
-        free_rad = state.bias_error_rad - state.bias_error_at_restart_rad
+        free_rad = state.bias.error_rad - state.bias_error_at_restart_rad
         drift_rad, var_rad2 = self.corridors.mixture_drift(state.corridors, free_rad, free_var_rad2)
         return state.error_at_restart_rad + drift_rad, var_rad2
 
@@ -578,7 +501,7 @@ class WalkingHeading(StepStage):
             state,
             corridors=self.corridors.restart(state.corridors),
             error_at_restart_rad=self._error(state, 0.0)[0],
-            bias_error_at_restart_rad=state.bias_error_rad,
+            bias_error_at_restart_rad=state.bias.error_rad,
         )
 
     def _stride_samples(
@@ -646,12 +569,8 @@ class WalkingHeading(StepStage):
         label = placement_before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
         if not is_moved:
             up = unit(linear_sum(1.0 - 1.0 / _UP_STRIDES, placement_before.up, 1.0 / _UP_STRIDES, stride.up))
-            return (
-                state.offset,
-                previous_placements,
-                replace_unchecked(placement_before, up=up, carrying_mode=label),
-                0.0,
-            )
+            placement = replace_unchecked(placement_before, up=up, carrying_mode=label)
+            return state.offset, previous_placements, placement, 0.0
         # The reported carrying mode comes from windows that ended before the phone was moved, so it is the old one.
         placement = Placement(time_s, -1, carrying_mode, stride.up)
         offset = state.shown
@@ -739,17 +658,12 @@ class WalkingHeading(StepStage):
         # Variance (1 - share) / share per stride: half of the squared length that strides do not share is across the
         # direction, and two overlapping strides count as one.
         uses_sum = placement.n_strides <= _FIRST_STRIDES
-        vectors, weight = (_as_complex(placement), placement.weight) if uses_sum else (stride.vectors, 1.0)
+        sums = [complex(*vector) for vector in placement.vectors]
+        vectors, weight = (sums, placement.weight) if uses_sum else (stride.vectors, 1.0)
         forward = (mix[0] * vectors[0] + mix[1] * vectors[1] + mix[2] * vectors[2]) / weight
         direction = forward / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
         shown = offset.after_measurement(STRIDE_MEASUREMENT, direction, (1.0 - share) / share / weight)
         return (offset if placement.n_strides < _FIRST_STRIDES else shown), shown, share
-
-
-def _as_complex(placement: Placement) -> tuple[complex, complex, complex]:
-    """Return the summed stride vectors of a carrying placement as complex numbers, forward + i right."""
-    a, b, c = placement.vectors
-    return complex(*a), complex(*b), complex(*c)
 
 
 def _shown_fields(state: WalkingHeadingState, on_axes: bool = False) -> dict[str, Any]:

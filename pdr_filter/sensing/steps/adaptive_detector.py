@@ -43,18 +43,10 @@ _BANK_HZ: FloatArray = np.asarray(0.6 * 1.15 ** np.arange(16), dtype=float)
 
 @dataclass(frozen=True, slots=True)
 class Rhythm:
-    """Rhythm of the last steps of a bout.
+    """Rhythm of the last steps of a bout."""
 
-    Attributes
-    ----------
-    period_s : float
-        Running mean of the step intervals, s.
-    n_intervals : int
-        Intervals so far.
-    """
-
-    period_s: float
-    n_intervals: int
+    period_s: float  # running mean of the step intervals, s
+    n_intervals: int  # intervals so far
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +56,6 @@ class AdaptiveDetectorState(ResponseState):
     The signal in `line` is |f| minus gravity, with the specific force f in m/s2. The rows of `response` are the wavelet
     transform, the power R of the motion (standard deviation of the low-passed |f| around each sample, m/s2), and the
     wavelet frequency in Hz.
-
-    Attributes
-    ----------
-    rhythm : Rhythm
-        Rhythm of the last steps.
     """
 
     rhythm: Rhythm

@@ -16,10 +16,10 @@ swinging hand, every second contact is weak.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
+from pdr_filter.sensing.steps.step_log import NumberedSteps
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.values import Step, replace_unchecked
 
@@ -36,28 +36,17 @@ _PRIOR_STEPS = 0.5
 
 @dataclass(frozen=True)
 class ContactTimeSmoothingState:
-    """Last detected contacts, and the estimate of the alternating error.
+    """Last detected contacts, and the estimate of the alternating error."""
 
-    Attributes
-    ----------
-    contacts_s : tuple of float
-        Detected times of the last contacts (up to three) without a pause between them, s.
-    shift_s : float
-        Correction added to the last contact, s.
-    n : float
-        Total weight of the estimates, in steps.
-    late_s : float
-        Weighted sum of the estimated delays of the foot of the last contact, s.
-    """
-
+    # Detected times of the last contacts (up to three) without a pause between them, s.
     contacts_s: tuple[float, ...] = ()
-    shift_s: float = 0.0
-    n: float = 0.0
-    late_s: float = 0.0
+    shift_s: float = 0.0  # correction added to the last contact, s
+    n: float = 0.0  # total weight of the estimates, in steps
+    late_s: float = 0.0  # weighted sum of the estimated delays of the foot of the last contact, s
 
 
 @dataclass(frozen=True, slots=True)
-class ContactTimeSmoothing(StepStage):
+class ContactTimeSmoothing(StepStage[ContactTimeSmoothingState]):
     """Causal stage that moves contacts to equal intervals of left and right, as far as past steps show their error.
 
     It has no parameters and no delay. It also splits steps that span two steps because a contact was missed.
@@ -85,9 +74,9 @@ class ContactTimeSmoothing(StepStage):
         return ContactTimeSmoothingState()
 
     def finish(
-        self, state: ContactTimeSmoothingState, steps: Sequence[tuple[int, Step]]
-    ) -> tuple[ContactTimeSmoothingState, list[tuple[int, Step]]]:
-        moved: list[tuple[int, Step]] = []
+        self, state: ContactTimeSmoothingState, steps: NumberedSteps
+    ) -> tuple[ContactTimeSmoothingState, NumberedSteps]:
+        moved: NumberedSteps = []
         for number, step in steps:
             for part in _halves(step) if step.is_two else (step,):
                 before, state = state, _with_contact(state, part.time_s)

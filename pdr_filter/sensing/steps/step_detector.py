@@ -11,14 +11,13 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.step_log import StepLog, StepLogState, StepSpan
+from pdr_filter.sensing.steps.step_log import NumberedSteps, StepLog, StepLogState, StepSpan
 from pdr_filter.values import (
     DEFAULT_CONTEXTS,
     BoolArray,
     ContextSet,
     FloatArray,
     IntArray,
-    Step,
     check_numbers,
     replace_unchecked,
 )
@@ -191,7 +190,7 @@ class BaseStepDetector(ABC, Generic[S]):
         """Return the state with new filter memories, and the signals (R, N) of a block."""
 
     @abstractmethod
-    def _detect(self, state: S, line: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
+    def _detect(self, state: S, line: FloatArray, first: int) -> tuple[S, NumberedSteps]:
         """Return the new state and the steps detected in R signals, (R, L + N), with L delayed and N new samples.
 
         The last N columns are new, and the first of them is sample number `first`.
@@ -212,7 +211,7 @@ class BaseStepDetector(ABC, Generic[S]):
 
     def update(
         self, state: S, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
-    ) -> tuple[S, list[tuple[int, Step]]]:
+    ) -> tuple[S, NumberedSteps]:
         """Return the new state and the steps that a block reveals.
 
         Parameters
@@ -241,7 +240,7 @@ class BaseStepDetector(ABC, Generic[S]):
         state, steps = self._advance(state, signals, first)
         return replace_unchecked(state, log=self._log.trim(state.log)), steps
 
-    def finish(self, state: S) -> list[tuple[int, Step]]:
+    def finish(self, state: S) -> NumberedSteps:
         """Return the steps that still wait for samples when a gap or the end comes.
 
         Parameters
@@ -261,7 +260,7 @@ class BaseStepDetector(ABC, Generic[S]):
         _, steps = self._advance(state, self._signals_after_end(state), end)
         return [(end - 1, replace_unchecked(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
 
-    def _advance(self, state: S, signals: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
+    def _advance(self, state: S, signals: FloatArray, first: int) -> tuple[S, NumberedSteps]:
         """Return the state and the steps after signals (R, N), whose first column is sample number `first`."""
         line = np.concatenate([state.line, signals], axis=1)
         state, steps = self._detect(state, line, first)
@@ -352,7 +351,7 @@ class ResponseStepDetector(BaseStepDetector[R]):
     def latency_s(self) -> float:
         return (self._delay_samples + 1) / self.rate_hz
 
-    def _detect(self, state: R, line: FloatArray, first: int) -> tuple[R, list[tuple[int, Step]]]:
+    def _detect(self, state: R, line: FloatArray, first: int) -> tuple[R, NumberedSteps]:
         """Return the new state and the steps at accepted local maxima of the response."""
         width = self._n_line + _SAMPLES_AT_ONCE
         pieces = [

@@ -37,6 +37,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.step_detector import ContextBlock
+from pdr_filter.sensing.steps.step_log import NumberedSteps
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.sensing.steps.walking_evidence import (
     EVIDENCE,
@@ -55,67 +56,33 @@ _MAX_KNOWN_AFTER_S = 4.0
 
 @dataclass(frozen=True, slots=True)
 class JudgedStep:
-    """A step with its evidence.
-
-    Attributes
-    ----------
-    step : Step
-        The step.
-    walking_prob : float
-        Probability of walking at its contact, given its evidence and all evidence before.
-    ratio : float
-        Likelihood ratio of its evidence, walking to not walking.
-    slowness : float
-        Slowness of the steps up to this one.
-    """
+    """A step with its evidence."""
 
     step: Step
-    walking_prob: float
-    ratio: float
-    slowness: float
+    walking_prob: float  # probability of walking at its contact, given its evidence and all evidence before
+    ratio: float  # likelihood ratio of its evidence, walking to not walking
+    slowness: float  # slowness of the steps up to this one
 
 
 @dataclass(frozen=True, eq=False)
 class StepGateState:
-    """Probability of walking, recent specific force, and undecided steps.
+    """Probability of walking, recent specific force, and undecided steps."""
 
-    Attributes
-    ----------
-    walking_prob : float
-        Probability of walking after the last judged step.
-    judged_s : float
-        Contact time of the last judged step, s.
-    start_s : float
-        Time of the first sample of the segment, s.
-    n_samples : int
-        Samples of the segment.
-    rest : FloatArray
-        Specific force of the samples of the incomplete row, shape (r, 3), m/s2.
-    rows : FloatArray
-        Recent rows of specific force averaged to 25 Hz, shape (R, 3), m/s2.
-    waiting : tuple of (int, Step)
-        Steps whose window is not complete, each with the number of the sample that revealed it.
-    contacts_s : tuple of float
-        Last four judged contacts of the segment, s.
-    held : tuple of JudgedStep
-        Judged steps that are not released and may still belong to a bout.
-    run_s : tuple of float
-        First and last contact of the current run of accepted steps without a pause, s.
-    is_bout : bool
-        True if this run is long enough to be a bout.
-    """
-
-    walking_prob: float
-    judged_s: float = -math.inf
-    start_s: float = math.nan
-    n_samples: int = 0
+    walking_prob: float  # probability of walking after the last judged step
+    judged_s: float = -math.inf  # contact time of the last judged step, s
+    start_s: float = math.nan  # time of the first sample of the segment, s
+    n_samples: int = 0  # samples of the segment
+    # (r, 3) specific force of the samples of the incomplete row, m/s2.
     rest: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    # (R, 3) recent rows of specific force averaged to 25 Hz, m/s2.
     rows: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    # Steps whose window is not complete, each with the number of the sample that revealed it.
     waiting: tuple[tuple[int, Step], ...] = ()
-    contacts_s: tuple[float, ...] = ()
-    held: tuple[JudgedStep, ...] = ()
+    contacts_s: tuple[float, ...] = ()  # last four judged contacts of the segment, s
+    held: tuple[JudgedStep, ...] = ()  # judged steps that are not released and may still belong to a bout
+    # First and last contact of the current run of accepted steps without a pause, s.
     run_s: tuple[float, float] = (-math.inf, -math.inf)
-    is_bout: bool = False
+    is_bout: bool = False  # True if this run is long enough to be a bout
 
     @property
     def candidates(self) -> tuple[Step, ...]:
@@ -126,7 +93,7 @@ class StepGateState:
 
 
 @dataclass(frozen=True)
-class StepGate(StepStage):
+class StepGate(StepStage[StepGateState]):
     """Causal gate that rejects false steps.
 
     Within a bout a step passes `latency_s` (1.04 s) after its contact, or as soon as the detector reveals it. The first
@@ -240,8 +207,8 @@ class StepGate(StepStage):
         block: UniformBlock,
         attitude: AttitudeBlock,
         contexts: ContextBlock,
-        steps: Sequence[tuple[int, Step]],
-    ) -> tuple[StepGateState, list[tuple[int, Step]]]:
+        steps: NumberedSteps,
+    ) -> tuple[StepGateState, NumberedSteps]:
         samples = np.concatenate([state.rest, block.specific_force_mps2])
         n = self._samples_per_row
         whole = samples[: len(samples) // n * n]
@@ -263,9 +230,7 @@ class StepGate(StepStage):
         state, released = self._judge(state, numbers)
         return replace_unchecked(state, rows=state.rows[-self._n_rows_kept :]), released
 
-    def finish(
-        self, state: StepGateState, steps: Sequence[tuple[int, Step]]
-    ) -> tuple[StepGateState, list[tuple[int, Step]]]:
+    def finish(self, state: StepGateState, steps: NumberedSteps) -> tuple[StepGateState, NumberedSteps]:
         # A bout continues after a short gap. The probability of walking decays towards its stationary value with time.
         state = replace_unchecked(state, waiting=(*state.waiting, *steps))
         state, released = self._judge(state, [state.n_samples - 1] * len(state.waiting))
@@ -277,7 +242,7 @@ class StepGate(StepStage):
         """Return the number of the row (specific force averaged to 25 Hz) that contains the contact of a step."""
         return max(math.floor((step.time_s - state.start_s) * EVIDENCE_HZ), 0)
 
-    def _judge(self, state: StepGateState, numbers: Sequence[int]) -> tuple[StepGateState, list[tuple[int, Step]]]:
+    def _judge(self, state: StepGateState, numbers: Sequence[int]) -> tuple[StepGateState, NumberedSteps]:
         """Return the state and the released steps after judging the steps that have waited longest.
 
         `numbers` are the numbers of the samples at which these steps are judged, one for each step.
@@ -288,7 +253,7 @@ class StepGate(StepStage):
         contacts_s = (*state.contacts_s, *(step.time_s for step in steps))
         intervals_s = [self._intervals_s(contacts_s[: i + 1]) for i in range(len(state.contacts_s), len(contacts_s))]
         state = replace_unchecked(state, waiting=state.waiting[len(numbers) :], contacts_s=contacts_s[-4:])
-        released: list[tuple[int, Step]] = []
+        released: NumberedSteps = []
         log_odds = self._log_odds(state, steps, numbers, intervals_s)
         for step, number, step_log_odds, intervals in zip(steps, numbers, log_odds, intervals_s, strict=True):
             log_ratio = self.evidence_weight * step_log_odds

@@ -13,6 +13,8 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, replace_unchecked
 
+# Steps, each with the number of the sample in the segment that revealed it.
+NumberedSteps = list[tuple[int, Step]]
 # Rows of the signals: time, magnitude, vertical, device heading, cumulative count of samples without angular rate, and
 # standard deviation of the bias about the vertical.
 _TIME, _MAGNITUDE, _VERTICAL, _HEADING, _UNKNOWN, _BIAS_STD = range(6)
@@ -20,30 +22,14 @@ _TIME, _MAGNITUDE, _VERTICAL, _HEADING, _UNKNOWN, _BIAS_STD = range(6)
 
 @dataclass(frozen=True, slots=True)
 class StepSpan:
-    """Time span of a step, and the samples that belong to it.
+    """Time span of a step, and the samples that belong to it."""
 
-    Attributes
-    ----------
-    contact_s : float
-        Time of the contact that ends the step, s.
-    known_s : float
-        Time at which the detector detected the contact, s.
-    duration_s : float
-        Duration of the step, s.
-    heading_unknown_s : float
-        Time without angular rate since the last contact, s.
-    columns : tuple of int
-        First column of the step and column of the contact in the signals of a `StepLogState`.
-    is_first : bool
-        True if the step is the first of a bout.
-    """
-
-    contact_s: float
-    known_s: float
-    duration_s: float
-    heading_unknown_s: float
-    columns: tuple[int, int]
-    is_first: bool
+    contact_s: float  # time of the contact that ends the step, s
+    known_s: float  # time at which the detector detected the contact, s
+    duration_s: float  # duration of the step, s
+    heading_unknown_s: float  # time without angular rate since the last contact, s
+    columns: tuple[int, int]  # first column of the step and column of the contact in the signals of a `StepLogState`
+    is_first: bool  # True if the step is the first of a bout
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,10 +157,8 @@ class StepLog:
         signals = np.empty((len(state.signals), n_before + len(magnitude)))
         signals[:, :n_before], new = state.signals, signals[:, n_before:]
         new[_TIME], new[_MAGNITUDE], new[_VERTICAL] = block.time_s, magnitude, attitude.vertical_mps2
-        new[_HEADING], new[_UNKNOWN] = (
-            attitude.device_heading_rad,
-            unknown_before + np.cumsum(~block.turn_known),
-        )
+        new[_HEADING] = attitude.device_heading_rad
+        new[_UNKNOWN] = unknown_before + np.cumsum(~block.turn_known)
         new[_BIAS_STD] = bias_std if len(bias_std) else 0.0
         return replace_unchecked(state, n_samples=state.n_samples + len(magnitude), signals=signals)
 

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.values import Step
 
+S = TypeVar("S")  # type of the state
+_WITHOUT_MEMORY: Any = None
 
-class StepStage(Protocol):
+
+class StepStage(Protocol[S]):
     """Interface of a causal stage between the step detector and the filter, such as the gate or the heading stage.
 
     It is also the base class of stages without memory, which define `finish` only.
@@ -21,7 +24,7 @@ class StepStage(Protocol):
 
     >>> import pdr_filter as pdr
     >>> from pdr_filter.sensing.steps.step_stage import StepStage
-    >>> class LongSteps(StepStage):
+    >>> class LongSteps(StepStage[None]):
     ...     def finish(self, state, steps):
     ...         return state, [(number, step) for number, step in steps if step.duration_s > 0.3]
     >>> step = pdr.Step(0.0, 0.0, 0.2, 5.0, 4.0, 2.0, -2.0, 12.0, 8.0, 1.0, 0.0, 0.0)
@@ -29,44 +32,44 @@ class StepStage(Protocol):
     (None, [])
     """
 
-    def init(self) -> Any:
+    def init(self) -> S:
         """Return the state before the first sample.
 
         Returns
         -------
-        object
+        S
             Initial state.
         """
-        return None
+        return _WITHOUT_MEMORY
 
-    def after_gap(self, state: Any) -> Any:
+    def after_gap(self, state: S) -> S:
         """Return the state after a gap, during which the phone may have been turned in an unknown way.
 
         Parameters
         ----------
-        state : object
+        state : S
             State before the gap, after `finish`.
 
         Returns
         -------
-        object
+        S
             State before the first sample after the gap.
         """
         return state
 
     def update(
         self,
-        state: Any,
+        state: S,
         block: UniformBlock,
         attitude: AttitudeBlock,
         contexts: ContextBlock,
         steps: list[tuple[int, Step]],
-    ) -> tuple[Any, list[tuple[int, Step]]]:
+    ) -> tuple[S, list[tuple[int, Step]]]:
         """Return the new state and the steps that the stage releases after a block.
 
         Parameters
         ----------
-        state : object
+        state : S
             State after the previous block.
         block : UniformBlock
             Uniform samples of the block.
@@ -80,7 +83,7 @@ class StepStage(Protocol):
 
         Returns
         -------
-        state : object
+        state : S
             New state.
         steps : list of (int, Step)
             Steps as this stage changes them, which may depend only on samples up to the one with their number. A
@@ -88,19 +91,19 @@ class StepStage(Protocol):
         """
         return self.finish(state, steps)
 
-    def finish(self, state: Any, steps: list[tuple[int, Step]]) -> tuple[Any, list[tuple[int, Step]]]:
+    def finish(self, state: S, steps: list[tuple[int, Step]]) -> tuple[S, list[tuple[int, Step]]]:
         """Return the new state and the steps that the stage releases at a gap or the end.
 
         Parameters
         ----------
-        state : object
+        state : S
             State after the last block.
         steps : list of (int, Step)
             Steps that the stages before this one released at the gap or the end.
 
         Returns
         -------
-        state : object
+        state : S
             New state.
         steps : list of (int, Step)
             Steps as this stage changes them. None may wait any longer.

@@ -119,9 +119,8 @@ def evidence_features(windows: Sequence[FloatArray], intervals_s: Sequence[Seque
         for start in range(0, len(found), _MAX_GROUP):
             group = found[start : start + _MAX_GROUP]
             force = np.array([windows[i].T for i in group])
-            features[group, 0], features[group, 2], features[group, 3] = _evidence_of_force(
-                force, n_box, n_lags, stretch[group]
-            )
+            of_force = _evidence_of_force(force, n_box, n_lags, stretch[group])
+            features[group, 0], features[group, 2], features[group, 3] = of_force
     # Fewer than three intervals define no rhythm, so the irregularity is set to that of handling.
     rhythmic = [len(intervals) > 2 for intervals in intervals_s]
     features[:, 1] = 0.5
