@@ -401,7 +401,6 @@ def test_a_track_is_whole_and_in_order(demo: Recording, tracked_demo: Callable[[
     assert track.distance_m == track.walked_m[-1]
     assert track.distance_m == pytest.approx(track.step_length_m.sum(), rel=0.05 if weighting == "imm" else 1e-9)
     assert (track.start_time_s, track.duration_s) == (0.0, pytest.approx(demo.duration_s))
-    assert demo.truth.steps is not None
     assert track.n_steps == pytest.approx(len(demo.truth.steps), rel=0.03)
 
 
@@ -462,7 +461,6 @@ FAULTS = {
 def test_a_recording_with_faults_is_tracked_and_says_so(short_walk: Recording, fault: object, weighting: str) -> None:
     recording = fault(short_walk)  # type: ignore[operator]
     track = tracked(recording, weighting=weighting)
-    assert short_walk.truth.steps is not None
     n_true = len(short_walk.truth.steps)
     assert 0.7 * n_true <= track.n_steps <= 1.1 * n_true
     assert np.isfinite(track.position_m).all()
@@ -525,7 +523,6 @@ def test_a_barometer_that_climbs_makes_stairs_more_probable_and_a_level_one_less
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 def test_pressure_pushed_before_the_other_samples_gives_the_same_bits(short_walk: Recording, weighting: str) -> None:
     recording = with_barometer(short_walk, 0.2)
-    assert recording.barometer is not None
     time_s, pressure = recording.barometer.time_s, recording.barometer.values[:, 0]
     online, updates, given = online_filter(weighting), [], 0
     for block in cut_randomly(pdr.merge_streams(recording), 3):

@@ -191,7 +191,6 @@ def test_a_killed_batch_goes_on_where_it_was(
     table = tmp_path / "tracks.csv"
     command = [sys.executable, "-c", SCRIPT, str(walks), str(table), str(jobs)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
-    assert process.stdout is not None
     for line in process.stdout:
         if int(line) == 2:
             break
@@ -626,7 +625,6 @@ def is_alive(pid: int) -> bool:
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 def test_workers_end_with_the_process_that_started_them_in_the_middle_of_their_work() -> None:
     running = script(KILLED_ITSELF)
-    assert running.stdout is not None
     pids = {int(running.stdout.readline()) for _ in range(2)}
     time.sleep(0.2)
     assert all(is_alive(pid) for pid in pids)
@@ -652,7 +650,6 @@ time.sleep(300)
 def test_results_that_are_closed_early_end_their_processes_and_start_none_again() -> None:
     running = script(CLOSED_EARLY)
     try:
-        assert running.stdout is not None
         assert int(running.stdout.readline())
         deadline = time.monotonic() + 20
         n_idle, children = 0, list[list[str]]()
@@ -685,7 +682,6 @@ def test_a_process_that_is_killed_between_two_requests_is_started_again() -> Non
     try:
         assert worker.ask([1, 2]) == 2
         for size in (10, 1_000_000):
-            assert worker._process is not None
             worker._process.kill()
             worker._process.wait()
             with pytest.raises(LostError, match="process died"):

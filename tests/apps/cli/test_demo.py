@@ -18,14 +18,11 @@ from pdr_filter.data.io.files.own_format import write_recording
 
 
 @pytest.fixture(scope="module")
-def fractions() -> list[float]:
-    """Progress of the demonstration."""
-    return []
-
-
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory, fractions: list[float]) -> Demo:
-    return run_demo(None, tmp_path_factory.mktemp("demo"), fractions.append)
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Demo:
+    fractions: list[float] = []
+    demo = run_demo(None, tmp_path_factory.mktemp("demo"), fractions.append)
+    assert fractions == sorted(fractions) and fractions[-1] == 1.0
+    return demo
 
 
 def straight_walk() -> pdr.Recording:
@@ -137,11 +134,6 @@ def test_a_recording_without_steps_makes_a_demo_that_says_so(tmp_path: Path) -> 
     assert demo.track.n_steps == 0
     assert "no steps were detected" in printed(demo)
     assert demo.picture.is_file()
-
-
-def test_progress_reaches_one(simulated: Demo, fractions: list[float]) -> None:
-    assert fractions == sorted(fractions)
-    assert fractions[-1] == 1.0
 
 
 def test_the_end_error_on_the_screen_is_that_of_the_report_at_the_last_step(simulated: Demo) -> None:

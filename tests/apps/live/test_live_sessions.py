@@ -320,7 +320,6 @@ def with_bias(walk: Recording, bias_radps: float) -> Recording:
 def test_the_gyroscope_bias_of_a_phone_is_used_in_its_next_session(walk: Recording, tmp_path: Path) -> None:
     biased = with_bias(walk, 0.02)
     first, _ = taken(tmp_path, own_messages(biased, session="first"))
-    assert first.online is not None
     learnt = first.online.device
     bodies = own_messages(biased, session="second")
     devices = Sessions(Settings(), tmp_path, lambda _: None)

@@ -51,7 +51,6 @@ def phyphox(walk: Recording) -> Iterator[int]:
     The phone has no network for two questions in the middle.
     """
     gyroscope = walk.gyroscope
-    assert gyroscope is not None
     columns = {"a t": walk.accelerometer.time_s, "g t": gyroscope.time_s}
     columns |= {f"a{axis}": walk.accelerometer.values[:, i] for i, axis in enumerate("XYZ")}
     columns |= {f"g{axis}": gyroscope.values[:, i] for i, axis in enumerate("XYZ")}
@@ -111,7 +110,6 @@ def sensor_server(walk: Recording) -> Iterator[int]:
     events.sort(key=lambda event: event[0])
 
     def send(connection: ServerConnection) -> None:
-        assert connection.request is not None
         assert "android.sensor.gyroscope" in connection.request.path
         for _, event in events:
             connection.send(json.dumps(event))

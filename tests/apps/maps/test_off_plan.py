@@ -38,7 +38,6 @@ HOLE = box(-3, -3, 3, 3)["coordinates"][0]
 
 
 def is_off(given: pdr.Config, position_m: np.ndarray) -> np.ndarray:
-    assert given.on_plan is not None
     return given.on_plan.plan.storeys[0].kind_at(position_m) == OUTSIDE
 
 
@@ -95,7 +94,6 @@ def test_a_start_in_a_wall_is_named_and_one_in_a_room_without_a_door_is_not(tmp_
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [*FEATURES, thick, feature("wall", line((0, 9), (1, 9)))]))
     for start, is_named in ((at(5.5, 0.0, 0.2), True), (at(4.0, 8.0, 0.2), False)):
         found = pdr.recipes.default().with_plan(plan, start)
-        assert found.on_plan is not None
         notes = found.on_plan.notes(found.on_plan.init())
         assert bool(notes) == is_named
 

@@ -144,7 +144,6 @@ def test_a_grid_weights_particles_by_their_cell_at_its_time_and_less_if_errors_a
 ) -> None:
     config = pdr.recipes.default().with_plan(plan)
     on_plan, known = config.on_plan, config.tracker.init().pedestrian
-    assert on_plan is not None
     particles = np.zeros((4000, 6))
     particles[:, 0] = np.repeat([10.0, 20.0], 2000)
     # a step ago each was 0.7 m further south, in the southern row of cells
@@ -172,7 +171,6 @@ def test_a_grid_weights_particles_by_their_cell_at_its_time_and_less_if_errors_a
 def test_a_grid_from_before_the_first_stored_position_changes_no_particle(plan: pdr.FloorPlan) -> None:
     config = pdr.recipes.default().with_plan(plan)
     on_plan, known = config.on_plan, config.tracker.init().pedestrian
-    assert on_plan is not None
     particles = np.zeros((4000, 6))
     particles[:, 0] = np.repeat([10.0, 20.0], 2000)
     way = np.array([[20.0, 0, 0, 0], [20.5, 0, 0.7, 0]])
@@ -186,7 +184,6 @@ def test_after_a_ride_in_a_lift_particles_that_were_in_a_lift_have_most_weight(t
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [*FEATURES, *lifts]))
     config = pdr.recipes.default().with_plan(plan)
     on_plan, known = config.on_plan, config.tracker.init().pedestrian
-    assert on_plan is not None
     # a quarter of the particles in each lift, the others in the corridor, two steps after they got out to the north
     particles = np.zeros((4000, 6))
     particles[:, :2] = np.repeat([[10, 1.4], [30, 1.4], [20, 1.4], [5, 1.4]], 1000, axis=0)
@@ -205,7 +202,6 @@ def test_particles_spread_over_the_angle_turned_within_a_step(tmp_path: Path) ->
     field = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [feature("floor", box(-20, -20, 20, 20))]))
     config, n = pdr.recipes.default().with_plan(field), 20_000
     on_plan = config.on_plan
-    assert on_plan is not None
     before = replace(
         on_plan.init(), particles=np.zeros((n, 6)), weight=np.full(n, 1 / n), reckoned=np.array([[0.5, 0.0, 0.0, 0.0]])
     )
@@ -229,7 +225,6 @@ def test_a_step_changes_the_odds_of_a_wrong_plan_by_its_bayes_factor_within_limi
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", field))
     config, n = pdr.recipes.default().with_plan(plan), 4000
     on_plan = config.on_plan
-    assert on_plan is not None
     way = np.array([[0.5, 0.0, 0.0, 0.0]])
     before = replace(
         on_plan.init(), particles=np.zeros((n, 6)), weight=np.full(n, 1 / n), reckoned=way, wrong_log_odds=begun_at
@@ -246,7 +241,6 @@ def test_a_wrong_start_may_be_anywhere_on_the_storey_and_the_walk_may_have_led_i
 ) -> None:
     field = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [feature("floor", box(-10, -20, 30, 20))]))
     on_plan = begun(field, pdr.PositionFix(0.0, [0.0, 0.0], np.eye(2))).on_plan
-    assert on_plan is not None
     reckoned = np.array([3.0, 4.0]), np.diag([1.0, 2.0])
     alternative = on_plan.alternative(on_plan.init(), reckoned, 0.9)
     assert alternative is not None and alternative.prob == pytest.approx(0.9 - 0.1)

@@ -19,7 +19,6 @@ WALK = round_the_block()
 def located() -> pdr.Recording:
     """Walk with a location every second, with an error of 2 m and an accuracy of 3 m, in the first corridor."""
     truth = WALK.truth.position
-    assert truth is not None
     time_s, rng = np.arange(0.5, 35.0), np.random.default_rng(0)
     place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[k]) for k in ("east_m", "north_m")])
     latitude, longitude = HERE.latitude_longitude_deg(place_m + rng.normal(0.0, 2.0, place_m.shape))

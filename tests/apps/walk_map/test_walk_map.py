@@ -151,7 +151,6 @@ def test_the_plan_can_be_read_and_contains_the_walks(mapped: pdr.WalkMap, tmp_pa
     assert [s.floor for s in plan.storeys] == [0, 1, 2]
     for joined in mapped.walks:
         storey = plan.storey(int(joined.floor[0]))
-        assert storey is not None
         assert (storey.kind_at(joined.position_m) == 0).mean() > 0.95
 
 
@@ -241,7 +240,6 @@ def test_a_map_does_not_depend_on_the_zero_of_time(building: list[Recording]) ->
             n: pdr.Samples(s.time_s + by_s, s.values) for n, s in recording.streams.items() if n != "magnetometer"
         }
         wifi = recording.wifi
-        assert wifi is not None
         return replace(recording, wifi=replace(wifi, time_s=wifi.time_s + by_s), **streams)
 
     first, second = (
@@ -275,7 +273,6 @@ def test_an_access_point_that_was_moved_is_named_and_not_mapped(building: list[R
     near = []
     for k, end in ((0, slice(0, 3)), (1, slice(0, 3))):  # all other access points differ
         wifi = building[k].wifi
-        assert wifi is not None
         times = np.unique(np.array([s.time_s for s in wifi.scans()]))[end]
         near.append(
             replace(
@@ -359,7 +356,6 @@ def test_wrong_arguments_are_named(building: list[Recording]) -> None:
 
 def test_hashed_addresses_hide_the_access_points_and_keep_the_fingerprints(building: list[Recording]) -> None:
     wifi = building[0].wifi
-    assert wifi is not None
     other = hashed(wifi, "secret")
     assert not set(other.bssid) & set(wifi.bssid)
     assert other.n_access_points == wifi.n_access_points

@@ -129,7 +129,6 @@ def two_legs() -> Recording:
 def with_locations(recording: Recording) -> Recording:
     """Return the recording without waypoints, with a location of the true position in each second."""
     truth = recording.truth.position
-    assert truth is not None
     time_s = np.arange(1.3, truth.time_s[-1])
     place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     latitude_deg, longitude_deg = pdr.Origin(48.1, 11.5).latitude_longitude_deg(place_m)
@@ -146,7 +145,6 @@ def test_a_mark_on_the_path_of_a_walk_with_own_positions_hardly_moves_it(tmp_pat
     mark = [float(before.time_s[row]), *before.position_m[row].tolist(), 1.0, None, None]
     files = {FIXES: table_bytes(FIXES, [mark])}
     if has_locations:  # as the page does with the first mark
-        assert before.origin is not None
         files[WALK] = json.dumps({"origin": [before.origin.latitude_deg, before.origin.longitude_deg]}).encode()
     write_mark_files(marks_folder(path), files)
     found = read_marks(path).arguments(pdr.read(path))
@@ -318,7 +316,6 @@ def test_a_kill_during_a_save_leaves_the_old_marks_or_the_new_ones(tmp_path: Pat
     seen: set[int] = set()
     for k in range(6):
         process = subprocess.Popen([sys.executable, "-c", SAVING, str(tmp_path)], stdout=subprocess.PIPE)
-        assert process.stdout is not None
         process.stdout.readline()
         time.sleep(0.02 + 0.011 * k)
         process.send_signal(signal.SIGKILL)

@@ -246,7 +246,6 @@ def core_motion_text(recording: Recording) -> str:
 
 def generic_text(recording: Recording) -> str:
     """Milliseconds, g with Apple's sign, deg/s; the gyroscope in every row."""
-    assert recording.gyroscope is not None
     force_g = -recording.accelerometer.values / STANDARD_GRAVITY_MPS2
     rows = zip(
         recording.accelerometer.time_s.tolist(),
@@ -302,7 +301,6 @@ def wall_clock(time_s: np.ndarray) -> list[str]:
 
 def physics_toolbox_text(recording: Recording) -> str:
     """Blank first line, g, a comma at the end of each line."""
-    assert recording.gyroscope is not None
     force_g = recording.accelerometer.values / STANDARD_GRAVITY_MPS2
     still = 0.0 * force_g
     columns = axes("gF%", force_g) | axes("a%", still) | axes("w%", recording.gyroscope.values)
@@ -429,7 +427,6 @@ def cdr_header(at_ns: int, frame: str = "imu") -> bytes:
 
 def imu_messages(recording: Recording, frame: str = "imu") -> list[tuple[int, bytes]]:
     """Times and CDR of `sensor_msgs/msg/Imu`."""
-    assert recording.gyroscope is not None
     n = len(recording.accelerometer)
     quaternion = np.zeros((n, 4)) if recording.attitude is None else recording.attitude.values[:, [1, 2, 3, 0]]
     found = []

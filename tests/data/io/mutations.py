@@ -88,7 +88,6 @@ def file_of(name: str, recording: Recording, folder: Path) -> Path:
         if form == "json":
             path = folder / "good.json"
             force, rate = recording.accelerometer, recording.gyroscope
-            assert rate is not None
             rows = zip(force.time_s.tolist(), force.values.tolist(), rate.values.tolist(), strict=True)
             names = ("timestamp", "accelerometer", "gyroscope")
             path.write_text("\n".join(json.dumps(dict(zip(names, (1000 + t, f, r), strict=True))) for t, f, r in rows))
@@ -132,7 +131,6 @@ def file_of(name: str, recording: Recording, folder: Path) -> Path:
         with h5py.File(path, "w") as file:
             file["synced/time"] = recording.accelerometer.time_s
             file["synced/acce"] = recording.accelerometer.values
-            assert recording.gyroscope is not None
             file["synced/gyro"] = recording.gyroscope.values
             file["pose/tango_pos"] = 0 * recording.accelerometer.values
             if recording.magnetometer is not None:

@@ -224,9 +224,6 @@ def test_humolire_comes_with_landmarks_legs_person_and_plan(
     assert [path.stem for path in paths] == names
     for walk in map(pdr.read, paths):
         waypoints, segments, labels = walk.truth.waypoints, walk.truth.segments, walk.truth.labels
-        assert waypoints is not None
-        assert segments is not None
-        assert labels is not None
         # on the clock of the sensors, which begins with the first sample; the start is where motion begins
         np.testing.assert_allclose(waypoints["time_s"], [1.5, 9.0, 18.0, 27.0, 33.0], atol=0.1)
         np.testing.assert_allclose(waypoints["time_s"][1:], [9.0, 18.0, 27.0, 33.0], atol=1e-6)
@@ -277,8 +274,6 @@ def test_ms_indoor_comes_with_points_of_the_map_storey_and_labels(
     (path,) = datasets.fetch("ms_indoor", tmp_path / "cache")
     assert path.stem == "ms_indoor_anon_site1_b1_5dda"
     walk = pdr.read(path)
-    assert walk.truth.waypoints is not None
-    assert walk.truth.labels is not None
     assert walk.truth.waypoints["floor"].tolist() == [-1.0, -1.0]
     np.testing.assert_allclose(walk.truth.waypoints["east_m"], [3.0, 13.0])
     np.testing.assert_allclose([walk.truth.labels["start_s"][0], walk.truth.labels["end_s"][0]], [0.5, 9.0])

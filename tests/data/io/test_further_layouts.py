@@ -118,7 +118,6 @@ Accelerometer (1).csv; AccelerometerUncalibrated.csv; Pedometer.tsv; annotation.
 """),
 )
 def test_a_table_with_both_sensors_reads_whatever_its_file_is_called(tmp_path: Path, name: str) -> None:
-    assert WALK.gyroscope is not None
     columns = {"time": WALK.accelerometer.time_s} | axes("acc%", WALK.accelerometer.values)
     text = table_text(columns | axes("gyro%", WALK.gyroscope.values))
     assert_same_streams(read(write_text(tmp_path / name, text)), WALK, "accelerometer gyroscope", 1e-6, 1e-9)

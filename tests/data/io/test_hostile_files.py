@@ -69,7 +69,6 @@ def test_a_long_label_is_cut_with_a_note_so_that_others_are_not_as_wide(tmp_path
     path = write_zip(tmp_path / "a.zip", {"accelerometer.csv": ROWS, "truth_labels.csv": labels(10_000, 4000)})
     with soon_and_in_little_memory():
         recording = read(path)
-    assert recording.truth.labels is not None
     assert [len(text) for text in recording.truth.labels.context[:2]] == [limits.MAX_NAME_CHARS, len("walking")]
     assert any("texts of more than 200 characters" in note for note in recording.notes)
 

@@ -60,7 +60,6 @@ def test_the_table_of_odd_tables_in_the_docs_has_every_kind() -> None:
 
 def accuracy_m(path: Path) -> float:
     location = read(path).location
-    assert location is not None
     return float(np.nanmax(location.values[:, 3], initial=-1.0))
 
 
@@ -159,7 +158,6 @@ def test_the_greek_axes_of_a_browser_are_x_y_and_z_in_degrees(tmp_path: Path, al
     rate = dict(zip(names, np.degrees(turn).T, strict=True))
     text = table_text({"t": TIME_S} | axes("accelerationIncludingGravity%", FORCE) | rate)
     gyroscope = read(write_text(tmp_path / "walk.csv", text)).gyroscope
-    assert gyroscope is not None
     np.testing.assert_allclose(gyroscope.values, turn, atol=1e-9)
 
 

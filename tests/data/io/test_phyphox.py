@@ -65,7 +65,6 @@ def test_the_unit_of_the_header_is_obeyed(tmp_path: Path, unit: str, factor: flo
 
 
 def test_degrees_and_both_signs_of_micro_are_known(tmp_path: Path) -> None:
-    assert WALK.gyroscope is not None
     assert WALK.magnetometer is not None
     files = phyphox_files(WALK)
     degrees = Samples(WALK.gyroscope.time_s, np.degrees(WALK.gyroscope.values))
@@ -99,8 +98,6 @@ def test_pressure_and_location_are_read(tmp_path: Path) -> None:
         '"Horizontal Accuracy (m)","Vertical Accuracy (m)"\n0.0E0,4.8E1,1.1E1,5.0E2,1.0E0,9.0E1,4.0E0,6.0E0\n'
     )
     recording = read(write_zip(tmp_path / "w.zip", files))
-    assert recording.barometer is not None
-    assert recording.location is not None
     np.testing.assert_array_equal(recording.barometer.values[:, 0], [1013.2, 1013.3])
     np.testing.assert_array_equal(recording.location.values, [[48.0, 11.0, 500.0, 4.0]])
 
@@ -164,5 +161,4 @@ def test_a_table_whose_columns_have_no_units_is_not_one_of_phyphox() -> None:
     phyphox = ("Time (s),Acceleration x (m/s^2)", "Time (s),Acceleration x (g),Acceleration y (g)")
     assert all((dialect := dialect_of(header)) is not None and dialect.app == "phyphox" for header in phyphox)
     physics_toolbox = dialect_of("Time (s),gFx,gFy,gFz,wx (rad/s),wy (rad/s),wz (rad/s)")
-    assert physics_toolbox is not None
     assert physics_toolbox.app == "Physics Toolbox"

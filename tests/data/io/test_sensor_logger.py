@@ -227,7 +227,6 @@ def test_an_unknown_accuracy_of_a_location_is_nan(tmp_path: Path) -> None:
         f"{T0_NS},0.0,-1,519.5,11.98,48.12,\n{T0_NS + 10**9},1.0,4.5,519.5,11.98,48.12,\n"
     )
     location = read(write_folder(tmp_path / "w", files)).location
-    assert location is not None
     np.testing.assert_array_equal(location.values, [[48.12, 11.98, 519.5, math.nan], [48.12, 11.98, 519.5, 4.5]])
 
 

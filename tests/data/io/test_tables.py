@@ -193,7 +193,6 @@ def test_acceleration_without_gravity_in_an_unknown_unit_is_refused(tmp_path: Pa
 def test_a_location_that_is_repeated_in_every_row_is_one_fix(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_text(androsensor())
     found = read(tmp_path / "walk.csv").location
-    assert found is not None
     assert len(found) == 1
 
 
@@ -250,7 +249,6 @@ def test_the_gyroscope_is_checked_with_how_gravity_turns(tmp_path: Path, n_witho
         (tmp_path / "walk.csv").write_text(text)
         found = read_guessed(tmp_path / "walk.csv")
         assert any(f"gyroz, {unit}" in line for line in found.guess.evidence)
-        assert found.recording.gyroscope is not None
         np.testing.assert_allclose(found.recording.gyroscope.values, rate[n_without_time:], atol=1e-12)
     assert (
         any("gravity turns 1.0" in line for line in read_guessed(tmp_path / "walk.csv").guess.evidence)

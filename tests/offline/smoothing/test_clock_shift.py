@@ -33,7 +33,6 @@ def walk(*turns: float, leg_m: float = 45.0) -> pdr.Recording:
 def places(recording: pdr.Recording) -> tuple[np.ndarray, np.ndarray]:
     """Return the times and noisy positions of a walk, every 10 s."""
     truth, time_s = recording.truth.position, np.arange(1.0, recording.duration_s - 1.0, 10.0)
-    assert truth is not None
     true_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     return time_s, true_m + np.random.default_rng(5).normal(0.0, STD_M, true_m.shape)
 

@@ -18,7 +18,6 @@ from pdr_filter.values import PositionFix, WindowContext
 def fixes_of(walk: pdr.Recording, seed: int = 0, std_m: float = 2.0) -> list[PositionFix]:
     """Return a noisy fix every ten seconds."""
     truth = walk.truth.position
-    assert truth is not None
     rng = np.random.default_rng(seed)
     times = np.arange(10.0, float(truth.time_s[-1]), 10.0)
     places = np.column_stack([np.interp(times, truth.time_s, truth[name]) for name in ("east_m", "north_m")])

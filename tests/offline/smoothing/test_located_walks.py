@@ -49,7 +49,6 @@ def smoothed_bare() -> pdr.Smoothed:
 def truth_m(walk: pdr.Recording, times_s: np.ndarray) -> np.ndarray:
     """Return the true positions in metres from `HERE`."""
     truth = walk.truth.position
-    assert truth is not None
     place = np.column_stack([np.interp(times_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     c, s = np.cos(TURN_RAD), np.sin(TURN_RAD)
     return place @ np.array([[c, s], [-s, c]]).T + [40.0, -25.0]

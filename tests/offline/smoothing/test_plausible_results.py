@@ -24,7 +24,6 @@ FOLDERS = (
 
 def without_gyroscope(walk: pdr.Recording, begin_s: float, end_s: float) -> pdr.Recording:
     gyroscope = walk.gyroscope
-    assert gyroscope is not None
     has = (gyroscope.time_s < begin_s) | (gyroscope.time_s > end_s)
     samples = pdr.Samples(gyroscope.time_s[has], gyroscope.values[has]) if has.any() else None
     return replace(walk, gyroscope=samples)

@@ -372,7 +372,6 @@ def test_without_a_gyroscope_no_note_speaks_of_its_bias_or_of_fixes_that_do_not_
 
 def test_the_warning_about_headings_counts_the_smoothed_headings() -> None:
     gyroscope = WALKED.gyroscope
-    assert gyroscope is not None
     missing = (gyroscope.time_s > 8.0) & (gyroscope.time_s < 14.0)
     walk = replace(WALKED, gyroscope=pdr.Samples(gyroscope.time_s[~missing], gyroscope.values[~missing]))
     alone, fixed = smooth(walk), smooth(walk, fixes_of(WALKED))

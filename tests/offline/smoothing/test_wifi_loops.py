@@ -39,14 +39,12 @@ def test_two_visits_of_a_position_give_one_closure(walk: Recording) -> None:
 
 
 def test_walks_without_a_revisited_position_have_no_closures(walk: Recording) -> None:
-    assert walk.wifi is not None
     assert wifi_loop_closures(walk_with_wifi(round_a_block(turns=1), 2)) == []
     moved = replace(walk.wifi, bssid=walk.wifi.bssid + 1000 * (walk.wifi.time_s // 25.0).astype(int))
     assert wifi_loop_closures(replace(walk, wifi=moved)) == []
 
 
 def test_a_fingerprint_cosine_is_one_with_itself_and_zero_without_a_common_access_point(walk: Recording) -> None:
-    assert walk.wifi is not None
     scans = walk.wifi.scans()[:3]
     other = replace(scans[0], bssid=scans[0].bssid + 1000)
     likeness = fingerprint_cosines([*scans, other])

@@ -38,7 +38,6 @@ MODES = [
 
 def with_labels(recording: pdr.Recording, names: Mapping[str, str], carrying: str | None = None) -> pdr.Recording:
     labels = recording.truth.labels
-    assert labels is not None
     columns: dict[str, Any] = {"start_s": labels.start_s, "end_s": labels.end_s}
     columns["context"] = np.array([names.get(c, "") for c in labels.context])
     columns["carrying_mode"] = labels.carrying_mode if carrying is None else np.full(len(labels), carrying)
@@ -134,7 +133,6 @@ class Recorded(ClassifierMixin, BaseEstimator):
         return Recorded(self.kept)
 
     def fit(self, X: np.ndarray, y: np.ndarray) -> Recorded:  # noqa: N803
-        assert self.kept is not None
         self.kept.append(y)
         self.classes_ = np.unique(y)
         return self

@@ -116,7 +116,6 @@ def test_a_time_has_the_context_of_its_label_and_none_outside_every_label(walks:
 
 def test_only_recordings_with_gyroscope_whose_context_changes_are_used(walks: list[Recording], tmp_path: Path) -> None:
     walk = as_of(walks[0], "mine", "anna")
-    assert walk.truth.labels is not None
     columns = {name: walk.truth.labels[name] for name in ("start_s", "end_s", "carrying_mode")}
     same = table({**columns, "context": np.full(7, "walking")})
     one_context = replace(walk, name="same", truth=replace(walk.truth, labels=same))
@@ -146,7 +145,6 @@ def test_windows_are_those_of_the_filter_with_the_context_at_their_middle(mine: 
     sequences = labelled_sequences({path: "mine/p0"}, pdr.read, shipped_model_without)
     walk = pdr.read(path)
     seen = pdr.classify(walk)
-    assert sequences is not None
     np.testing.assert_array_equal(sequences.windows.prob, seen.context_prob)
     np.testing.assert_array_equal(sequences.windows.label, contexts_at(walk, seen.time_s - 1.0))
     np.testing.assert_array_equal(sequences.windows.training_prior[0], load_model("context").training_prior)
@@ -165,7 +163,6 @@ def test_no_transition_is_counted_across_a_gap(walks: list[Recording], tmp_path:
     with_gap = replace(walk, accelerometer=cut(walk.accelerometer), gyroscope=cut(walk.gyroscope), magnetometer=None)
     path = written([with_gap], tmp_path)[0]
     sequences = labelled_sequences({path: "mine/p0"}, pdr.read, shipped_model_without)
-    assert sequences is not None
     assert len(np.unique(sequences.step_sequence)) == len(np.unique(sequences.windows.sequence)) == 2
     joined = count_transitions(sequences.step_label, np.full(len(sequences.step_label), "a"), len(CONTEXTS))
     assert joined.sum() == sequences.counts().sum() + 1
@@ -560,7 +557,6 @@ def test_no_public_data_set_has_a_labelled_change_of_context_so_the_default_is_k
     # several activities in one recording, but the times between their labels are unlabelled
     assert len(paths) > 20 and {person.split("/")[0] for person in changing.values()} == {"difronzo"}
     sequences = labelled_sequences(changing, pdr.read, lambda people: load_model("context"))
-    assert sequences is not None
     counts = sequences.counts()
     assert counts.sum() > 100 and counts.sum() == np.trace(counts)
     train_evidence({}, pdr.read, tmp_path, shipped_model_without)

@@ -56,7 +56,6 @@ def test_a_scan_in_an_unmapped_area_gives_no_fix(radio: RadioMap, walk: Recordin
 
 
 def test_the_reception_time_of_a_fix_is_the_end_of_its_scan(radio: RadioMap, walk: Recording) -> None:
-    assert walk.wifi is not None
     ends = {scan.time_s: scan.end_s for scan in walk.wifi.scans()}
     for fix in radio.fixes(walk):
         assert fix.received_time_s == ends[fix.time_s] > fix.time_s
@@ -92,7 +91,6 @@ def test_every_scan_gives_a_grid_whose_mean_is_the_position_of_its_fix(radio: Ra
 
 
 def test_a_scan_of_unmapped_access_points_gives_no_fix(radio: RadioMap, walk: Recording) -> None:
-    assert walk.wifi is not None
     strange = replace(walk.wifi, bssid=walk.wifi.bssid + 10**6)
     assert radio.fixes(replace(walk, wifi=strange)) == []
     with pytest.raises(pdr.MissingSensorError, match="has no Wi-Fi"):
