@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import resumed
+from helpers import cut_randomly, pushed
 from made_up import FEATURES, box, feature, line, write
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -51,12 +51,7 @@ def test_a_start_in_a_hole_is_named_with_the_number_of_steps_online_and_smoothed
     smoothed = pdr.smooth(WALK, config=given)
     counted = next(note for note in smoothed.notes if OFF in note and "step" in note.split()[1])
     assert int(counted.split()[0]) in (4, 5)
-    online, samples = pdr.OnlineFilter(given), pdr.merge_streams(WALK)
-    for i in range(0, len(samples.time_s), 37):
-        part = slice(i, i + 37)
-        online.push(samples.time_s[part], samples.specific_force_mps2[part], samples.angular_rate_radps[part])
-        online = resumed(online) if i % 370 == 0 else online
-    online.finish()
+    online, _ = pushed(pdr.OnlineFilter(given), cut_randomly(pdr.merge_streams(WALK), 1), n_resumed=5)
     assert [note for note in online.notes if OFF in note] == [start, steps]
 
 
