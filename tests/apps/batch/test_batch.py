@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from true_positions import located
 
 import pdr_filter as pdr
 from pdr_filter import batch
@@ -102,11 +103,7 @@ def test_a_recording_without_the_sensors_of_the_recipe_fails_with_a_reason_that_
 
 def test_a_batch_uses_locations_as_it_is_asked_to(tmp_path: Path) -> None:
     walk = pdr.simulate.demo_walk()
-    times, truth = np.arange(1.0, walk.duration_s), walk.truth.position
-    place_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    degrees = pdr.Origin(48.137, 11.575).latitude_longitude_deg(place_m)
-    values = np.column_stack([*degrees, np.full((len(times), 2), 6.0)])
-    path = write_recording(replace(walk, location=pdr.Samples(times, values)), tmp_path / "located.zip")
+    path = write_recording(located(walk, np.arange(1.0, walk.duration_s), accuracy_m=6.0), tmp_path / "located.zip")
     recording, ends = pdr.read(path), set[tuple[float, float]]()
     for gnss in (None, "align", "off"):
         (row,) = batch.track(path, out=tmp_path / "tracks.csv", gnss=gnss)

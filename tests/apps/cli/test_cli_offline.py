@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commands import mark, one_line, refusal, run, short_walk, succeed
+from true_positions import HERE, located, true_m
 
 import pdr_filter as pdr
 from pdr_filter.apps.maps.marks import read_marks
@@ -154,15 +155,12 @@ def test_a_walk_is_smoothed_with_loop_closures_of_a_file(walk: Path, tmp_path: P
 
 def test_a_walk_is_smoothed_against_its_own_locations_where_it_was(tmp_path: Path) -> None:
     walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=60.0)], seed=2, name="located")
-    truth, here = walk.truth.position, pdr.Origin(43.77, 11.25)
     time_s = np.arange(1.0, walk.duration_s, 2.0)
-    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("north_m", "east_m")])  # to the east
-    values = np.column_stack([*here.latitude_longitude_deg(place_m), np.full((len(time_s), 2), 4.0)])
-    located = replace(walk, location=pdr.Samples(time_s, values), truth=replace(walk.truth, waypoints=None))
-    succeed("smooth", located.save(tmp_path / "located.zip"), "--out", tmp_path)
+    path = replace(located(walk, time_s, accuracy_m=4.0), truth=Truth()).save(tmp_path / "located.zip")
+    succeed("smooth", path, "--out", tmp_path)
     line = json.loads((tmp_path / "located.geojson").read_text())["features"][0]["geometry"]["coordinates"]
     longitude_deg, latitude_deg = np.array(line)[:, :2].T
-    assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 4.0
+    assert np.linalg.norm(HERE.east_north_m(latitude_deg, longitude_deg)[-1] - true_m(walk, time_s[-1])) < 4.0
 
 
 def test_a_calibration_of_a_folder_is_that_of_the_recordings_in_it(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from true_positions import HERE, located, true_m
 
 import pdr_filter as pdr
 from pdr_filter.apps.cli.demo import Demo, run_demo
@@ -114,15 +115,11 @@ def test_the_demo_of_a_file_tracks_that_file_and_claims_no_truth(tmp_path: Path)
 def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> None:
     walk = straight_walk()
     time_s = np.arange(1.0, walk.duration_s, 5.0)
-    truth = walk.truth.position
-    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    here = pdr.Origin(43.77, 11.25)
-    values = np.column_stack([*here.latitude_longitude_deg(place_m), np.full((len(time_s), 2), 5.0)])
-    file = write_recording(replace(walk, location=pdr.Samples(time_s, values)), tmp_path / "mine.zip")
+    file = write_recording(located(walk, time_s), tmp_path / "mine.zip")
     demo = run_demo(file, tmp_path / "out")
     (feature,) = json.loads(demo.geojson.read_text())["features"]
     longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[:, :2].T
-    assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 15.0
+    assert np.linalg.norm(HERE.east_north_m(latitude_deg, longitude_deg)[-1] - true_m(walk, time_s[-1])) < 15.0
     assert "georeferenced by the locations in the recording" in printed(demo)
     assert run_demo(file, tmp_path / "off", gnss="off").geojson.name.endswith(".local.geojson")
 

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import a_step, cut_randomly, pushed, updates_of
-from made_up import FEATURES, box, errors_m, feature, line, round_the_block, turned, write
+from made_up import FEATURES, box, feature, line, round_the_block, turned, write
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import truncnorm
+from true_positions import errors_m, true_m
 
 import pdr_filter as pdr
 from pdr_filter.apps.maps.crossing_costs import Ground, Terrain
@@ -393,12 +394,12 @@ def test_a_walk_starts_in_the_named_room(plan: pdr.FloorPlan) -> None:
 def test_grids_with_two_candidates_find_a_walk_with_an_unknown_start_for_any_blocks(
     plan: pdr.FloorPlan,
 ) -> None:
-    truth, wrong = WALK.truth.position, np.array([2, 7])
+    wrong = np.array([2, 7])
     grids: list[pdr.GridFix] = []
     for time_s in (8.0, 20.0, 35.0):
         cells = np.full((12, 20), 1e-6)
-        at = np.array([np.interp(time_s, truth.time_s, truth[n]) for n in ("north_m", "east_m")])
-        for row, column in (((at + 3.75) // 2.5).astype(int), wrong):
+        column_row = ((true_m(WALK, time_s) + 3.75) // 2.5).astype(int)
+        for row, column in (column_row[::-1], wrong):
             cells[row - 1 : row + 2, column - 1 : column + 2] = 0.05
         grids.append(pdr.GridFix(time_s, (-3.75, -3.75), 2.5, np.log(cells)))
     config = begun(plan, "anywhere", 20_000)
@@ -448,8 +449,6 @@ def test_later_steps_improve_earlier_smoothed_positions(plan: pdr.FloorPlan) -> 
     apart_m = np.linalg.norm(hindsight.track.end_position_m - online.end_position_m)
     assert apart_m < 2 * online.position_std_m[-1] and apart_m < 1.5
     assert_allclose([clusters[0].share for clusters in hindsight.track.clusters], 0.999, atol=0.002)
-    with pytest.raises(ValueError, match="fixes alone"):
-        pdr.smooth(WALK, plan=plan, start=start, start_heading_std_rad=0.1)
 
 
 def test_smoothed_steps_keep_their_lengths_if_the_direction_is_unknown_and_a_note_says_so(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from benches import Client, short_walk, with_bench
+from true_positions import located
 
 import pdr_filter as pdr
 from pdr_filter.apps.maps.marks import (
@@ -126,20 +127,12 @@ def two_legs() -> Recording:
     return simulate([Leg("walking", distance_m=25.0), Leg("walking", distance_m=15.0, turn_rad=1.5)], seed=1)
 
 
-def with_locations(recording: Recording) -> Recording:
-    """Return the recording without waypoints, with a location of the true position in each second."""
-    truth = recording.truth.position
-    time_s = np.arange(1.3, truth.time_s[-1])
-    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    latitude_deg, longitude_deg = pdr.Origin(48.1, 11.5).latitude_longitude_deg(place_m)
-    values = np.column_stack([latitude_deg, longitude_deg, np.full((len(time_s), 2), [520.0, 6.0])])
-    return replace(recording, location=pdr.Samples(time_s, values), truth=Truth())
-
-
 @pytest.mark.parametrize("has_locations", [True, False])
 def test_a_mark_on_the_path_of_a_walk_with_own_positions_hardly_moves_it(tmp_path: Path, has_locations: bool) -> None:
     recording = two_legs()
-    path = (with_locations(recording) if has_locations else recording).save(tmp_path / "walk")
+    if has_locations:
+        recording = replace(located(recording, np.arange(1.3, 30.0), accuracy_m=6.0), truth=Truth())
+    path = recording.save(tmp_path / "walk")
     before = pdr.smooth(pdr.read(path), **read_marks(path).arguments(pdr.read(path))).track
     row = before.n_steps // 2
     mark = [float(before.time_s[row]), *before.position_m[row].tolist(), 1.0, None, None]

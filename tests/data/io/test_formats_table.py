@@ -193,7 +193,7 @@ def test_every_special_case_of_the_docs_has_a_test_that_exists() -> None:
 
 
 @pytest.mark.parametrize(
-    "form", ["own", "sensor_logger", "phyphox:csv", "indoor_location", "core_motion", "generic_csv"]
+    "form", ["own", "sensor_logger:android", "phyphox:csv", "indoor_location", "core_motion", "generic_csv"]
 )
 def test_a_last_line_that_is_cut_off_loses_no_other(tmp_path: Path, form: str) -> None:
     recording = replace(a_recording(), attitude=None) if form != "core_motion" else a_recording()

@@ -132,8 +132,6 @@ def test_a_format_can_be_forced(tmp_path: Path) -> None:
     path = mapped(tmp_path)
     assert len(read(path, "generic_csv").accelerometer) == len(WALK.accelerometer)
     assert refusal(path, "get_sensor_data")
-    with pytest.raises(ValueError, match="format is 'excel'; give one of own, sensor_logger"):
-        read(path, "excel")
 
 
 def test_a_mapping_of_an_acceleration_without_gravity_restores_it(tmp_path: Path) -> None:

@@ -182,13 +182,6 @@ def test_an_accelerometer_under_unknown_names_is_asked_for_by_those_names(tmp_pa
     assert "among fx, fy, fz, say so: pdr-filter convert FILE --map MAP.toml" in message
 
 
-def test_a_table_without_a_time_is_asked_for_its_column_or_its_rate(tmp_path: Path) -> None:
-    message = refusal(write_text(tmp_path / "walk.csv", table_text({"sample": TIME_S} | axes("a%", FORCE))))
-    assert "no column of times" in message
-    assert 'column = "..."' in message
-    assert "rate_hz = ..." in message
-
-
 def test_of_several_tables_that_without_a_time_is_named(tmp_path: Path) -> None:
     files = {"Accelerometer.csv": {"time": TIME_S} | axes("%", FORCE), "Gyroscope.csv": axes("%", RATE)}
     path = write_folder(tmp_path / "walk", {name: table_text(columns) for name, columns in files.items()})

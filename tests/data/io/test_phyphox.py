@@ -133,25 +133,6 @@ def test_acceleration_without_gravity_beside_the_right_one_is_ignored(tmp_path: 
     assert_same_streams(read(write_zip(tmp_path / "w.zip", files)), WALK, ALL, time_s=1e-7, rtol=1e-8)
 
 
-def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path: Path) -> None:
-    (tmp_path / "w.csv").write_text(phyphox_table(WALK.accelerometer, "Acceleration", "ft/s^2"))
-    message = refusal(tmp_path / "w.csv")
-    assert "unit 'ft/s^2' is not known" in message
-    assert "m/s^2" in message
-
-
-def test_a_missing_axis_is_refused(tmp_path: Path) -> None:
-    text = phyphox_table(WALK.accelerometer, "Acceleration", "m/s^2").replace("Acceleration z", "Something z", 1)
-    (tmp_path / "w.csv").write_text(text)
-    assert "is one axis of the accelerometer, and there is no column for z" in refusal(tmp_path / "w.csv")
-
-
-def test_values_in_g_under_a_header_of_mps2_are_refused(tmp_path: Path) -> None:
-    scaled = Samples(WALK.accelerometer.time_s, WALK.accelerometer.values / STANDARD_GRAVITY_MPS2)
-    (tmp_path / "w.csv").write_text(phyphox_table(scaled, "Acceleration", "m/s^2"))
-    assert "looks like g units" in refusal(tmp_path / "w.csv")
-
-
 def test_a_file_of_nothing_but_headers_is_refused_soon(tmp_path: Path) -> None:
     (tmp_path / "w.csv").write_text('"Time (s)","Acceleration x (m/s^2)"\n' + '"Time (s)"\n' * 100_000)
     assert "lines begin with" in refusal(tmp_path / "w.csv") or "no column" in refusal(tmp_path / "w.csv")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -96,12 +95,6 @@ def test_gravity_at_other_times_is_interpolated(tmp_path: Path) -> None:
     recording = read(write_folder(tmp_path / "w", files))
     expected = 0.1 * STANDARD_GRAVITY_MPS2 * np.arange(100) / 100
     np.testing.assert_allclose(recording.accelerometer.values[:, 1], expected, atol=1e-6)
-
-
-def test_a_platform_that_contradicts_the_attitude_is_refused(tmp_path: Path) -> None:
-    files = sensor_logger_files(WALK, "ios")
-    files["Metadata.csv"] = metadata("android")
-    assert "points down in the phone's own attitude" in refusal(write_folder(tmp_path / "w", files))
 
 
 # ---------------------------------------------------------------- traps of the files
@@ -270,13 +263,6 @@ def test_acceleration_without_gravity_is_restored_with_the_sign_of_the_platform(
     assert "say it with pdr-filter convert FILE --platform" in refusal(
         write_folder(tmp_path / "unknown", files | {"Accelerometer.csv": linear})
     )
-
-
-def test_g_units_where_mps2_are_documented_are_refused(tmp_path: Path) -> None:
-    files = sensor_logger_files(
-        replace(WALK, accelerometer=Samples(WALK.accelerometer.time_s, WALK.accelerometer.values / 9.81))
-    )
-    assert "looks like g units" in refusal(write_folder(tmp_path / "w", files))
 
 
 def test_one_sensor_alone_is_read_and_says_what_to_record_if_gravity_is_not_in_it(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from pdr_filter.offline.training.transition_training import contexts_at
 from pdr_filter.recipes import context_transitions
 from pdr_filter.sensing.features.feature_windows import N_SIGNALS
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.values import WINDOW_SIGNALS, Context, FunctionFeatures, JoinedFeatures, table
+from pdr_filter.values import WINDOW_SIGNALS, Context, table
 
 NAMES = {"stationary": "resting", "walking": "level", "running": "jog"}
 PEOPLE = ["anna", "ben", "carla"]
@@ -244,12 +244,6 @@ def test_a_feature_function_receives_every_signal_by_its_name(walks: list[pdr.Re
     np.testing.assert_allclose(signals["rate_radps"], rate, rtol=1e-9)
     up = sum(signals[f"force_{axis}_mps2"] * signals[f"up_{axis}"] for axis in "xyz")
     np.testing.assert_allclose(signals["vertical_mps2"], up - 9.80665, atol=0.05)
-
-
-def test_feature_sets_used_together_must_have_different_names() -> None:
-    one = FunctionFeatures.of(few)
-    with pytest.raises(ValueError, match="must have different names"):
-        JoinedFeatures((one, one))
 
 
 def test_transitions_are_counted_at_the_steps_of_the_recordings_and_used_by_the_filter(
