@@ -37,6 +37,7 @@ from pdr_filter.recipes import context_transitions
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, FunctionFeatures, JoinedFeatures, Step, table
 from pdr_filter.values.recording import Truth
+from pdr_filter.values.serialisation import to_bytes
 from tests.offline.calibration.made_up_segments import flat, segment, step
 from tests.simulated_steps import simulated_walk
 
@@ -97,6 +98,18 @@ APPS: Rows = [
     (lambda f: plot.nees(np.full(3, np.nan)), "finite value, got none"),
     (lambda f: html_report([]), "at least one track, got none"),
     (lambda f: Mqtt("ws://broker.local:9001/phones", nobody), r"mqtt://HOST:PORT/TOPIC.*fall behind"),
+]
+
+
+ROWS = np.zeros((3, 3))
+ONLINE: Rows = [
+    *((lambda f, b=b: pdr.OnlineFilter.load(b), "filter") for b in (b"", b"something else", to_bytes({"config": 1}))),
+    (lambda f: pdr.OnlineFilter(pdr.recipes.default(), height_m=1.8), "height_m is for the default recipe"),
+    (lambda f: pdr.OnlineFilter(weighting="best"), "weighting must be one of"),
+    (lambda f: pdr.track(walk(), weighting="best"), "weighting must be one of"),
+    (lambda f: pdr.OnlineFilter().push(np.zeros((3, 1)), ROWS), "must be"),
+    (lambda f: pdr.OnlineFilter().push(np.zeros(3), ROWS[:2]), "must be"),
+    (lambda f: pdr.OnlineFilter().push(np.zeros(3), ROWS[:, :2]), "must be"),
 ]
 
 
@@ -209,7 +222,7 @@ TRAINING: Rows = [
 ]
 
 
-@pytest.mark.parametrize(("call", "message"), [*APPS, *SMOOTHER, *CALIBRATION, *TRAINING])
+@pytest.mark.parametrize(("call", "message"), [*APPS, *ONLINE, *SMOOTHER, *CALIBRATION, *TRAINING])
 def test_what_cannot_be_used_is_refused_with_its_name(
     tmp_path: Path, call: Callable[[Path], object], message: str
 ) -> None:

@@ -498,6 +498,15 @@ def write_zip(
     return path
 
 
+def read_columns(folder: Path, *columns: Mapping[str, np.ndarray | list[str]]) -> Recording:
+    """The recording of a table, of all these columns, in a file."""
+    return read(write_columns(folder, *columns))
+
+
+def write_columns(folder: Path, *columns: Mapping[str, np.ndarray | list[str]]) -> Path:
+    return write_text(folder / "walk.csv", table_text({name: part[name] for part in columns for name in part}))
+
+
 def refusal(path: Path, format: str | None = None, platform: str | None = None) -> str:
     """The message with which a path is refused."""
     with pytest.raises(RecordingError) as caught:
@@ -515,6 +524,14 @@ def assert_same_streams(actual: Recording, expected: Recording, names: str, time
         np.testing.assert_allclose(
             ours.values, theirs.values, rtol=0, atol=rtol * np.abs(theirs.values).max(), err_msg=name
         )
+
+
+def assert_same_bits(actual: Recording, expected: Recording) -> None:
+    """All streams have the same times and values."""
+    assert actual.streams.keys() == expected.streams.keys()
+    for name, samples in expected.streams.items():
+        np.testing.assert_array_equal(actual.streams[name].time_s, samples.time_s, err_msg=name)
+        np.testing.assert_array_equal(actual.streams[name].values, samples.values, err_msg=name)
 
 
 def assert_same_track(actual: Recording, expected: Recording, within_m: float) -> None:

@@ -134,7 +134,7 @@ def file_of(name: str, recording: Recording, folder: Path) -> Path:
     return write(folder / f"good{suffix}", recording)
 
 
-ABSURD = b'1e308 -1e308 1e309 nan inf x 1_0 0x10 99999999999999999999 " -'.split() + [b""]
+ABSURD = [*b'1e308 -1e308 1e309 nan inf x 1_0 0x10 99999999999999999999 " -'.split(), b""]
 LINE_ENDS = [b"\n", b"\r\n", b"\r", b"\x00", b"\x0b", b"\n\n", b";", b",", b"\t", b'"', b"},{", b"#", b"%"]
 ENCODINGS = ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-8-sig", "cp037"]
 

@@ -275,14 +275,6 @@ def test_data_that_hdf5_keeps_in_another_file_are_refused(
     assert "take data.hdf5 as published, or write the values into one file with h5py" in message
 
 
-def test_an_hdf5_file_that_is_a_pipe_is_refused_without_waiting(tmp_path: Path) -> None:
-    pytest.importorskip("h5py")
-    os.mkfifo(tmp_path / "data.hdf5")
-    for path in (tmp_path, tmp_path / "data.hdf5"):
-        assert "data.hdf5: not a file but a pipe" in refusal(path, "ronin")
-    assert "data.hdf5: not a file but a pipe" in refusal(tmp_path)
-
-
 def never_written(h5py: Any, file: Any) -> None:
     del file["synced/acce"]
     file.create_dataset("synced/acce", (10_000_000, 3), "f8", chunks=(1000, 3))

@@ -441,16 +441,6 @@ def test_any_csv_text_gives_a_recording_or_a_refusal(
     assert_recording_or_refusal(folder_with(tmp_path / "b", gyroscope=data, truth_position=data))
 
 
-@FUZZ
-@given(content=st.binary(max_size=200))
-def test_any_bytes_give_a_recording_or_a_refusal(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "bytes").write_bytes(content)
-    assert_recording_or_refusal(tmp_path / "bytes")
-    assert_recording_or_refusal(folder_with(tmp_path / "a", accelerometer=content))
-    assert_recording_or_refusal(folder_with(tmp_path / "b", meta=content))
-    assert_recording_or_refusal(folder_with(tmp_path / "c", truth_labels=content))
-
-
 JSON = st.recursive(
     st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
     lambda inner: (

@@ -36,10 +36,17 @@ def track(recording: Recording) -> Track:
 
 
 def with_segments(recording: Recording, rows: list[tuple[float, float, float]]) -> Recording:
-    start, end, distance = np.array(rows, dtype=float).T
-    n_steps = np.full(len(rows), np.nan)
-    segments = table({"start_s": start, "end_s": end, "distance_m": distance, "n_steps": n_steps})
+    columns = np.column_stack([np.array(rows, dtype=float), np.full(len(rows), np.nan)]).T
+    segments = table(dict(zip(("start_s", "end_s", "distance_m", "n_steps"), columns, strict=True)))
     return replace(recording, truth=Truth(segments=segments))
+
+
+def with_points(
+    recording: Recording, time_s: np.ndarray, north_m: np.ndarray, floor: float | np.ndarray = 0.0
+) -> Recording:
+    """A recording of which only waypoints on a line to the north are known."""
+    columns = {"time_s": time_s, "east_m": 0.0 * time_s, "north_m": north_m, "floor": floor + 0.0 * time_s}
+    return replace(recording, truth=Truth(waypoints=table(columns)))
 
 
 def test_a_simulated_walk_is_calibrated_to_its_true_length(recording: Recording, track: Track) -> None:
@@ -71,10 +78,7 @@ def test_bad_rows_of_the_truth_are_not_used_and_named(recording: Recording, trac
 
 def test_waypoints_out_of_time_order_are_not_used_and_named(recording: Recording, track: Track) -> None:
     time_s = np.array([0.0, 9.3, 18.5, 14.0, 27.0])
-    points = table(
-        {"time_s": time_s, "east_m": np.zeros(5), "north_m": np.array([0.0, 12, 24, 30, 42]), "floor": np.zeros(5)}
-    )
-    segments, notes = segments_of(replace(recording, truth=Truth(waypoints=points)), track)
+    segments, notes = segments_of(with_points(recording, time_s, np.array([0.0, 12, 24, 30, 42])), track)
     assert [s.start_s for s in segments] == [0.0, 9.3, 14.0]
     assert "out of time order) in 18.5-14.0 s" in notes[0]
 
@@ -101,11 +105,10 @@ def test_dense_waypoints_calibrate_as_well_as_distant_ones(every_s: float) -> No
 
 def test_close_waypoints_are_not_used_and_named_with_their_times(recording: Recording, track: Track) -> None:
     time_s = np.arange(2.0, 20.0, 1.0)
-    points = table({"time_s": time_s, "east_m": np.zeros(len(time_s)), "north_m": 0.1 * time_s})
     with pytest.raises(
         ValueError, match=r"nothing to calibrate with: .*waypoints in 2.0-19.0 s are close to each other"
     ):
-        calibrate(replace(recording, truth=Truth(waypoints=points)), tracks=[track])
+        calibrate(with_points(recording, time_s, 0.1 * time_s), tracks=[track])
 
 
 @pytest.mark.parametrize("latitude_deg", [0.0, 48.0, 70.0])
@@ -121,15 +124,8 @@ def test_distances_between_locations_are_those_on_the_ellipsoid(
 
 
 def test_waypoints_on_two_floors_give_no_segment(recording: Recording, track: Track) -> None:
-    points = table(
-        {
-            "time_s": np.array([0.0, 9.3, 18.5]),
-            "east_m": np.zeros(3),
-            "north_m": np.array([0.0, 12.0, 24.0]),
-            "floor": np.array([0.0, 0.0, 1.0]),
-        }
-    )
-    segments, _ = segments_of(replace(recording, truth=Truth(waypoints=points)), track)
+    time_s, north_m, floor = np.array([[0.0, 9.3, 18.5], [0.0, 12.0, 24.0], [0.0, 0.0, 1.0]])
+    segments, _ = segments_of(with_points(recording, time_s, north_m, floor), track)
     assert [s.end_s for s in segments] == [9.3]
 
 

@@ -23,12 +23,6 @@ def fixes_of(walk: pdr.Recording, seed: int = 0, std_m: float = 2.0) -> list[Pos
     return position_fixes(time_s, place_m + np.random.default_rng(seed).normal(scale=std_m, size=place_m.shape), std_m)
 
 
-def with_gap(samples: pdr.Samples) -> pdr.Samples:
-    """Return the recording without four seconds in the middle."""
-    keep = (samples.time_s < 20.0) | (samples.time_s > 24.0)
-    return pdr.Samples(samples.time_s[keep], samples.values[keep])
-
-
 def test_with_fixes_the_smoothed_track_has_smaller_errors_and_covariances_than_the_filter() -> None:
     walks = [
         simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=40.0, turn_rad=1.5)], seed=s)
@@ -93,24 +87,6 @@ def test_smoothing_reduces_the_effect_of_wrong_windows_and_keeps_true_stairs() -
     assert hindsight < 0.7 * online
     # a flight of twenty seconds
     assert mean_prob_of_stairs(config.in_hindsight(), 20.0, 40.0) > 0.95
-
-
-def test_a_recording_with_a_gap_is_smoothed_across_it() -> None:
-    walk = simulate([Leg("walking", distance_m=60.0)], seed=1)
-    assert walk.gyroscope is not None
-    cut = replace(walk, accelerometer=with_gap(walk.accelerometer), gyroscope=with_gap(walk.gyroscope))
-    fixes = fixes_of(walk)
-    smoothed = pdr.smooth(cut, fixes).track
-    assert np.isfinite(smoothed.position_m).all()
-    assert np.isfinite(smoothed.position_cov_m2).all()
-    assert (np.linalg.eigvalsh(smoothed.position_cov_m2) > 0).all()
-    after = smoothed.time_s > 26.0
-    assert errors_m(smoothed, walk)[after].mean() < 3.0
-
-
-def test_a_recording_without_steps_has_no_smoothed_steps() -> None:
-    still = simulate([Leg("stationary", duration_s=5.0)])
-    assert pdr.smooth(still).track.n_steps == 0
 
 
 def test_with_a_weighted_step_length_the_smoother_agrees_with_a_single_filter() -> None:
