@@ -14,10 +14,12 @@ from heard import round_a_block, walk_with_wifi
 from made_up import write
 
 import pdr_filter as pdr
+from models.training.train_all import train
 from pdr_filter.apps.live.sources import Mqtt
 from pdr_filter.apps.maps.radio.radio_map import RadioMap
 from pdr_filter.apps.report import plot
 from pdr_filter.apps.report.html import html_report
+from pdr_filter.classifiers.transition_files import Transitions
 from pdr_filter.filter.step_length.models import BounceStepLength, FrequencyVarianceStepLength
 from pdr_filter.offline.calibration.fit import calibrate, calibrate_segments
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, prior, with_relative_std
@@ -33,7 +35,8 @@ from pdr_filter.offline.training.context_sequences import (
     fit_tempering,
     sequence_starts,
 )
-from pdr_filter.recipes import context_transitions
+from pdr_filter.offline.training.transition_training import shipped_model_without
+from pdr_filter.recipes import context_transitions, with_transitions
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, FunctionFeatures, JoinedFeatures, Step, table
 from pdr_filter.values.recording import Truth
@@ -203,7 +206,18 @@ WINDOWS = LabelledProbabilities(
 )
 CHAIN = np.array([[0.90, 0.07, 0.03], [0.02, 0.95, 0.03], [0.10, 0.10, 0.80]])
 ONE_FEATURE = FunctionFeatures.of(lambda signals: {"force_std": signals["force_mps2"].std()})
+TWO_MODES = pdr.recipes.default().model.modes[:2]
+SIX = np.eye(6)
 TRAINING: Rows = [
+    (
+        lambda f: shipped_model_without(["mine/p0", "motionsense/s03"]),
+        "motionsense/s03.*train the models again without",
+    ),
+    (lambda f: train(f, f), r"has none of the data sets \['difronzo', .*give the folder"),
+    (
+        lambda f: with_transitions(pdr.recipes.default().with_modes(TWO_MODES), Transitions(SIX, 0.7, 0.1, SIX, {})),
+        "'default' has modes of",
+    ),
     (lambda f: sequence_starts(NAMES), "must be contiguous"),
     (lambda f: count_transitions(np.array([0, 2]), NAMES[:2], 2), "labels must be from -1 to 1"),
     (lambda f: count_transitions(LABEL, NAMES[:1], 2), "must have the same length"),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benches import Client, short_walk, with_bench
+from benches import Client, running, short_walk
 from true_positions import located
 
 import pdr_filter as pdr
@@ -32,6 +32,8 @@ from pdr_filter.apps.workbench.worker import Worker
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Recording, Truth
+
+pytestmark = pytest.mark.anyio  # of coroutines
 
 FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None, None], [35.0, 3.0, 20.0, 0.5, None, None, None]
 
@@ -190,53 +192,45 @@ def test_results_are_kept_by_the_content_of_recording_and_marks(tmp_path: Path) 
     assert checksum_of(moved) != checksum
 
 
-def test_edits_are_taken_back_and_made_again(tmp_path: Path) -> None:
+async def test_edits_are_taken_back_and_made_again(client: Client, tmp_path: Path) -> None:
     short_walk().save(tmp_path / "walk")
-
-    async def scenario(client: Client) -> None:
-        walk = await client.walk("walk")
-        empty = await client.get(walk)
-        assert (empty["can_undo"], empty["can_redo"]) == (False, False)
-        one = await client.edit(walk, fixes=[FIRST])
-        two = await client.edit(walk, fixes=[SECOND, FIRST])
-        assert two["marks"]["fixes"] == [FIRST, SECOND]  # by time
-        state = two
-        for wanted in (one, empty):
-            state = await client.post(f"{walk}/undo", {"version": state["version"]})
-            assert state["marks"] == wanted["marks"]
-        assert not (tmp_path / "walk" / FIXES).exists()
-        assert (state["can_undo"], state["can_redo"]) == (False, True)
-        await client.post(f"{walk}/undo", {"version": state["version"]}, 409)
-        for wanted in (one, two):
-            state = await client.post(f"{walk}/redo", {"version": state["version"]})
-            assert state["marks"] == wanted["marks"]
-        # an edit between forbids the way forward
+    walk = await client.walk("walk")
+    empty = await client.get(walk)
+    assert (empty["can_undo"], empty["can_redo"]) == (False, False)
+    one = await client.edit(walk, fixes=[FIRST])
+    two = await client.edit(walk, fixes=[SECOND, FIRST])
+    assert two["marks"]["fixes"] == [FIRST, SECOND]  # by time
+    state = two
+    for wanted in (one, empty):
         state = await client.post(f"{walk}/undo", {"version": state["version"]})
-        state = await client.edit(walk, walk={"is_loop": True})
-        assert not state["can_redo"]
+        assert state["marks"] == wanted["marks"]
+    assert not (tmp_path / "walk" / FIXES).exists()
+    assert (state["can_undo"], state["can_redo"]) == (False, True)
+    await client.post(f"{walk}/undo", {"version": state["version"]}, 409)
+    for wanted in (one, two):
+        state = await client.post(f"{walk}/redo", {"version": state["version"]})
+        assert state["marks"] == wanted["marks"]
+    # an edit between forbids the way forward
+    state = await client.post(f"{walk}/undo", {"version": state["version"]})
+    state = await client.edit(walk, walk={"is_loop": True})
+    assert not state["can_redo"]
 
-    with_bench(tmp_path, scenario)
 
-
-def test_of_two_browsers_the_later_one_is_told_and_nothing_is_lost(tmp_path: Path) -> None:
+async def test_of_two_browsers_the_later_one_is_told_and_nothing_is_lost(client: Client, tmp_path: Path) -> None:
     short_walk().save(tmp_path / "walk")
-
-    async def scenario(client: Client) -> None:
-        walk = await client.walk("walk")
-        version = (await client.get(walk))["version"]
-        await client.edit(walk, fixes=[FIRST])
-        answer = await client.edit(walk, 409, version=version, fixes=[SECOND])
-        assert "another browser" in answer["error"]
-        assert (await client.get(walk))["marks"]["fixes"] == [FIRST]
-        # also an edit of another program
-        version = (await client.get(walk))["version"]
-        with (tmp_path / "walk" / FIXES).open("a") as file:
-            file.write("20.0,1.0,1.0,0.5\n")
-        await client.edit(walk, 409, version=version, fixes=[SECOND])
-        await client.post(f"{walk}/undo", {"version": version}, 409)
-        assert len((await client.get(walk))["marks"]["fixes"]) == 2
-
-    with_bench(tmp_path, scenario)
+    walk = await client.walk("walk")
+    version = (await client.get(walk))["version"]
+    await client.edit(walk, fixes=[FIRST])
+    answer = await client.edit(walk, 409, version=version, fixes=[SECOND])
+    assert "another browser" in answer["error"]
+    assert (await client.get(walk))["marks"]["fixes"] == [FIRST]
+    # also an edit of another program
+    version = (await client.get(walk))["version"]
+    with (tmp_path / "walk" / FIXES).open("a") as file:
+        file.write("20.0,1.0,1.0,0.5\n")
+    await client.edit(walk, 409, version=version, fixes=[SECOND])
+    await client.post(f"{walk}/undo", {"version": version}, 409)
+    assert len((await client.get(walk))["marks"]["fixes"]) == 2
 
 
 HEIGHT = "the field Height (m) must be the height of a person in metres, 0.4 to 2.8"
@@ -255,21 +249,19 @@ HEIGHT = "the field Height (m) must be the height of a person in metres, 0.4 to 
         ({"fixes": "x"}, ""),
     ],
 )
-def test_an_edit_that_cannot_be_used_changes_nothing(tmp_path: Path, changes: dict[str, object], words: str) -> None:
+async def test_an_edit_that_cannot_be_used_changes_nothing(
+    client: Client, tmp_path: Path, changes: dict[str, object], words: str
+) -> None:
     short_walk().save(tmp_path / "walk")
-
-    async def scenario(client: Client) -> None:
-        walk = await client.walk("walk")
-        await client.edit(walk, fixes=[FIRST])
-        before = mark_files(tmp_path / "walk")
-        answer = await client.edit(walk, 400, **changes)
-        assert answer["error"] and answer["error"].startswith(words)
-        assert mark_files(tmp_path / "walk") == before
-
-    with_bench(tmp_path, scenario)
+    walk = await client.walk("walk")
+    await client.edit(walk, fixes=[FIRST])
+    before = mark_files(tmp_path / "walk")
+    answer = await client.edit(walk, 400, **changes)
+    assert answer["error"] and answer["error"].startswith(words)
+    assert mark_files(tmp_path / "walk") == before
 
 
-def test_the_step_length_of_a_person_is_used_by_other_walks_only(tmp_path: Path) -> None:
+async def test_the_step_length_of_a_person_is_used_by_other_walks_only(client: Client, tmp_path: Path) -> None:
     name = "Ann: 1/2"
     short_walk().save(tmp_path / "a")
     short_walk().save(tmp_path / "b")
@@ -277,22 +269,18 @@ def test_the_step_length_of_a_person_is_used_by_other_walks_only(tmp_path: Path)
     longer = [
         [float(t), *(1.05 * p).tolist(), 0.1, None, None] for t, p in zip(track.time_s, track.position_m, strict=True)
     ]
-
-    async def scenario(client: Client) -> None:
-        first, second = await client.walk("a"), await client.walk("b")
-        await client.post(f"{first}/teach", {}, 400)  # no name yet
-        await client.edit(first, walk={"person": name}, fixes=longer[::10])
-        found = await client.post(f"{first}/teach", {})
-        assert 0.3 < found["step_length_m"] < 1.2
-        assert not (tmp_path / "a" / "person.json").exists()
-        await client.edit(second, walk={"person": name})
-        (known,) = (tmp_path / "people").iterdir()
-        assert (tmp_path / "b" / "person.json").read_bytes() == known.read_bytes()
-        assert read_marks(tmp_path / "b").arguments(pdr.read(tmp_path / "b"))["person"].name == "person.json"
-        await client.edit(second, walk={})
-        assert not (tmp_path / "b" / "person.json").exists()
-
-    with_bench(tmp_path, scenario)
+    first, second = await client.walk("a"), await client.walk("b")
+    await client.post(f"{first}/teach", {}, 400)  # no name yet
+    await client.edit(first, walk={"person": name}, fixes=longer[::10])
+    found = await client.post(f"{first}/teach", {})
+    assert 0.3 < found["step_length_m"] < 1.2
+    assert not (tmp_path / "a" / "person.json").exists()
+    await client.edit(second, walk={"person": name})
+    (known,) = (tmp_path / "people").iterdir()
+    assert (tmp_path / "b" / "person.json").read_bytes() == known.read_bytes()
+    assert read_marks(tmp_path / "b").arguments(pdr.read(tmp_path / "b"))["person"].name == "person.json"
+    await client.edit(second, walk={})
+    assert not (tmp_path / "b" / "person.json").exists()
 
 
 SAVING = """
@@ -350,26 +338,18 @@ def test_a_floor_plan_that_lies_elsewhere_is_named_with_its_distance(
     assert not any("`" in note or " windows" in note for note in notes)
 
 
-def test_an_edit_can_be_taken_back_after_the_workbench_was_started_again(tmp_path: Path) -> None:
+async def test_an_edit_can_be_taken_back_after_the_workbench_was_started_again(tmp_path: Path) -> None:
     path = short_walk().save(tmp_path / "walk")
-
-    async def edit(client: Client) -> None:
+    async with running(tmp_path) as client:
         await client.edit(await client.walk("walk"), fixes=[FIRST])
         await client.edit(await client.walk("walk"), fixes=[FIRST, SECOND])
-
-    async def undo(client: Client) -> None:
+    async with running(tmp_path) as client:
         address = await client.walk("walk")
         state = await client.get(address)
         assert (state["can_undo"], state["can_redo"]) == (True, False)
         await client.post(f"{address}/undo", {"version": state["version"]})
         assert [fix.time_s for fix in read_marks(path).fixes] == [FIRST[0]]
-
-    with_bench(tmp_path, edit)
-    with_bench(tmp_path, undo)
     (history,) = (tmp_path / ".pdr_filter" / "undo").iterdir()
     history.write_text("[[1], {}]")  # a damaged history must not prevent edits
-
-    async def nothing(client: Client) -> None:
+    async with running(tmp_path) as client:
         assert not (await client.get(await client.walk("walk")))["can_undo"]
-
-    with_bench(tmp_path, nothing)

@@ -22,7 +22,6 @@ WALK = on_one_clock(a_walk(50.0))
 TIME_S, FORCE = WALK.accelerometer.time_s.tolist(), WALK.accelerometer.values
 RATE = WALK.gyroscope.values
 GRAVITY = FORCE.mean(axis=0)
-LOGGED = np.datetime64("2021-04-09T12:31:12.000000")
 BOTH = "accelerometer gyroscope"
 Row = dict[str, Any]
 
