@@ -53,7 +53,6 @@ ABSURD: tuple[Any, ...] = (
     *({"array": "", "dtype": "<f8", "shape": [0]}, {"array": "AAAAAAAA8D8=", "dtype": "<f8", "shape": [1]}),
     *({"dataclass": "pdr_filter.values.fixes:Standstill", "fields": {"time_s": 0.0, "end_s": 1e9}},),
 )
-WRONG_NUMBERS = (np.nan, np.inf, -np.inf, 0.0, -1.0, 1e9, 1e300, 1e-300)
 TYPES = ("<f4", ">f8", "<i8", "|b1", "|u1", "<f2", "O", "<c16", "<U8", "<M8[s]", "(2,)f8", "f8,f8", "1" * 60, "")
 
 
@@ -127,37 +126,41 @@ def at(value: Any, path: tuple[Any, ...]) -> Any:
     return value
 
 
+def decoded(node: dict[str, Any]) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(node["array"]), dtype=node["dtype"]).reshape(node["shape"])
+
+
+def encoded(array: np.ndarray) -> dict[str, Any]:
+    data = base64.b64encode(array.tobytes()).decode()
+    return {"array": data, "dtype": array.dtype.str, "shape": list(array.shape)}
+
+
 def changed_array(node: dict[str, Any], rng: random.Random) -> dict[str, Any]:
     """An array with other numbers, another type or another shape."""
-    array = np.frombuffer(base64.b64decode(node["array"]), dtype=node["dtype"]).reshape(node["shape"]).copy()
+    array = decoded(node).copy()
     shape = list(array.shape)
     what = rng.randrange(7)
     if what == 0 and array.size:
         flat = array.reshape(-1)
         part = rng.choice([slice(None), slice(rng.randrange(array.size), None, rng.choice([1, 7, array.size]))])
+        number = rng.choice([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e9, 1e300, 1e-300])
         with np.errstate(all="ignore"):
-            flat[part] = np.array(rng.choice([np.nan, np.inf, -np.inf, 0.0, -1.0, 1e9, 1e300, 1e-300])).astype(
-                array.dtype
-            )
+            flat[part] = np.array(number).astype(array.dtype)
     elif what == 1:
-        shape = rng.choice(
-            [shape[::-1], [1, *shape], [*shape, 1], [array.size], shape[:-1], [0], [2**31, 2**31], [-1], []]
-        )
+        others = [shape[::-1], [1, *shape], [*shape, 1], [array.size], shape[:-1], [0], [2**31, 2**31], [-1], []]
+        return {**encoded(array), "shape": rng.choice(others)}
     elif what == 2:
         return {**node, "dtype": rng.choice(TYPES)}
     elif what == 3:
         array = array[: rng.randrange(len(array) + 1)] if array.ndim else array
-        shape = list(array.shape)
     elif what == 4 and array.ndim:
         array = np.concatenate([array] * rng.choice([2, 3]), axis=rng.randrange(array.ndim))
-        shape = list(array.shape)
     elif what == 5:
         array = np.zeros(rng.choice([(0,), (1,), (3, 3), (10, 10, 10)]), dtype=array.dtype)
-        shape = list(array.shape)
     else:
         data = with_flipped_bits(array.tobytes(), rng) if array.size else b"x"
         return {**node, "array": base64.b64encode(data).decode()}
-    return {"array": base64.b64encode(array.tobytes()).decode(), "dtype": array.dtype.str, "shape": shape}
+    return encoded(array)
 
 
 def changed(tree: Any, rng: random.Random) -> Any:
@@ -280,16 +283,8 @@ def mutated_npz(packed: bytes, rng: random.Random) -> bytes:
         else:
             with suppress(Exception):  # damaged already
                 array = np.load(io.BytesIO(files[name]), allow_pickle=False)
-                shape = array.shape
-                node = {
-                    "array": base64.b64encode(array.tobytes()).decode(),
-                    "dtype": array.dtype.str,
-                    "shape": list(shape),
-                }
-                node = changed_array(node, rng)
-                other = np.frombuffer(base64.b64decode(node["array"]), dtype=node["dtype"]).reshape(node["shape"])
                 buffer = io.BytesIO()
-                np.save(buffer, other, allow_pickle=False)
+                np.save(buffer, decoded(changed_array(encoded(array), rng)), allow_pickle=False)
                 files[name] = buffer.getvalue()
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:

@@ -17,7 +17,6 @@ import pytest
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner
 from pdr_filter.values import check_array, check_numbers
@@ -47,12 +46,8 @@ def with_number(value: Any, path: tuple[str, ...], number: float) -> Any:
     return replace(value, **{name: with_number(part, tuple(rest), number) if rest else number})
 
 
-def tried(config: Config, walk: pdr.Recording) -> None:
-    """A walk of twelve seconds, of which the phone is carried seven."""
-    pdr.track(walk, config)
-
-
 def short_walk() -> pdr.Recording:
+    """A walk of twelve seconds, of which the phone is carried seven."""
     walk = pdr.simulate.demo_walk()
     streams = {name: pdr.Samples(s.time_s[s.time_s < 12], s.values[s.time_s < 12]) for name, s in walk.streams.items()}
     return replace(walk, **streams)
@@ -72,7 +67,7 @@ def try_all() -> list[str]:
     walk, wrong, known = short_walk(), list[str](), set[tuple[type, str]]()
     for recipe, weighting in itertools.product(recipes.RECIPES, ("imm", "wc")):
         good = recipes.RECIPES[recipe](recipes.Subject(height_m=1.7)).with_weighting(weighting)
-        tried(good, walk)
+        pdr.track(walk, good)
         for path in numbers_in(good):
             field = class_at(good, path), path[-1]
             if field in known:
@@ -82,7 +77,7 @@ def try_all() -> list[str]:
                 what = f"{recipe} {weighting} {'.'.join(path)} = {number}"
                 faulthandler.dump_traceback_later(HANG_S, exit=True)
                 try:
-                    tried(with_number(good, path, number), walk)
+                    pdr.track(walk, with_number(good, path, number))
                 except ValueError as error:
                     if path[-1] not in str(error):
                         wrong.append(f"{what}: {error}")

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pymap3d
 import pytest
 import typer.main
 from examples import compute_once
 from heard import heard_along
+from true_positions import located, true_m
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
@@ -42,14 +42,12 @@ CODE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 WITH_CODE = [name for name, text in PAGES.items() if CODE.search(text) and name not in NOT_RUN | {"docs/index.md"}]
 
 _RING = [[-40.0, -40.0], [40.0, -40.0], [40.0, 40.0], [-40.0, 40.0], [-40.0, -40.0]]
-BUILDING = [
-    {
-        "type": "Feature",
-        "properties": {"type": kind, "name": name},
-        "geometry": {"type": "Polygon", "coordinates": [_RING]},
-    }
-    for kind, name in (("floor", "entrance hall"),)
-]
+HALL = {
+    "type": "Feature",
+    "properties": {"type": "floor", "name": "entrance hall"},
+    "geometry": {"type": "Polygon", "coordinates": [_RING]},
+}
+BUILDING = json.dumps({"type": "FeatureCollection", "features": [HALL]})
 
 
 @pytest.fixture(scope="module")
@@ -57,15 +55,12 @@ def recording() -> pdr.Recording:
     """A short walk of known length, with positions of a GNSS receiver every four seconds, 3 m off, and Wi-Fi."""
     legs = [Leg("stationary", duration_s=3.0), *(Leg("walking", distance_m=d, turn_rad=1.5) for d in (25.0, 20.0))]
     walk = simulate(legs, Gait(height_m=1.75), seed=1, name="walk")
-    truth, rng = walk.truth.position, np.random.default_rng(1)
     time_s = np.arange(2.0, walk.duration_s - 2.0, 4.0)
-    place_m = [np.interp(time_s, truth.time_s, truth[n]) + rng.normal(0, 3, len(time_s)) for n in ("east_m", "north_m")]
-    lat_deg, lon_deg, _ = pymap3d.enu2geodetic(*place_m, 0.0, 51.4779, -0.0015, 0.0)
-    values = np.column_stack([lat_deg, lon_deg, np.zeros(len(time_s)), np.full(len(time_s), 3.0)])
+    off_m = np.random.default_rng(1).normal(0, 3, (len(time_s), 2))
+    outdoors = located(walk, time_s, pdr.Origin(51.4779, -0.0015), 3.0, off_m)
     subject = {**walk.meta["subject"], "id": "s1"}
-    at_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    wifi = heard_along(time_s, at_m, seed=1)
-    return replace(walk, location=Samples(time_s, values), wifi=wifi, meta={**walk.meta, "subject": subject})
+    wifi = heard_along(time_s, true_m(walk, time_s), seed=1)
+    return replace(outdoors, wifi=wifi, meta={**walk.meta, "subject": subject})
 
 
 @pytest.mark.parametrize("page", WITH_CODE)
@@ -75,7 +70,7 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(
     monkeypatch.chdir(tmp_path)
     compute_once(monkeypatch)
     recording.save("walk.zip")
-    Path("building.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": BUILDING}), "utf-8")
+    Path("building.geojson").write_text(BUILDING, "utf-8")
     names: dict[str, Any] = {}
     for code in CODE.findall(PAGES[page]):
         exec(compile(code, page, "exec"), names)
@@ -101,8 +96,9 @@ def test_no_item_of_a_numbered_list_holds_another_one() -> None:
     assert not {name: lines for name, lines in inside.items() if lines}
 
 
-def test_the_pages_that_show_code_are_run() -> None:
+def test_the_pages_that_show_code_or_commands_are_run() -> None:
     assert {"README.md", "docs/faq.md", "docs/online.md", "docs/methods/recipes.md"} <= set(WITH_CODE)
+    assert {"docs/locations.md", "docs/faq.md"} <= set(WITH_COMMANDS)
 
 
 def test_the_first_page_draws_a_track_in_ten_lines_that_need_nothing_else(
@@ -134,7 +130,7 @@ def test_the_commands_of_a_page_run_as_they_are_typed(
     (marks / "fixes.csv").write_text("time_s,east_m,north_m\n4,0,0\n", encoding="utf-8")
     (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n4,0,0\n20,1,20\n30,10,25\n", encoding="utf-8")
     (tmp_path / "loops.csv").write_text("first_s,second_s,std_m\n3.0,6.0,10\n", encoding="utf-8")
-    (tmp_path / "building.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": BUILDING}), "utf-8")
+    (tmp_path / "building.geojson").write_text(BUILDING, "utf-8")
     monkeypatch.chdir(tmp_path)
     for block in BLOCK.findall(PAGES[page]):
         for line in block.splitlines():  # each names the one command: no shell and no process of its own is needed
@@ -142,10 +138,6 @@ def test_the_commands_of_a_page_run_as_they_are_typed(
             assert done.exit_code == 0, done.stderr
     for name in re.findall(r"# .*?((?:results|local|smoothed)/\S+)", PAGES[page]):
         assert (tmp_path / name).is_file()
-
-
-def test_the_page_of_places_has_commands_that_are_run() -> None:
-    assert {"docs/locations.md", "docs/faq.md"} <= set(WITH_COMMANDS)
 
 
 def commands(text: str) -> Iterator[tuple[str, list[str]]]:

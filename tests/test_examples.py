@@ -26,7 +26,6 @@ def test_an_example_runs_draws_and_is_short(path: Path, tmp_path: Path) -> None:
     assert (tmp_path / f"{path.stem}.png").read_bytes().startswith(b"\x89PNG")
     if path.stem == "gnss_then_indoors":
         found = re.search(r"^([\d.]+) m from the truth, (\d+) s after", done.stdout, re.MULTILINE)
-        assert found is not None
         assert float(found[1]) < 10.0
         assert int(found[2]) > 40
     else:

@@ -23,7 +23,6 @@ from pdr_filter.tracking.filtering import MAX_CLIMBS
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import ImuBlock, PositionFix, Samples, step_table, wrap_angle
 from pdr_filter.values.recording import Recording
-from pdr_filter.values.serialisation import to_bytes
 
 WEIGHTINGS = ("imm", "wc", "hc")
 REAL = (
@@ -46,12 +45,8 @@ def tracked_demo(demo: Recording) -> Callable[[str], Track]:
 
 @pytest.fixture(scope="module")
 def short_walk() -> Recording:
-    legs = [
-        Leg("stationary", duration_s=4.0),
-        Leg("walking", distance_m=15.0),
-        Leg("walking", distance_m=8.0, turn_rad=1.0),
-    ]
-    return simulate(legs, seed=5)
+    walking = [Leg("walking", distance_m=15.0), Leg("walking", distance_m=8.0, turn_rad=1.0)]
+    return simulate([Leg("stationary", duration_s=4.0), *walking], seed=5)
 
 
 def push(online: pdr.OnlineFilter, block: ImuBlock) -> list[pdr.StepUpdate]:
@@ -75,16 +70,10 @@ def assert_updates_are_the_track(updates: Sequence[pdr.StepUpdate], track: Track
     """Every bit of every final update."""
     final = [u for u in updates if u.is_final]
     assert [u.index for u in final] == list(range(track.n_steps))
-    np.testing.assert_array_equal([u.position_m for u in final], track.position_m)
-    np.testing.assert_array_equal([u.position_cov_m2 for u in final], track.position_cov_m2)
-    np.testing.assert_array_equal([u.step_length_m for u in final], track.step_length_m)
-    np.testing.assert_array_equal([u.walked_m for u in final], track.walked_m)
+    names = "position_m position_cov_m2 step_length_m walked_m context_prob mode_prob height_m height_std_m floor"
+    for name in names.split():
+        np.testing.assert_array_equal([getattr(u, name) for u in final], getattr(track, name), err_msg=name)
     np.testing.assert_array_equal(wrap_angle([u.walking_heading_rad for u in final]), track.walking_heading_rad)
-    np.testing.assert_array_equal([u.context_prob for u in final], track.context_prob)
-    np.testing.assert_array_equal([u.mode_prob for u in final], track.mode_prob)
-    np.testing.assert_array_equal([u.height_m for u in final], track.height_m)
-    np.testing.assert_array_equal([u.height_std_m for u in final], track.height_std_m)
-    np.testing.assert_array_equal([u.floor for u in final], track.floor)
     steps = step_table([u.step for u in final])
     for name in steps.dtype.names or ():
         np.testing.assert_array_equal(steps[name], track.steps[name], err_msg=name)
@@ -92,12 +81,9 @@ def assert_updates_are_the_track(updates: Sequence[pdr.StepUpdate], track: Track
 
 def assert_same_updates(actual: Sequence[pdr.StepUpdate], expected: Sequence[pdr.StepUpdate]) -> None:
     assert [(u.index, u.is_final, u.step) for u in actual] == [(u.index, u.is_final, u.step) for u in expected]
-    for a, b in zip(actual, expected, strict=True):
-        np.testing.assert_array_equal(a.position_m, b.position_m)
-        np.testing.assert_array_equal(a.position_cov_m2, b.position_cov_m2)
-        np.testing.assert_array_equal(a.mode_prob, b.mode_prob)
-        assert (a.step_length_m, a.walked_m) == (b.step_length_m, b.walked_m)
-        assert a.walking_heading_rad == b.walking_heading_rad
+    for name in ("position_m", "position_cov_m2", "mode_prob", "step_length_m", "walked_m", "walking_heading_rad"):
+        ours, theirs = ([getattr(update, name) for update in updates] for updates in (actual, expected))
+        np.testing.assert_array_equal(ours, theirs, err_msg=name)
 
 
 # --- chunking -------------------------------------------------------------------------------------------------------
@@ -176,14 +162,11 @@ def test_a_fix_added_when_it_arrives_is_used_as_if_it_had_been_known(short_walk:
     fix = PositionFix(9.0, np.array([1.0, 4.0]), np.eye(2), received_time_s=9.5)
     track = tracked(short_walk, fixes=[fix])
     block = pdr.merge_streams(short_walk)
-    online, updates = online_filter("imm"), []
-    waits = True
-    for piece in cut_randomly(block, 8, mean_length=10):
-        if waits and len(piece.time_s) and piece.time_s[-1] >= 9.4:
-            online.add_fix(fix)
-            waits = False
-        updates += push(online, piece)
-    assert_updates_are_the_track([*updates, *online.finish()], track)
+    before, after = cut(block, [int(np.searchsorted(block.time_s, 9.4))])
+    online = online_filter("imm")
+    updates = [u for piece in cut_randomly(before, 8, mean_length=10) for u in push(online, piece)]
+    online.add_fix(fix)
+    assert_updates_are_the_track([*updates, *stream(online, cut_randomly(after, 9, mean_length=10))], track)
 
 
 def test_a_fix_moves_the_steps_that_become_known_after_it_was_received_and_no_earlier_one(
@@ -251,12 +234,6 @@ def test_what_a_filter_returns_cannot_be_written_to(short_walk: Recording) -> No
             array += 1.0
 
 
-def test_two_runs_are_equal(short_walk: Recording) -> None:
-    first, second = tracked(short_walk), tracked(short_walk)
-    np.testing.assert_array_equal(first.position_m, second.position_m)
-    np.testing.assert_array_equal(first.position_cov_m2, second.position_cov_m2)
-
-
 def test_steps_and_windows_of_the_track_are_those_of_detect_steps_and_classify(short_walk: Recording) -> None:
     track, steps, windows = tracked(short_walk), pdr.detect_steps(short_walk), pdr.classify(short_walk)
     of_directions = {n for n in steps.dtype.names if n.startswith(("walking_heading", "shown_offset", "north"))}
@@ -321,23 +298,7 @@ def test_saving_changes_nothing_and_loading_gives_an_equal_filter(short_walk: Re
     assert loaded.notes == online.notes
 
 
-def test_a_fresh_filter_can_be_saved(short_walk: Recording) -> None:
-    loaded = pdr.OnlineFilter.load(online_filter("imm").save())
-    assert_updates_are_the_track(stream(loaded, [pdr.merge_streams(short_walk)]), tracked(short_walk))
-
-
-@pytest.mark.parametrize("blob", [b"", b"something else", pytest.param(None, id="another value")])
-def test_what_is_no_filter_is_refused(blob: bytes | None) -> None:
-
-    with pytest.raises(ValueError, match="filter"):
-        pdr.OnlineFilter.load(to_bytes({"config": 1}) if blob is None else blob)
-
-
 # --- invariance of the walk -----------------------------------------------------------------------------------------
-
-
-def changed(recording: Recording, **streams: Samples | None) -> Recording:
-    return replace(recording, **streams)
 
 
 def test_a_phone_turned_by_180_degrees_about_its_screen_takes_the_same_steps(short_walk: Recording) -> None:
@@ -345,7 +306,7 @@ def test_a_phone_turned_by_180_degrees_about_its_screen_takes_the_same_steps(sho
         return samples and Samples(samples.time_s, samples.values * [-1.0, -1.0, 1.0])
 
     names = ("accelerometer", "gyroscope", "magnetometer")
-    other = changed(short_walk, **{n: turned(getattr(short_walk, n)) for n in names})
+    other = replace(short_walk, **{n: turned(getattr(short_walk, n)) for n in names})
     straight, upside_down = tracked(short_walk), tracked(other)
     np.testing.assert_array_equal(upside_down.time_s, straight.time_s)
     np.testing.assert_allclose(upside_down.step_length_m, straight.step_length_m, atol=1e-3)
@@ -364,7 +325,7 @@ def test_where_the_walk_heads_in_the_world_does_not_matter() -> None:
 
 
 def test_when_the_walk_began_does_not_matter(short_walk: Recording) -> None:
-    late = changed(short_walk, **{n: Samples(s.time_s + 4096.0, s.values) for n, s in short_walk.streams.items()})
+    late = replace(short_walk, **{n: Samples(s.time_s + 4096.0, s.values) for n, s in short_walk.streams.items()})
     track, late_track = tracked(short_walk), tracked(late)
     np.testing.assert_allclose(late_track.time_s, track.time_s + 4096.0, atol=1e-6)
     np.testing.assert_allclose(late_track.position_m, track.position_m, atol=1e-6)
@@ -401,7 +362,6 @@ def test_a_track_is_whole_and_in_order(demo: Recording, tracked_demo: Callable[[
     assert track.distance_m == track.walked_m[-1]
     assert track.distance_m == pytest.approx(track.step_length_m.sum(), rel=0.05 if weighting == "imm" else 1e-9)
     assert (track.start_time_s, track.duration_s) == (0.0, pytest.approx(demo.duration_s))
-    assert demo.truth.steps is not None
     assert track.n_steps == pytest.approx(len(demo.truth.steps), rel=0.03)
 
 
@@ -413,8 +373,6 @@ def test_the_weightings_differ_and_share_their_steps(demo: Recording, tracked_de
     # WC differs from HC in uncertain windows only, which the default has none of on this walk
     boosted = pdr.recipes.default(demo.subject, classifier="boosted")
     assert len({pdr.track(demo, config=boosted, weighting=w).distance_m for w in ("hc", "wc")}) == 2
-    with pytest.raises(ValueError, match="weighting"):
-        tracked(demo, weighting="best")
 
 
 # --- recordings with faults -----------------------------------------------------------------------------------------
@@ -427,25 +385,25 @@ def keep(samples: Samples, rows: np.ndarray) -> Samples:
 def with_nan(recording: Recording) -> Recording:
     values = recording.accelerometer.values.copy()
     values[1500:1580] = np.nan
-    return changed(recording, accelerometer=Samples(recording.accelerometer.time_s, values))
+    return replace(recording, accelerometer=Samples(recording.accelerometer.time_s, values))
 
 
 def with_gap(recording: Recording) -> Recording:
     time_s = recording.accelerometer.time_s
-    return changed(recording, accelerometer=keep(recording.accelerometer, (time_s < 9.0) | (time_s > 13.0)))
+    return replace(recording, accelerometer=keep(recording.accelerometer, (time_s < 9.0) | (time_s > 13.0)))
 
 
 def with_duplicates(recording: Recording) -> Recording:
     rows = np.sort(np.append(np.arange(len(recording.accelerometer)), [400, 400, 1200]))
-    return changed(recording, accelerometer=keep(recording.accelerometer, rows))
+    return replace(recording, accelerometer=keep(recording.accelerometer, rows))
 
 
 def without_gyroscope(recording: Recording) -> Recording:
-    return changed(recording, gyroscope=None)
+    return replace(recording, gyroscope=None)
 
 
 def at_50_hz(recording: Recording) -> Recording:
-    return changed(recording, **{n: keep(s, np.arange(0, len(s), 2)) for n, s in recording.streams.items()})
+    return replace(recording, **{n: keep(s, np.arange(0, len(s), 2)) for n, s in recording.streams.items()})
 
 
 FAULTS = {
@@ -462,7 +420,6 @@ FAULTS = {
 def test_a_recording_with_faults_is_tracked_and_says_so(short_walk: Recording, fault: object, weighting: str) -> None:
     recording = fault(short_walk)  # type: ignore[operator]
     track = tracked(recording, weighting=weighting)
-    assert short_walk.truth.steps is not None
     n_true = len(short_walk.truth.steps)
     assert 0.7 * n_true <= track.n_steps <= 1.1 * n_true
     assert np.isfinite(track.position_m).all()
@@ -506,7 +463,7 @@ def with_barometer(recording: Recording, climb_rate_mps: float, rate_hz: float =
     time_s = np.arange(0.0, recording.duration_s, 1 / rate_hz)
     noise_hpa = 0.01 * np.random.default_rng(0).normal(size=len(time_s))
     pressure = 1013.25 * np.exp(-climb_rate_mps * time_s / 8434.0) + noise_hpa
-    return changed(recording, barometer=Samples(time_s, pressure[:, None]))
+    return replace(recording, barometer=Samples(time_s, pressure[:, None]))
 
 
 def test_a_barometer_that_climbs_makes_stairs_more_probable_and_a_level_one_less(short_walk: Recording) -> None:
@@ -525,7 +482,6 @@ def test_a_barometer_that_climbs_makes_stairs_more_probable_and_a_level_one_less
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 def test_pressure_pushed_before_the_other_samples_gives_the_same_bits(short_walk: Recording, weighting: str) -> None:
     recording = with_barometer(short_walk, 0.2)
-    assert recording.barometer is not None
     time_s, pressure = recording.barometer.time_s, recording.barometer.values[:, 0]
     online, updates, given = online_filter(weighting), [], 0
     for block in cut_randomly(pdr.merge_streams(recording), 3):
@@ -579,15 +535,6 @@ def test_samples_that_are_all_nan_give_no_steps_and_a_note() -> None:
     assert "500 of 500" in online.notes[0]
 
 
-@pytest.mark.parametrize(
-    ("time_s", "force"),
-    [(np.zeros((3, 1)), np.zeros((3, 3))), (np.zeros(3), np.zeros((2, 3))), (np.zeros(3), np.zeros((3, 2)))],
-)
-def test_samples_of_the_wrong_shape_are_refused(time_s: np.ndarray, force: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="must be"):
-        online_filter("imm").push(time_s, force)
-
-
 def test_pushed_arrays_are_not_modified_and_may_be_overwritten_afterwards(short_walk: Recording) -> None:
     block = pdr.merge_streams(short_walk)
     expected = stream(online_filter("imm"), cut_randomly(block, 9))
@@ -635,11 +582,10 @@ def test_an_app_gets_the_notes_of_the_whole_recording(short_walk: Recording) -> 
         PositionFix(walk.duration_s + 30.0, np.zeros(2), np.eye(2)),
     ]
     track = pdr.track(stranger, fixes=fixes)
-    online, samples = pdr.OnlineFilter(), pdr.merge_streams(stranger)
+    online = pdr.OnlineFilter()
     for fix in fixes:
         online.add_fix(fix)
-    online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps, samples.magnetic_field_ut)
-    online.finish()
+    stream(online, [pdr.merge_streams(stranger)])
     assert track.notes == (*stranger.notes, *online.notes)
     for words in ("height is not known", "its time were not used: 1", "after the last sample were not used: 1"):
         assert any(words in note for note in online.notes)
@@ -659,11 +605,6 @@ def test_an_app_that_knows_as_much_of_a_person_as_the_recording_gives_the_same_t
     assert any("height is not known" in note for note in track.notes) == (height_m is None)
 
 
-def test_a_height_beside_a_configuration_is_refused() -> None:
-    with pytest.raises(ValueError, match="height_m is for the default recipe"):
-        pdr.OnlineFilter(recipes.default(), height_m=1.8)
-
-
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 def test_a_weighting_beside_a_configuration_or_none_is_that_of_a_track_with_it(
     short_walk: Recording, weighting: str
@@ -671,11 +612,6 @@ def test_a_weighting_beside_a_configuration_or_none_is_that_of_a_track_with_it(
     samples = pdr.merge_streams(short_walk)
     for config in (None, recipes.default()):
         updates = [u for u in stream(pdr.OnlineFilter(config, weighting=weighting), [samples]) if u.is_final]
-        nobody = changed(short_walk, meta={})
+        nobody = replace(short_walk, meta={})
         track = pdr.track(nobody, config, weighting)
         np.testing.assert_array_equal([u.position_m for u in updates], track.position_m)
-
-
-def test_an_unknown_weighting_of_an_app_is_refused() -> None:
-    with pytest.raises(ValueError, match="weighting must be one of"):
-        pdr.OnlineFilter(weighting="best")

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from true_positions import located
 
 import pdr_filter as pdr
 from pdr_filter import batch
@@ -49,6 +50,7 @@ def walks(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_rows_are_those_of_one_by_one_to_the_last_bit(walks: Path, tmp_path: Path) -> None:
     rows = batch.track(walks, out=tmp_path / "tracks.csv")
+    assert batch.read_table(tmp_path / "tracks.csv") == rows
     assert [Path(row.path).name for row in rows] == [f"walk_{i}.zip" for i in range(N)]
     for row in rows:
         recording = pdr.read(row.path)
@@ -73,11 +75,6 @@ def test_one_process_and_two_give_the_same_table(walks: Path, tmp_path: Path) ->
     )
 
 
-def test_the_table_holds_the_bits_of_the_rows(walks: Path, tmp_path: Path) -> None:
-    rows = batch.track(walks, out=tmp_path / "tracks.csv")
-    assert batch.read_table(tmp_path / "tracks.csv") == rows
-
-
 def test_failures_stand_beside_the_successes_with_their_reason(walks: Path, tmp_path: Path) -> None:
     broken, missing = tmp_path / "broken, 'a' \"b\".zip", tmp_path / "missing.zip"
     broken.write_text("this is no zip file")
@@ -98,11 +95,7 @@ def test_a_recording_without_the_sensors_of_the_recipe_fails_with_a_reason_that_
 
 def test_a_batch_uses_locations_as_it_is_asked_to(tmp_path: Path) -> None:
     walk = pdr.simulate.demo_walk()
-    times, truth = np.arange(1.0, walk.duration_s), walk.truth.position
-    place_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    degrees = pdr.Origin(48.137, 11.575).latitude_longitude_deg(place_m)
-    values = np.column_stack([*degrees, np.full((len(times), 2), 6.0)])
-    path = write_recording(replace(walk, location=pdr.Samples(times, values)), tmp_path / "located.zip")
+    path = write_recording(located(walk, np.arange(1.0, walk.duration_s), accuracy_m=6.0), tmp_path / "located.zip")
     recording, ends = pdr.read(path), set[tuple[float, float]]()
     for gnss in (None, "align", "off"):
         (row,) = batch.track(path, out=tmp_path / "tracks.csv", gnss=gnss)
@@ -110,8 +103,6 @@ def test_a_batch_uses_locations_as_it_is_asked_to(tmp_path: Path) -> None:
         assert (row.gnss, row.end_east_m, row.end_north_m) == (gnss or "", *track.position_m[-1])
         ends.add(tuple(track.position_m[-1]))
     assert len(ends) == len(batch.read_table(tmp_path / "tracks.csv")) == 3
-    with pytest.raises(ValueError, match="gnss must be one of"):
-        batch.track(path, out=tmp_path / "tracks.csv", gnss="on")
 
 
 def test_finished_recordings_are_not_done_again_and_other_recipes_are(
@@ -142,7 +133,7 @@ def count_reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return asked
 
 
-@pytest.mark.parametrize("lost_bytes", [1, 2, 30, 100])
+@pytest.mark.parametrize("lost_bytes", [1, 100])
 def test_a_line_that_was_cut_short_is_dropped_and_its_recording_done_again(
     walks: Path, tmp_path: Path, lost_bytes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -187,7 +178,6 @@ def test_a_killed_batch_goes_on_where_it_was(
     table = tmp_path / "tracks.csv"
     command = [sys.executable, "-c", SCRIPT, str(walks), str(table), str(jobs)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
-    assert process.stdout is not None
     for line in process.stdout:
         if int(line) == 2:
             break
@@ -358,6 +348,8 @@ def test_a_file_that_is_no_table_of_a_batch_is_left_as_it_is(walks: Path, tmp_pa
         ({"weighting": "best"}, "weighting"),
         ({"file_format": "tape"}, "format"),
         ({"calibration": "nowhere.json"}, "nowhere.json"),
+        ({"gnss": "on"}, "gnss must be one of"),
+        ({"out": "."}, "is a folder"),
         ({"jobs": 0}, "jobs"),
         ({"jobs": -2}, "jobs"),
     ],
@@ -366,29 +358,35 @@ def test_options_that_cannot_be_used_are_refused_at_once(
     walks: Path, tmp_path: Path, options: dict[str, object], words: str
 ) -> None:
     with pytest.raises(ValueError, match=words):
-        batch.track(walks, out=tmp_path / "tracks.csv", **options)  # type: ignore[arg-type]
+        batch.track(walks, **{"out": tmp_path / "tracks.csv", **options})  # type: ignore[arg-type]
 
 
-def test_names_and_notes_of_several_lines_are_one_line_of_the_table(walks: Path, tmp_path: Path) -> None:
-    recording = replace(pdr.read(walks / "walk_0.zip"), name='two\nlines, "quoted"', notes=("odd;\r\n\x1b[31m",))
-    track = pdr.track(recording)
-    row = rows_table.row_of(batch.Task(str(tmp_path / "a, b.zip")), track)
-    text = rows_table._header(CONTEXTS) + rows_table._line(rows_table._cells(row, CONTEXTS))
-    (tmp_path / "tracks.csv").write_text(text)
+@pytest.fixture(scope="module")
+def tracked(walks: Path) -> pdr.Track:
+    return pdr.track(pdr.read(walks / "walk_0.zip"))
+
+
+def check_written(track: pdr.Track, folder: Path) -> tuple[batch.Row, list[str]]:
+    """Write the row of a track, check that it is read back from one line, and return it with its cells."""
+    row = rows_table.row_of(batch.Task(str(folder / "a, b.zip")), track)
+    cells = rows_table._cells(row, CONTEXTS)
+    text = rows_table._header(CONTEXTS) + rows_table._line(cells)
     assert len(text.splitlines()) == 2
-    assert batch.read_table(tmp_path / "tracks.csv") == [row]
-    assert row.name == 'two lines, "quoted"'
+    (folder / "tracks.csv").write_text(text)
+    assert batch.read_table(folder / "tracks.csv") == [row]
+    return row, cells
+
+
+def test_names_and_notes_of_several_lines_are_one_line_of_the_table(tracked: pdr.Track, tmp_path: Path) -> None:
+    odd = replace(tracked, name='two\nlines, "quoted"', notes=("odd;\r\n\x1b[31m",))
+    assert check_written(odd, tmp_path)[0].name == 'two lines, "quoted"'
 
 
 @pytest.mark.parametrize("text", ["=cmd|'calc'!A0", "@SUM(1)", "'quoted", "a; =1", "-1"])
-def test_no_text_of_a_recording_is_a_formula_in_the_table(walks: Path, tmp_path: Path, text: str) -> None:
-    recording = replace(pdr.read(walks / "walk_0.zip"), name=text, notes=(text,))
-    row = rows_table.row_of(batch.Task(str(tmp_path / "a.zip")), pdr.track(recording))
-    cells = rows_table._cells(row, CONTEXTS)
+def test_no_text_of_a_recording_is_a_formula_in_the_table(tracked: pdr.Track, tmp_path: Path, text: str) -> None:
+    _, cells = check_written(replace(tracked, name=text, notes=(text,)), tmp_path)
     for cell in (cells[rows_table.columns_of(CONTEXTS).index(name)] for name in ("name", "notes")):
         assert not any(part.strip()[:1] in {"=", "+", "-", "@"} for part in cell.split(";"))
-    (tmp_path / "tracks.csv").write_text(rows_table._header(CONTEXTS) + rows_table._line(cells))
-    assert batch.read_table(tmp_path / "tracks.csv") == [row]
 
 
 RECIPE = """
@@ -434,11 +432,6 @@ def test_the_table_has_a_column_for_each_context_of_the_recipe(
     assert "not those of the recipe for an unknown person" in failed.reason
     with pytest.raises(ValueError, match="cannot have the column 'duration_s'"):
         batch.track([path], "renaming:timed", out=tmp_path / "timed.csv")
-
-
-def test_a_folder_is_no_table(walks: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="is a folder"):
-        batch.track(walks, out=tmp_path)
 
 
 def test_the_same_recording_twice_is_one_row(walks: Path, tmp_path: Path) -> None:
@@ -506,14 +499,15 @@ def test_parquet_holds_the_same_rows(walks: Path, tmp_path: Path) -> None:
 # --- Dask ------------------------------------------------------------------------------------------------------------
 
 
-def slow_square(n: int) -> int:
-    time.sleep(0.05)
-    return square_or_die(n)
+def local_cluster(n_workers: int) -> Any:
+    distributed = pytest.importorskip("distributed")
+    return distributed.LocalCluster(
+        n_workers=n_workers, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+    )
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 def test_with_one_of_two_dask_workers_killed_every_recording_is_once_in_the_table(walks: Path, tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
     copies = [tmp_path / f"walk_{i}.zip" for i in range(2 * N)]
     for i, copy in enumerate(copies):
         shutil.copy(walks / f"walk_{i % N}.zip", copy)
@@ -521,9 +515,7 @@ def test_with_one_of_two_dask_workers_killed_every_recording_is_once_in_the_tabl
     broken.write_text("no zip")
     table = tmp_path / "tracks.csv"
     killed: list[int] = []
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
-    ) as cluster:
+    with local_cluster(2) as cluster:
 
         def kill_one(progress: batch.Progress) -> None:
             if progress.n_done == 2:
@@ -541,14 +533,8 @@ def test_with_one_of_two_dask_workers_killed_every_recording_is_once_in_the_tabl
 
 
 def test_what_kills_every_worker_is_a_failure_on_a_cluster() -> None:
-    distributed = pytest.importorskip("distributed")
     dask = pytest.importorskip("dask")
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        distributed.LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
-        ) as cluster,
-    ):
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}), local_cluster(1) as cluster:
         found = dict(batch.each(square_or_die, [2, -1], scheduler=cluster.scheduler_address))
     assert isinstance(found[1], batch.Failure)
     assert "died" in found[1].reason
@@ -609,7 +595,6 @@ def is_alive(pid: int) -> bool:
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 def test_workers_end_with_the_process_that_started_them_in_the_middle_of_their_work() -> None:
     running = script(KILLED_ITSELF)
-    assert running.stdout is not None
     pids = {int(running.stdout.readline()) for _ in range(2)}
     time.sleep(0.2)
     assert all(is_alive(pid) for pid in pids)
@@ -635,7 +620,6 @@ time.sleep(300)
 def test_results_that_are_closed_early_end_their_processes_and_start_none_again() -> None:
     running = script(CLOSED_EARLY)
     try:
-        assert running.stdout is not None
         assert int(running.stdout.readline())
         deadline = time.monotonic() + 20
         n_idle, children = 0, list[list[str]]()
@@ -668,7 +652,6 @@ def test_a_process_that_is_killed_between_two_requests_is_started_again() -> Non
     try:
         assert worker.ask([1, 2]) == 2
         for size in (10, 1_000_000):
-            assert worker._process is not None
             worker._process.kill()
             worker._process.wait()
             with pytest.raises(LostError, match="process died"):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 from typer.testing import CliRunner, Result
 
@@ -17,6 +20,40 @@ def one_line(text: str) -> str:
     """Return the text of a message of one line, without a traceback."""
     (line,) = text.strip().splitlines()
     return line
+
+
+def succeed(*arguments: object) -> Result:
+    """Run a command that ends with exit code 0."""
+    result = run(*arguments)
+    assert result.exit_code == 0, result.stderr
+    return result
+
+
+def refusal(*arguments: object) -> str:
+    """Return the error message of a command that prints one line and ends with exit code 2."""
+    result = run(*arguments)
+    assert (result.exit_code, result.stdout) == (2, "")
+    line = one_line(result.stderr)
+    assert line.startswith("error: ")
+    return line
+
+
+def copies(walk: Path, folder: Path, *names: str) -> Path:
+    """Return a folder of the same recording with different names, and a broken file."""
+    for name in names:
+        replace(pdr.read(walk), name=name).save(folder / f"{name}.zip")
+    (folder / "0.zip").write_bytes(b"no zip")
+    return folder
+
+
+def mark(walk: Path, fixes: str = "", settings: str = "") -> None:
+    """Write marks of a recording."""
+    folder = walk.parent / f"{walk.name}.marks"
+    folder.mkdir(exist_ok=True)
+    if fixes:
+        (folder / "fixes.csv").write_text(fixes)
+    if settings:
+        (folder / "walk.json").write_text(settings)
 
 
 def short_walk() -> pdr.Recording:

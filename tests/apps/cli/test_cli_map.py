@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import one_line, run, short_walk
+from commands import mark, one_line, refusal, run, short_walk, succeed
 from heard import chains_made_once, round_a_block, walk_with_wifi
 
 import pdr_filter as pdr
@@ -21,18 +21,18 @@ def _chains_once() -> Iterator[None]:
         yield
 
 
-def test_a_folder_becomes_a_map_with_a_radio_map_a_plan_and_a_report(tmp_path: Path) -> None:
-    walks = tmp_path / "walks"
-    walks.mkdir()
+def two_walks(folder: Path) -> Path:
     for seed in (1, 2):
-        walk_with_wifi(round_a_block(), seed).save(walks / f"walk{seed}.zip")
+        walk_with_wifi(round_a_block(), seed).save(folder / f"walk{seed}.zip")
+    return folder
+
+
+def test_a_folder_becomes_a_map_with_a_radio_map_a_plan_and_a_report(tmp_path: Path) -> None:
+    walks = two_walks(tmp_path / "walks")
     short_walk().save(walks / "deaf.zip")
-    marks = walks / "walk1.zip.marks"
-    marks.mkdir()
-    (marks / "fixes.csv").write_text("time_s,east_m,north_m,std_m\n0.5,100.0,50.0,0.5\n")
+    mark(walks / "walk1.zip", "time_s,east_m,north_m,std_m\n0.5,100.0,50.0,0.5\n")
     out = tmp_path / "out"
-    result = run("map", walks, "--out", out, "--hash", "secret")
-    assert result.exit_code == 0
+    result = succeed("map", walks, "--out", out, "--hash", "secret")
     assert "group 0: 2 walks" in result.stdout
     assert "apart: short_walk: no Wi-Fi" in result.stdout
     found = pdr.WalkMap.load(out / "map")
@@ -45,24 +45,13 @@ def test_a_folder_becomes_a_map_with_a_radio_map_a_plan_and_a_report(tmp_path: P
 
 
 def test_known_positions_that_are_not_used_are_named(tmp_path: Path) -> None:
-    for seed in (1, 2):
-        walk_with_wifi(round_a_block(), seed).save(tmp_path / f"walk{seed}.zip")
-    marks = tmp_path / "walk1.zip.marks"
-    marks.mkdir()
-    (marks / "fixes.csv").write_text("time_s,east_m,north_m\n0.5,100,50\n0.5,400,50\n")
-    result = run("map", tmp_path, "--out", tmp_path / "out", "--times")
-    assert result.exit_code == 0
+    two_walks(tmp_path)
+    mark(tmp_path / "walk1.zip", "time_s,east_m,north_m\n0.5,100,50\n0.5,400,50\n")
+    result = succeed("map", tmp_path, "--out", tmp_path / "out", "--times")
     assert result.stdout.count("note: the known position of walk1 at 0.5 s is not used: ") == 2
     assert "the known position of walk1 at 0.5 s" in (tmp_path / "out" / "map.html").read_text("utf-8")
-    (marks / "fixes.csv").write_text("time_s,east_m,north_m\n1e6,100,50\n")
-    result = run("map", tmp_path, "--out", tmp_path / "out")
-    assert result.exit_code == 2 and "fix at 1000000.0 s for the walk 'walk1'" in one_line(result.stderr)
-
-
-def test_an_empty_folder_is_named(tmp_path: Path) -> None:
-    result = run("map", tmp_path, "--out", tmp_path / "out")
-    assert result.exit_code == 2
-    assert tmp_path.name in result.output.replace("\n", "")
+    mark(tmp_path / "walk1.zip", "time_s,east_m,north_m\n1e6,100,50\n")
+    assert "fix at 1000000.0 s for the walk 'walk1'" in refusal("map", tmp_path, "--out", tmp_path / "out")
 
 
 def test_a_folder_without_a_walk_that_can_be_joined_is_refused_after_the_reasons(tmp_path: Path) -> None:
@@ -100,7 +89,6 @@ def test_a_map_with_fewer_walks_and_groups_replaces_an_earlier_one_and_removes_i
 
 def test_no_file_has_names_of_walks_unless_they_are_asked_for(tmp_path: Path) -> None:
     walks = tmp_path / "walks"
-    walks.mkdir()
     for seed in (1, 2):
         replace(walk_with_wifi(round_a_block(), seed), name=f"anna_{seed}").save(walks / f"{seed}.zip")
     replace(short_walk(), name="anna_3").save(walks / "3.zip")
@@ -112,7 +100,7 @@ def test_no_file_has_names_of_walks_unless_they_are_asked_for(tmp_path: Path) ->
     without = run("map", walks, "--out", tmp_path / "without")
     assert "apart: anna_3" in without.stdout
     assert names_in(tmp_path / "without") == set()
-    assert run("map", walks, "--out", tmp_path / "with", "--times").exit_code == 0
+    succeed("map", walks, "--out", tmp_path / "with", "--times")
     assert {"map.html", "radio_0.json", "walk_map.json"} <= names_in(tmp_path / "with")
     found, named = (pdr.RadioMap.load(tmp_path / folder / "radio_0") for folder in ("without", "with"))
     np.testing.assert_array_equal(found.position_m, named.position_m)
@@ -124,7 +112,6 @@ def test_fixes_that_are_not_the_marks_of_a_recording_are_named_with_the_place_wh
     tmp_path: Path,
 ) -> None:
     walks = tmp_path / "walks"
-    walks.mkdir()
     short_walk().save(walks / "deaf.zip")
     (walks / "fixes.csv").write_text("time_s,east_m,north_m\n0.5,100.0,50.0\n")
     for command in (("map", walks, "--out", tmp_path / "out"), ("smooth", walks / "deaf.zip")):
@@ -134,21 +121,17 @@ def test_fixes_that_are_not_the_marks_of_a_recording_are_named_with_the_place_wh
     assert "not used" not in run("smooth", walks / "deaf.zip", "--no-marks").stderr
 
 
-@pytest.mark.parametrize("command", ["map", "smooth"])
-def test_the_help_names_the_place_of_the_marks(command: str) -> None:
-    assert "walk.zip.marks" in run(command, "--help").stdout
+@pytest.mark.parametrize(
+    ("command", "words"),
+    [("map", "walk.zip.marks --hash --jobs --scheduler --times"), ("smooth", "walk.zip.marks")],
+)
+def test_the_help_names_the_place_of_the_marks_and_the_options(command: str, words: str) -> None:
+    shown = run(command, "--help").stdout
+    assert all(word in shown for word in words.split())
 
 
 def test_a_known_storey_is_the_storey_of_the_map(tmp_path: Path) -> None:
-    for seed in (1, 2):
-        walk_with_wifi(round_a_block(), seed).save(tmp_path / f"walk{seed}.zip")
-    marks = tmp_path / "walk1.zip.marks"
-    marks.mkdir()
-    (marks / "fixes.csv").write_text("time_s,east_m,north_m,floor\n0.5,100.0,50.0,3\n")
-    assert run("map", tmp_path, "--out", tmp_path / "out").exit_code == 0
+    two_walks(tmp_path)
+    mark(tmp_path / "walk1.zip", "time_s,east_m,north_m,floor\n0.5,100.0,50.0,3\n")
+    succeed("map", tmp_path, "--out", tmp_path / "out")
     assert {floor for walk in pdr.WalkMap.load(tmp_path / "out" / "map").walks for floor in walk.floor} == {3}
-
-
-@pytest.mark.parametrize("option", ["--hash", "--jobs", "--scheduler", "--times"])
-def test_the_help_has_the_options(option: str) -> None:
-    assert option in run("map", "--help").stdout

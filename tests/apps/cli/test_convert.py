@@ -6,12 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from commands import refusal, succeed
 
-from pdr_filter.apps.cli.app import app
 from pdr_filter.data.io.formats import read
 
-RUN = CliRunner()
 TIME_S = np.arange(0.0, 6.0, 0.02)
 
 
@@ -26,8 +24,7 @@ def test_the_guess_is_shown_with_its_evidence_and_written_with_the_recording(
 ) -> None:
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
-    done = RUN.invoke(app, ["convert", str(a_table(tmp_path))])
-    assert done.exit_code == 0, done.output
+    done = succeed("convert", a_table(tmp_path))
     assert "read as table of Physics Toolbox" in done.stdout
     assert "its constant part is 0.99" in done.stdout
     assert "50.0 Hz delivered" in done.stdout
@@ -41,16 +38,14 @@ def test_the_guess_is_shown_with_its_evidence_and_written_with_the_recording(
 def test_a_mapping_that_was_corrected_is_obeyed_and_nothing_is_overwritten(tmp_path: Path) -> None:
     table = a_table(tmp_path)
     out = tmp_path / "first.zip"
-    assert RUN.invoke(app, ["convert", str(table), "--out", str(out)]).exit_code == 0
+    succeed("convert", table, "--out", out)
     before = out.read_bytes()
-    again = RUN.invoke(app, ["convert", str(table), "--out", str(out)])
-    assert again.exit_code == 2
-    assert "already exists, and convert does not overwrite files" in " ".join(again.stderr.split())
+    assert "already exists, and convert does not overwrite files" in refusal("convert", table, "--out", out)
     assert out.read_bytes() == before
     mapping = tmp_path / "mine.toml"
     mapping.write_text((tmp_path / "first.toml").read_text().replace("sign = 1", "sign = -1"))
     turned = tmp_path / "second.zip"
-    assert RUN.invoke(app, ["convert", str(table), "--map", str(mapping), "--out", str(turned)]).exit_code == 0
+    succeed("convert", table, "--map", mapping, "--out", turned)
     np.testing.assert_array_equal(read(turned).accelerometer.values, -read(out).accelerometer.values)
     assert not (tmp_path / "second.toml").exists()
 
@@ -59,20 +54,15 @@ def test_a_folder_of_several_recordings_is_refused_with_their_names(tmp_path: Pa
     for name in ("a", "b"):
         (tmp_path / "walks" / name).mkdir(parents=True)
         a_table(tmp_path / "walks" / name)
-    refused = RUN.invoke(app, ["convert", str(tmp_path / "walks"), "--out", str(tmp_path / "a.zip")])
-    assert refused.exit_code == 2
-    assert "holds 2 recordings (a, b)" in " ".join(refused.stderr.split())
-    assert RUN.invoke(app, ["convert", str(tmp_path / "walks" / "a"), "--out", str(tmp_path / "a.zip")]).exit_code == 0
+    assert "holds 2 recordings (a, b)" in refusal("convert", tmp_path / "walks", "--out", tmp_path / "a.zip")
+    succeed("convert", tmp_path / "walks" / "a", "--out", tmp_path / "a.zip")
 
 
 def test_the_platform_sets_the_sign_and_an_unknown_sign_is_reported(tmp_path: Path) -> None:
     table = a_table(tmp_path, "time,ax,ay,az")
-    refused = RUN.invoke(app, ["convert", str(table), "--out", str(tmp_path / "a.zip")])
-    assert refused.exit_code == 2
-    assert "nothing shows its sign" in " ".join(refused.stderr.split())
+    assert "nothing shows its sign" in refusal("convert", table, "--out", tmp_path / "a.zip")
     assert not (tmp_path / "a.zip").exists()
     for platform, sign in (("ios", -1), ("android", 1)):
         out = tmp_path / f"{platform}.zip"
-        done = RUN.invoke(app, ["convert", str(table), "--platform", platform, "--out", str(out)])
-        assert done.exit_code == 0, done.output
+        succeed("convert", table, "--platform", platform, "--out", out)
         assert np.sign(read(out).accelerometer.values[:, 2]).mean() == sign

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rich.console import Console
+from true_positions import HERE, located, true_m
 
 import pdr_filter as pdr
 from pdr_filter.apps.cli.demo import Demo, run_demo
@@ -18,14 +19,11 @@ from pdr_filter.data.io.files.own_format import write_recording
 
 
 @pytest.fixture(scope="module")
-def fractions() -> list[float]:
-    """Progress of the demonstration."""
-    return []
-
-
-@pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory, fractions: list[float]) -> Demo:
-    return run_demo(None, tmp_path_factory.mktemp("demo"), fractions.append)
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Demo:
+    fractions: list[float] = []
+    demo = run_demo(None, tmp_path_factory.mktemp("demo"), fractions.append)
+    assert fractions == sorted(fractions) and fractions[-1] == 1.0
+    return demo
 
 
 def straight_walk() -> pdr.Recording:
@@ -117,15 +115,11 @@ def test_the_demo_of_a_file_tracks_that_file_and_claims_no_truth(tmp_path: Path)
 def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> None:
     walk = straight_walk()
     time_s = np.arange(1.0, walk.duration_s, 5.0)
-    truth = walk.truth.position
-    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    here = pdr.Origin(43.77, 11.25)
-    values = np.column_stack([*here.latitude_longitude_deg(place_m), np.full((len(time_s), 2), 5.0)])
-    file = write_recording(replace(walk, location=pdr.Samples(time_s, values)), tmp_path / "mine.zip")
+    file = write_recording(located(walk, time_s), tmp_path / "mine.zip")
     demo = run_demo(file, tmp_path / "out")
     (feature,) = json.loads(demo.geojson.read_text())["features"]
     longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[:, :2].T
-    assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 15.0
+    assert np.linalg.norm(HERE.east_north_m(latitude_deg, longitude_deg)[-1] - true_m(walk, time_s[-1])) < 15.0
     assert "georeferenced by the locations in the recording" in printed(demo)
     assert run_demo(file, tmp_path / "off", gnss="off").geojson.name.endswith(".local.geojson")
 
@@ -137,11 +131,6 @@ def test_a_recording_without_steps_makes_a_demo_that_says_so(tmp_path: Path) -> 
     assert demo.track.n_steps == 0
     assert "no steps were detected" in printed(demo)
     assert demo.picture.is_file()
-
-
-def test_progress_reaches_one(simulated: Demo, fractions: list[float]) -> None:
-    assert fractions == sorted(fractions)
-    assert fractions[-1] == 1.0
 
 
 def test_the_end_error_on_the_screen_is_that_of_the_report_at_the_last_step(simulated: Demo) -> None:

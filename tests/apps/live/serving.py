@@ -42,7 +42,6 @@ class Server:
             start_new_session=True,
             text=True,
         )
-        assert self._process.stderr is not None
         self.said: list[str] = []
         give_up = threading.Timer(START_S, self._process.kill)
         give_up.start()
@@ -92,7 +91,6 @@ class Server:
         self._close()
 
     def _close(self) -> int:
-        assert self._process.stderr is not None
         self.said += self._process.stderr.readlines()
         self._process.stderr.close()
         return self._process.wait(30)

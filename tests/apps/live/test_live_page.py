@@ -181,19 +181,8 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         browser.until("live.sessions.size === 4")
         select(browser, "phone 8b59")
         browser.until("document.getElementById('state').textContent.startsWith('Silent for ')", 2.0)
+        assert browser.value("[...live.sessions.values()].some(session => session.history.length > 0)")
         assert browser.complaints == []
-
-
-def test_who_comes_late_sees_the_contexts_until_then(walk: Recording, tmp_path: Path) -> None:
-    bodies = own_messages(walk, "late")[:-1]
-    with Server() as running, Browser(tmp_path) as browser:
-        for at in range(0, len(bodies), 10):
-            for body in bodies[at : at + 10]:
-                running.post(body)
-            time.sleep(0.25)  # what is known of now is told five times a second at most
-        browser.open(running.address)
-        assert browser.until(f"{SESSION}?.history.length > 8 && {SESSION}.history.length") <= 81
-        assert browser.value(f"Math.max(...{SESSION}.history.map(row => row.context_prob.walking ?? 0))") > 0.5
 
 
 @pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)])
@@ -320,7 +309,6 @@ def test_a_browser_that_has_motion_sends_it(server: Server, tmp_path: Path) -> N
         path = tmp_path / "sent.zip"
         path.write_bytes(answer.content)
         sent = pdr.read(path)
-        assert sent.gyroscope is not None
         assert not browser.value("isApple()")
         np.testing.assert_allclose(sent.gyroscope.values[0], [0, np.pi, np.pi / 2], atol=1e-9)
         assert browser.complaints == []

@@ -41,11 +41,24 @@ def taken(folder: Path, bodies: Sequence[bytes], **settings: Any) -> tuple[Devic
     """The session after these messages, and what was shown."""
     events: list[Event] = []
     devices = Sessions(Settings(**settings), folder, events.append)
-    for body in bodies:
-        devices.take(body, "", "", "", time.time())
+    take_all(devices, bodies, time.time())
     (session,) = devices.sessions.values()
     session.save()
     return session, events
+
+
+def take_all(devices: Sessions, bodies: Sequence[bytes], unix_s: float = 0.0) -> None:
+    for body in bodies:
+        devices.take(body, "", "", "", unix_s)
+
+
+def sessions_in(folder: Path, events: list[Event] | None = None) -> Sessions:
+    return Sessions(Settings(), folder, (lambda _: None) if events is None else events.append)
+
+
+def with_fix(fix: dict[str, Any]) -> list[bytes]:
+    """A message with a position or range that somebody gives."""
+    return encoded([{"device": "p", "session": "s", "fix": fix}])
 
 
 def encoded(messages: Sequence[Any]) -> list[bytes]:
@@ -74,13 +87,13 @@ def test_a_process_that_dies_loses_nothing_that_it_took(
     bodies = encoded(sensor_logger_messages(walk)) if is_real else own_messages(walk)
     expected, _ = taken(tmp_path / "whole", bodies)
     events: list[Event] = []
-    devices = Sessions(Settings(), tmp_path / "broken", events.append)
+    devices = sessions_in(tmp_path / "broken", events)
     for i, body in enumerate(bodies):
         devices.take(body, "", "", "", 0.0)
         if i + 1 == n_saved:
             devices.close()
         if i in (n_saved + 5, n_saved + 30):
-            devices = Sessions(Settings(), tmp_path / "broken", events.append)
+            devices = sessions_in(tmp_path / "broken", events)
             devices.take(body, "", "", "", 0.0)  # the answer was lost, so that it is sent again
     devices.close()
     (session,) = devices.sessions.values()
@@ -96,11 +109,11 @@ def test_writes_that_were_broken_off_are_left_out(walk: Recording, tmp_path: Pat
     samples = session.recorder.folder / "accelerometer.csv"
     whole = samples.read_bytes()
     samples.write_bytes(whole + b"9.0,1,2,3\n9.1,1")  # written, and then the state was not
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
+    devices = sessions_in(tmp_path)
     devices.take(bodies[10], "", "", "", 0.0)
     (journal,) = session.recorder.folder.glob("journal_*.json")
     journal.write_bytes(journal.read_bytes()[:-7])
-    (again,) = Sessions(Settings(), tmp_path, lambda _: None).sessions.values()
+    (again,) = sessions_in(tmp_path).sessions.values()
     assert again.assembly.next_number == 10
     assert samples.read_bytes() == whole
 
@@ -126,10 +139,9 @@ def test_an_iphone_with_gravity_apart_gives_the_track_of_the_same_walk(walk: Rec
     np.testing.assert_allclose(positions(session), expected.position_m, atol=1e-3)
 
 
-@pytest.mark.parametrize("at_s", [30.0, 30.2])
-@pytest.mark.parametrize("back_s", [1.5, 30.0, 7200.0])
+@pytest.mark.parametrize(("at_s", "back_s"), [(30.2, 1.5), (30.0, 30.0), (30.2, 7200.0)])
 def test_no_step_is_lost_when_the_clock_of_a_phone_with_numbered_messages_is_set_back(
-    walk: Recording, tmp_path: Path, back_s: float, at_s: float
+    walk: Recording, tmp_path: Path, at_s: float, back_s: float
 ) -> None:
     """At the end of a message, and within one."""
     messages = sensor_logger_messages(walk)
@@ -162,10 +174,9 @@ def test_after_the_clock_is_set_back_by_minutes_i_am_here_is_of_now(tmp_path: Pa
 
 
 def test_two_phones_of_one_name_are_two_sessions(walk: Recording, tmp_path: Path) -> None:
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
-    for one, two in zip(own_messages(walk, "p", "a"), own_messages(walk, "p", "b"), strict=True):
-        devices.take(one, "", "", "", 0.0)
-        devices.take(two, "", "", "", 0.0)
+    devices = sessions_in(tmp_path)
+    for bodies in zip(own_messages(walk, "p", "a"), own_messages(walk, "p", "b"), strict=True):
+        take_all(devices, bodies)
     one, two = devices.sessions.values()
     np.testing.assert_array_equal(positions(one), positions(two))
     assert one.recorder.folder != two.recorder.folder
@@ -174,7 +185,7 @@ def test_two_phones_of_one_name_are_two_sessions(walk: Recording, tmp_path: Path
 @pytest.mark.parametrize("name", ["../../etc", "/root/x", "a\x00b", "..", ".", "a" * 500, "con", "é\u202e", "\\\\h\\s"])
 def test_no_name_leads_out_of_the_folder(name: str, tmp_path: Path) -> None:
     folder = tmp_path / "inside"
-    devices = Sessions(Settings(), folder, lambda _: None)
+    devices = sessions_in(folder)
     body = json.dumps({"device": name, "session": name, "samples": {"gyroscope": [[0, 1, 2, 3]]}}).encode()
     devices.take(body, "", "", "", 0.0)
     assert [path.name for path in tmp_path.iterdir()] == ["inside"]
@@ -184,19 +195,16 @@ def test_no_name_leads_out_of_the_folder(name: str, tmp_path: Path) -> None:
 
 def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path) -> None:
     events: list[Event] = []
-    devices = Sessions(Settings(), tmp_path, events.append)
+    devices = sessions_in(tmp_path, events)
     bodies = own_messages(walk)
-    for body in bodies[:55]:
-        devices.take(body, "", "", "", 0.0)
+    take_all(devices, bodies[:55])
     (session,) = devices.sessions.values()
     unfixed = pdr.track(replace(walk, meta={}))
     time_s = session.online.now().time_s
     here = [float(np.interp(time_s, unfixed.time_s, axis)) for axis in unfixed.position_m.T]
     here[1] += 3.0
-    fix = {"device": "p", "session": "s", "fix": {"east_m": here[0], "north_m": here[1], "std_m": 0.2}}
-    devices.take(json.dumps(fix).encode(), "", "", "", 0.0)
-    for body in bodies[55:]:
-        devices.take(body, "", "", "", 0.0)
+    fix = with_fix({"east_m": here[0], "north_m": here[1], "std_m": 0.2})
+    take_all(devices, [*fix, *bodies[55:]])
     devices.close()
     assert positions(session)[-1, 1] - unfixed.position_m[-1, 1] > 0.5
     corrected = [e for e in events if e["event"] == "path"]
@@ -210,16 +218,13 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
 
 def test_a_range_to_an_anchor_is_used_and_is_on_record_as_a_file_of_ranges(walk: Recording, tmp_path: Path) -> None:
     events: list[Event] = []
-    devices = Sessions(Settings(), tmp_path, events.append)
+    devices = sessions_in(tmp_path, events)
     bodies = own_messages(walk)
-    for body in bodies[:55]:
-        devices.take(body, "", "", "", 0.0)
+    take_all(devices, bodies[:55])
     (session,) = devices.sessions.values()
     east_m, north_m = session.online.position_m
     fix = {"east_m": east_m + 12.0, "north_m": north_m, "range_m": 12.4, "std_m": 1.0}
-    devices.take(json.dumps({"device": "p", "session": "s", "fix": fix}).encode(), "", "", "", 0.0)
-    for body in bodies[55:]:
-        devices.take(body, "", "", "", 0.0)
+    take_all(devices, [*with_fix(fix), *bodies[55:]])
     devices.close()
     told = [(e["kind"], e["outcome"]) for e in events if e["event"] == "fix"]
     assert told == [("range", "waiting"), ("range", "used")]
@@ -235,20 +240,17 @@ def test_what_became_of_a_fix_is_told_also_by_the_next_process(
     walk: Recording, tmp_path: Path, away_m: float, outcome: str
 ) -> None:
     events: list[Event] = []
-    devices = Sessions(Settings(), tmp_path, events.append)
+    devices = sessions_in(tmp_path, events)
     bodies = own_messages(walk)
-    for body in bodies[:48]:
-        devices.take(body, "", "", "", 0.0)
+    take_all(devices, bodies[:48])
     (session,) = devices.sessions.values()
     east_m, north_m = session.online.position_m
-    fix = {"device": "p", "session": "s", "fix": {"east_m": east_m + away_m, "north_m": north_m, "std_m": 1.0}}
-    devices.take(json.dumps(fix).encode(), "", "", "", 0.0)
+    take_all(devices, with_fix({"east_m": east_m + away_m, "north_m": north_m, "std_m": 1.0}))
     (waiting,) = (e for e in events if e["event"] == "fix")
     assert (waiting["outcome"], waiting["east_m"]) == ("waiting", pytest.approx(east_m + away_m))
     devices.close()
-    devices = Sessions(Settings(), tmp_path, events.append)
-    for body in bodies[48:58]:
-        devices.take(body, "", "", "", 0.0)
+    devices = sessions_in(tmp_path, events)
+    take_all(devices, bodies[48:58])
     _, told = (e for e in events if e["event"] == "fix")
     assert (told["outcome"], told["time_s"]) == (outcome, waiting["time_s"])
     assert told["accepted"] == (outcome == "used")
@@ -267,28 +269,25 @@ def test_what_became_of_a_fix_is_told_also_by_the_next_process(
 def test_a_fix_that_cannot_be_used_is_refused_and_changes_nothing(
     walk: Recording, tmp_path: Path, fix: dict, words: str
 ) -> None:
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
-    for body in own_messages(walk)[:20]:
-        devices.take(body, "", "", "", 0.0)
+    devices = sessions_in(tmp_path)
+    take_all(devices, own_messages(walk)[:20])
     (session,) = devices.sessions.values()
     before = session.online.state
     with pytest.raises(FixError, match=words):
-        devices.take(json.dumps({"device": "p", "session": "s", "fix": fix}).encode(), "", "", "", 0.0)
+        take_all(devices, with_fix(fix))
     assert session.online.state is before
     devices.take(own_messages(walk)[20], "", "", "", 0.0)
 
 
 def test_a_message_that_is_too_late_does_not_end_the_track(walk: Recording, tmp_path: Path) -> None:
     bodies = own_messages(walk)
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
-    for body in [*bodies[:10], *bodies[11:40]]:
-        devices.take(body, "", "", "", 0.0)
+    devices = sessions_in(tmp_path)
+    take_all(devices, [*bodies[:10], *bodies[11:40]])
     with pytest.raises(LateError, match="message 10 is too late"):
         devices.take(bodies[10], "", "", "", 0.0)
     (session,) = devices.sessions.values()
     n_steps = len(session.path)
-    for body in bodies[40:]:
-        devices.take(body, "", "", "", 0.0)
+    take_all(devices, bodies[40:])
     assert session.refused == ""
     assert len(session.path) > n_steps
 
@@ -296,8 +295,7 @@ def test_a_message_that_is_too_late_does_not_end_the_track(walk: Recording, tmp_
 def test_there_is_room_for_so_many_phones_and_the_next_is_told_so(tmp_path: Path) -> None:
     devices = Sessions(Settings(max_devices=2), tmp_path, lambda _: None)
     bodies = [json.dumps({"device": f"p{i}", "samples": {}}).encode() for i in range(3)]
-    for body in bodies[:2]:
-        devices.take(body, "", "", "", 0.0)
+    take_all(devices, bodies[:2])
     with pytest.raises(BusyError, match="max-devices"):
         devices.take(bodies[2], "", "", "", 0.0)
 
@@ -305,7 +303,7 @@ def test_there_is_room_for_so_many_phones_and_the_next_is_told_so(tmp_path: Path
 def test_what_comes_after_the_end_is_refused_also_by_the_next_process(walk: Recording, tmp_path: Path) -> None:
     bodies = own_messages(walk)
     taken(tmp_path, bodies)
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
+    devices = sessions_in(tmp_path)
     with pytest.raises(SessionError, match="has ended"):
         devices.take(bodies[-1].replace(b'"number": ', b'"number": 9'), "", "", "", 0.0)
     (session,) = devices.sessions.values()
@@ -320,17 +318,14 @@ def with_bias(walk: Recording, bias_radps: float) -> Recording:
 def test_the_gyroscope_bias_of_a_phone_is_used_in_its_next_session(walk: Recording, tmp_path: Path) -> None:
     biased = with_bias(walk, 0.02)
     first, _ = taken(tmp_path, own_messages(biased, session="first"))
-    assert first.online is not None
     learnt = first.online.device
     bodies = own_messages(biased, session="second")
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
-    for body in bodies[:20]:
-        devices.take(body, "", "", "", time.time())
+    devices = sessions_in(tmp_path)
+    take_all(devices, bodies[:20], time.time())
     # killed before a state was saved, and the phone's device is written by another session in between
     learnt.after(days=400.0).save(next((tmp_path / "devices").glob("*.json")))
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
-    for body in bodies[20:]:
-        devices.take(body, "", "", "", time.time())
+    devices = sessions_in(tmp_path)
+    take_all(devices, bodies[20:], time.time())
     second = devices.sessions[session_id("p", "second")]
     second.save()
     device = pdr.Device.load(second.recorder.folder / "device.json")
@@ -345,9 +340,8 @@ def test_a_gyroscope_bias_that_does_not_fit_the_session_is_noted_and_replaced(tm
     still = simulate([Leg("stationary", duration_s=60.0), Leg("walking", distance_m=20.0)], seed=2)
     taken(tmp_path, own_messages(with_bias(still, 0.05), session="first"))
     events: list[Event] = []
-    devices = Sessions(Settings(), tmp_path, events.append)
-    for body in own_messages(with_bias(still, -0.05), session="second"):
-        devices.take(body, "", "", "", time.time())
+    devices = sessions_in(tmp_path, events)
+    take_all(devices, own_messages(with_bias(still, -0.05), session="second"), time.time())
     last = [e for e in events if e["event"] == "session"][-1]
     assert any("may be of another phone" in note for note in last["notes"])
     (file,) = (tmp_path / "devices").iterdir()
@@ -365,9 +359,8 @@ def test_a_damaged_file_of_a_phone_does_not_stop_its_next_session(walk: Recordin
     first, _ = taken(tmp_path, own_messages(walk, session="first"))
     (file,) = (tmp_path / "devices").iterdir()
     file.write_text("{")
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
-    for body in own_messages(walk, session="second"):
-        devices.take(body, "", "", "", time.time())
+    devices = sessions_in(tmp_path)
+    take_all(devices, own_messages(walk, session="second"), time.time())
     second = devices.sessions[session_id("p", "second")]
     second.save()
     np.testing.assert_array_equal(positions(second), positions(first))
@@ -398,7 +391,7 @@ def test_messages_of_many_phones_are_recorded_at_once_and_filtered_together(
 
     monkeypatch.setattr(live_session, "_pushed", counted)
     monkeypatch.setattr(live_session, "time", SimpleNamespace(monotonic=lambda: 1000.0, time=time.time))
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
+    devices = sessions_in(tmp_path)
     for number in range(9):
         devices.take(own_messages(walk, f"other {number}")[0], "", "", "", 0.0)
     samples, n_sent = tmp_path / session_id("p", "s") / "accelerometer.csv", 0
@@ -422,7 +415,7 @@ def test_a_state_that_is_saved_between_two_passes_of_the_filter_misses_no_sample
     monkeypatch.setattr(live_sessions, "_LONGEST_WAIT_S", 1000.0)
     for number, body in enumerate(bodies):
         if number % 30 == 0:  # the process before has died
-            devices = Sessions(Settings(), tmp_path / "broken", lambda _: None)
+            devices = sessions_in(tmp_path / "broken")
         devices.accept(parse(body), 0.0)
         devices.settle()
         if number % 30 == 20:
@@ -436,10 +429,9 @@ def test_a_state_that_is_saved_between_two_passes_of_the_filter_misses_no_sample
 
 def test_a_session_that_cannot_be_tracked_is_shown_with_the_reason(walk: Recording, tmp_path: Path) -> None:
     events: list[Event] = []
-    devices = Sessions(Settings(), tmp_path, events.append)
+    devices = sessions_in(tmp_path, events)
     with pytest.raises(SessionError, match="--platform ios"):
-        for body in encoded(sensor_logger_messages(walk, ios=True)[:10]):
-            devices.take(body, "", "", "", 0.0)
+        take_all(devices, encoded(sensor_logger_messages(walk, ios=True)[:10]))
     assert "--platform ios" in events[-1]["refused"]
     waiting = next(e["waits"] for e in events if e["event"] == "session")
     assert waiting == "2 s of samples are needed, 0.5 s are there"
@@ -450,12 +442,12 @@ def test_what_an_untracked_phone_sends_is_recorded_and_can_be_read(
     walk: Recording, tmp_path: Path, n: int | None, state: str
 ) -> None:
     messages = sensor_logger_messages(walk, ios=True)[:n]
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
+    devices = sessions_in(tmp_path)
     for number, body in enumerate(encoded(messages)):
         with contextlib.suppress(SessionError):
             devices.take(body, "", "", "", 0.0)
         if number == 60:  # the process dies, and the next one records on
-            devices = Sessions(Settings(), tmp_path, lambda _: None)
+            devices = sessions_in(tmp_path)
     devices.close()
     (session,) = devices.sessions.values()
     assert session.about()[state]
@@ -473,18 +465,14 @@ def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     walk: Recording, tmp_path: Path, damage: str
 ) -> None:
     bodies = {name: own_messages(walk, name) for name in ("bad", "good")}
-    devices = Sessions(Settings(), tmp_path, lambda _: None)
-    for one, two in zip(bodies["bad"][:20], bodies["good"][:20], strict=True):
-        devices.take(one, "", "", "", 0.0)
-        devices.take(two, "", "", "", 0.0)
+    devices = sessions_in(tmp_path)
+    take_all(devices, [*bodies["bad"][:20], *bodies["good"][:20]])
     devices.close()
     (bad,) = tmp_path.glob("bad-*")
     (bad / damage).write_bytes(b"damaged\n")
     events: list[Event] = []
-    devices = Sessions(Settings(), tmp_path, events.append)
-    for one, two in zip(bodies["bad"][20:], bodies["good"][20:], strict=True):
-        devices.take(one, "", "", "", 0.0)
-        devices.take(two, "", "", "", 0.0)
+    devices = sessions_in(tmp_path, events)
+    take_all(devices, [*bodies["bad"][20:], *bodies["good"][20:]])
     devices.close()
     (aside,) = tmp_path.glob("bad-*.damaged1")
     notes = {s.device: s.about()["notes"] for s in devices.sessions.values()}

@@ -22,9 +22,6 @@ from serving import Server, sensor_logger_messages, short_walk, until
 from websockets.sync.server import ServerConnection, serve
 
 import pdr_filter as pdr
-from pdr_filter.apps.live.messages import MessageError
-from pdr_filter.apps.live.parts import Answer
-from pdr_filter.apps.live.sources import Mqtt
 from pdr_filter.values.recording import Recording
 
 BROKER = shutil.which("mosquitto") or next((p for p in ["/usr/sbin/mosquitto"] if Path(p).exists()), "")
@@ -51,7 +48,6 @@ def phyphox(walk: Recording) -> Iterator[int]:
     The phone has no network for two questions in the middle.
     """
     gyroscope = walk.gyroscope
-    assert gyroscope is not None
     columns = {"a t": walk.accelerometer.time_s, "g t": gyroscope.time_s}
     columns |= {f"a{axis}": walk.accelerometer.values[:, i] for i, axis in enumerate("XYZ")}
     columns |= {f"g{axis}": gyroscope.values[:, i] for i, axis in enumerate("XYZ")}
@@ -111,7 +107,6 @@ def sensor_server(walk: Recording) -> Iterator[int]:
     events.sort(key=lambda event: event[0])
 
     def send(connection: ServerConnection) -> None:
-        assert connection.request is not None
         assert "android.sensor.gyroscope" in connection.request.path
         for _, event in events:
             connection.send(json.dumps(event))
@@ -236,11 +231,3 @@ def test_the_reason_why_a_message_of_a_broker_is_refused_is_told_once(walk: Reco
     assert len(told) == 2
     assert "not JSON" in told[0]
     assert "iOS and Android have opposite signs" in told[1]
-
-
-def test_a_broker_over_websocket_is_refused_with_what_to_give_instead() -> None:
-    async def take(*_: Any, **__: Any) -> Answer:
-        raise AssertionError("nothing is sent")
-
-    with pytest.raises(MessageError, match=r"mqtt://HOST:PORT/TOPIC.*fall behind"):
-        Mqtt("ws://broker.local:9001/phones", take)

@@ -73,11 +73,3 @@ def round_the_block(seed: int = 0) -> pdr.Recording:
     return pdr.simulate.simulate(
         legs, Gait(height_m=1.95), errors=errors, seed=seed, start_heading_rad=math.pi / 2, name="round the block"
     )
-
-
-def errors_m(track: pdr.Track, walk: pdr.Recording) -> np.ndarray:
-    """Return the distance of each step from the true position."""
-    assert walk.truth is not None
-    truth = walk.truth.position
-    at = np.column_stack([np.interp(track.time_s, truth.time_s, truth[k]) for k in ("east_m", "north_m")])
-    return np.linalg.norm(track.position_m - at, axis=1)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import resumed
+from helpers import cut_randomly, pushed
 from made_up import FEATURES, box, feature, line, write
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -38,7 +38,6 @@ HOLE = box(-3, -3, 3, 3)["coordinates"][0]
 
 
 def is_off(given: pdr.Config, position_m: np.ndarray) -> np.ndarray:
-    assert given.on_plan is not None
     return given.on_plan.plan.storeys[0].kind_at(position_m) == OUTSIDE
 
 
@@ -52,12 +51,7 @@ def test_a_start_in_a_hole_is_named_with_the_number_of_steps_online_and_smoothed
     smoothed = pdr.smooth(WALK, config=given)
     counted = next(note for note in smoothed.notes if OFF in note and "step" in note.split()[1])
     assert int(counted.split()[0]) in (4, 5)
-    online, samples = pdr.OnlineFilter(given), pdr.merge_streams(WALK)
-    for i in range(0, len(samples.time_s), 37):
-        part = slice(i, i + 37)
-        online.push(samples.time_s[part], samples.specific_force_mps2[part], samples.angular_rate_radps[part])
-        online = resumed(online) if i % 370 == 0 else online
-    online.finish()
+    online, _ = pushed(pdr.OnlineFilter(given), cut_randomly(pdr.merge_streams(WALK), 1), n_resumed=5)
     assert [note for note in online.notes if OFF in note] == [start, steps]
 
 
@@ -95,7 +89,6 @@ def test_a_start_in_a_wall_is_named_and_one_in_a_room_without_a_door_is_not(tmp_
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [*FEATURES, thick, feature("wall", line((0, 9), (1, 9)))]))
     for start, is_named in ((at(5.5, 0.0, 0.2), True), (at(4.0, 8.0, 0.2), False)):
         found = pdr.recipes.default().with_plan(plan, start)
-        assert found.on_plan is not None
         notes = found.on_plan.notes(found.on_plan.init())
         assert bool(notes) == is_named
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made_up import FEATURES, errors_m, in_degrees, round_the_block, write
+import true_positions
+from made_up import FEATURES, in_degrees, round_the_block, write
 
 import pdr_filter as pdr
 
@@ -18,13 +18,9 @@ WALK = round_the_block()
 @pytest.fixture(scope="module")
 def located() -> pdr.Recording:
     """Walk with a location every second, with an error of 2 m and an accuracy of 3 m, in the first corridor."""
-    truth = WALK.truth.position
-    assert truth is not None
-    time_s, rng = np.arange(0.5, 35.0), np.random.default_rng(0)
-    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[k]) for k in ("east_m", "north_m")])
-    latitude, longitude = HERE.latitude_longitude_deg(place_m + rng.normal(0.0, 2.0, place_m.shape))
-    rows = np.column_stack([latitude, longitude, np.full(len(time_s), 500.0), np.full(len(time_s), 3.0)])
-    return replace(WALK, location=pdr.Samples(time_s, rows))
+    time_s = np.arange(0.5, 35.0)
+    off_m = np.random.default_rng(0).normal(0.0, 2.0, (len(time_s), 2))
+    return true_positions.located(WALK, time_s, HERE, 3.0, off_m)
 
 
 def test_a_plan_in_degrees_uses_the_locations_of_the_recording(located: pdr.Recording, tmp_path: Path) -> None:
@@ -32,7 +28,7 @@ def test_a_plan_in_degrees_uses_the_locations_of_the_recording(located: pdr.Reco
     track = pdr.track(located, plan=plan)
     assert track.frame == "plan" and track.origin == HERE
     assert sum(fix.accepted for fix in track.fixes) > 3
-    assert errors_m(track, WALK)[-1] < 2.0
+    assert true_positions.errors_m(track, WALK)[-1] < 2.0
 
 
 def test_a_plan_in_metres_ignores_locations_and_refuses_a_request_to_use_them(

@@ -34,7 +34,6 @@ def run(*arguments: object) -> str:
 def plan_of(page: str) -> list[dict[str, Any]]:
     """Return the shapes that the page of a track draws."""
     found = re.search(r'<script id="data" type="application/json">(.*?)</script>', page)
-    assert found is not None
     return json.loads(found[1])["tracks"][0]["plan"]
 
 

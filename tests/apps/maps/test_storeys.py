@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from made_up import box, errors_m, feature, write
+from made_up import box, feature, write
+from true_positions import errors_m
 
 import pdr_filter as pdr
 from pdr_filter.simulate import BAROMETER, Gait, Leg, SensorErrors, simulate

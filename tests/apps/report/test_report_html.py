@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import a_plan, windows_of
+from made_tracks import make_track
+from true_positions import true_m
 
 import pdr_filter as pdr
 from pdr_filter.apps.report import html, palette
@@ -75,16 +77,8 @@ def given(page: str) -> list[dict[str, Any]]:
 
 
 def test_the_page_has_every_part(page: str) -> None:
-    assert Seen(page).titles[1:] == [
-        "Warnings",
-        "Path",
-        "Height (m)",
-        "Contexts over time",
-        "Walking speed (m/s)",
-        "Step lengths (m)",
-        "Heading",
-        "Input data",
-    ]
+    charts = ["Contexts over time", "Walking speed (m/s)", "Step lengths (m)", "Heading"]
+    assert Seen(page).titles[1:] == ["Warnings", "Path", "Height (m)", *charts, "Input data"]
 
 
 def test_every_step_is_given_with_its_numbers(page: str, track: Track) -> None:
@@ -147,9 +141,7 @@ def test_contexts_fill_their_share_of_the_time(page: str, track: Track) -> None:
 
 def test_the_truth_is_aligned_with_the_track_and_each_step_has_its_error(track: Track, recording: Recording) -> None:
     """A correct track has no error for any frame of the truth."""
-    truth = recording.truth.position
-    true_m = np.column_stack([np.interp(track.time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    turned_m = true_m @ [[0.0, 1.0], [-1.0, 0.0]] + [5.0, 7.0]
+    turned_m = true_m(recording, track.time_s) @ [[0.0, 1.0], [-1.0, 0.0]] + [5.0, 7.0]
     right = replace(track, position_m=turned_m, start_position_m=np.array([5.0, 7.0]))
     (seen,) = given(html_report(right, recording))
     assert not seen["truth"]["points"]
@@ -178,8 +170,6 @@ def test_several_tracks_are_told_apart_by_name_weighting_or_number(track: Track)
     assert f"{track.name}, imm" in words
     assert f"{track.name}, hc" in words
     assert f"2: {track.name}, imm" in Seen(html_report([track, track])).words
-    with pytest.raises(ValueError, match="at least one track, got none"):
-        html_report([])
 
 
 def test_a_floor_plan_is_given_as_shapes_those_below_first(track: Track, tmp_path: Path) -> None:
@@ -283,22 +273,8 @@ def test_a_recording_without_steps_has_a_page(recording: Recording) -> None:
     assert given(page)[0]["time"] == []
 
 
-def test_a_single_step_has_a_page(track: Track) -> None:
-    per_step = ("time_s", "position_m", "position_cov_m2", "step_length_m", "walking_heading_rad", "step_speed_mps")
-    per_step += (
-        "step_speed_std_mps",
-        "smoothed_speed_mps",
-        "smoothed_speed_std_mps",
-        "context_prob",
-        "mode_prob",
-        "walked_m",
-        "height_m",
-        "height_std_m",
-        "floor",
-        "steps",
-    )
-    one = replace(track, **{name: getattr(track, name)[:1] for name in per_step})
-    page = html_report(one)
+def test_a_single_step_has_a_page() -> None:
+    page = html_report(make_track(1, 1))
     assert "1 step " in Seen(page).words
     assert len(given(page)[0]["time"]) == 1
 
@@ -339,42 +315,11 @@ def test_fixes_that_were_not_used_are_told(recording: Recording) -> None:
     assert any("do not fit the track" in doubt for doubt in trust.doubts(track))
 
 
-def test_a_day_of_walking_is_a_page_of_less_than_one_and_a_half_megabytes(track: Track) -> None:
+def test_a_day_of_walking_is_a_page_of_less_than_one_and_a_half_megabytes() -> None:
     """The page opens fast, because rows beyond the resolution of a screen are omitted."""
-    n = 500
-    late_s = np.repeat(track.duration_s * np.arange(n), track.n_steps)
-    steps = np.tile(track.steps, n)
-    windows = track.windows
-    many = replace(
-        windows,
-        time_s=np.tile(windows.time_s, n) + np.repeat(track.duration_s * np.arange(n), len(windows)),
-        **{
-            name: np.tile(getattr(windows, name), (n, 1) if getattr(windows, name).ndim == 2 else n)
-            for name in ("context_prob", "carrying_prob", "unknown_share", "irregular_prob", "climb_rate_mps")
-        },
-        model=windows.model * n,
-    )
-    rows = (
-        "step_length_m",
-        "smoothed_speed_mps",
-        "smoothed_speed_std_mps",
-        "walking_heading_rad",
-        "walked_m",
-        "height_m",
-    )
-    rows += ("height_std_m", "floor")
-    day = replace(
-        track,
-        time_s=np.tile(track.time_s, n) + late_s,
-        position_m=np.tile(track.position_m, (n, 1)) + late_s[:, np.newaxis] / 100,
-        position_cov_m2=np.tile(track.position_cov_m2, (n, 1, 1)),
-        context_prob=np.tile(track.context_prob, (n, 1)),
-        mode_prob=np.tile(track.mode_prob, (n, 1)),
-        **{name: np.tile(getattr(track, name), n) for name in rows},
-        steps=steps.view(np.recarray),
-        windows=many,
-        duration_s=track.duration_s * n,
-    )
+    n = 100_000
+    way_m = np.random.default_rng(0).normal(size=(n, 2)).cumsum(axis=0)
+    day = replace(make_track(n, n // 2), position_m=way_m, walking_heading_rad=np.arctan2(*way_m.T))
     start_s = time.perf_counter()
     page = html_report(day)
     assert time.perf_counter() - start_s < 10.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -93,11 +94,16 @@ def test_a_clockwise_quarter_turn_moves_north_to_east() -> None:
     np.testing.assert_allclose(np.array([[0.0, 1.0]]) @ clockwise_rotation(np.pi / 2), [[1.0, 0.0]], atol=1e-15)
 
 
+def hearing_walks(chain: Chain, n: int) -> ScannedWalks:
+    """Walks with five scans that are the same in each."""
+    power_dbm = np.random.default_rng(1).uniform(-80, -40, 30)
+    scans = Scans(np.arange(0, 20, 4), np.arange(0, 35, 6), np.tile(np.arange(6), 5), power_dbm)
+    return ScannedWalks.of([replace(chain, scans=scans)] * n)
+
+
 def test_the_slope_of_the_joint_poses_is_that_of_differences(chain: Chain) -> None:
     """Two walks that hear the same access points, and one of them defines the frame."""
-    rng = np.random.default_rng(1)
-    heard = [Scans(np.arange(0, 20, 4), np.arange(0, 35, 6), np.tile(np.arange(6), 5), rng.uniform(-80, -40, 30))] * 2
-    walks = ScannedWalks.of([replace(chain, scans=s) for s in heard])
+    walks = hearing_walks(chain, 2)
     poses = {0: WalkPose(0.1, np.array([1.0, 2.0])), 1: WalkPose(-0.2, np.array([9.0, -4.0]), scale=1.1)}
     group = JoinedWalks(poses, {0: WalkPose(0.0, np.zeros(2))}, 0.05)
     scans = scans_around(walks, group, [0, 1])
@@ -125,14 +131,21 @@ def test_the_slope_of_the_joint_poses_is_that_of_differences(chain: Chain) -> No
 
 
 def test_the_evidence_of_a_walk_is_zero_far_away_and_positive_where_it_hears_the_same(chain: Chain) -> None:
-    rng = np.random.default_rng(3)
-    heard = Scans(np.arange(0, 20, 4), np.arange(0, 35, 6), np.tile(np.arange(6), 5), rng.uniform(-80, -40, 30))
-    walks = ScannedWalks.of([replace(chain, scans=heard, knows_north=False)] * 2)
-    here = WalkPose(0.0, np.zeros(2))
-    groups = [{0: here}, {0: here, 1: WalkPose(0.0, np.array([1e6, 0.0]))}, {0: here, 1: here}]
-    alone, far, same = (log_evidence(walks, JoinedWalks(poses, {0: here})) for poses in groups)
+    walks = hearing_walks(replace(chain, knows_north=False), 2)
+    groups = [{0: HERE}, {0: HERE, 1: WalkPose(0.0, np.array([1e6, 0.0]))}, {0: HERE, 1: HERE}]
+    alone, far, same = (log_evidence(walks, JoinedWalks(poses, {0: HERE})) for poses in groups)
     assert alone == pytest.approx(0.0, abs=1e-9) and far == pytest.approx(0.0, abs=1e-4)
     assert same > 3.0
+
+
+def with_parts(monkeypatch: pytest.MonkeyPatch, **parts: Callable[..., object]) -> None:
+    """Replace parts of the growth of a map; those that are not given do nothing."""
+    nothing = {"adjust": lambda *_, **__: None, "drop_doubtful_storeys": lambda *_: [], "settle": lambda *_: []}
+    for name, part in {**nothing, **parts}.items():
+        monkeypatch.setattr(walk_map, name, part)
+
+
+HERE = WalkPose(0.0, np.zeros(2))
 
 
 @pytest.mark.parametrize("better", [0, 1])
@@ -145,10 +158,7 @@ def test_of_two_paces_of_growth_the_more_probable_result_counts(monkeypatch: pyt
         group.north_rad = float(pace)
         free.difference_update({*joined, 4})
 
-    nothing = {"adjust": lambda *_, **__: None, "drop_doubtful_storeys": lambda *_: [], "settle": lambda *_: [4]}
-    for name, other in {"grow": grow, **nothing}.items():
-        monkeypatch.setattr(walk_map, name, other)
-    monkeypatch.setattr(walk_map, "log_evidence", lambda _, group: float(2 + better in group.poses))
+    with_parts(monkeypatch, grow=grow, settle=lambda *_: [4], log_evidence=lambda _, group: 2 + better in group.poses)
     walks = SimpleNamespace(partners=[set(range(5)) for _ in range(5)])
     group, free = JoinedWalks({0: WalkPose(0.0, np.zeros(2))}, {}), {1, 2, 3, 4}
     reasons = dict[int, str]()
@@ -158,9 +168,7 @@ def test_of_two_paces_of_growth_the_more_probable_result_counts(monkeypatch: pyt
 
 
 def test_walks_of_other_storeys_do_not_move_a_walk(chain: Chain) -> None:
-    rng = np.random.default_rng(2)
-    heard = Scans(np.arange(0, 20, 4), np.arange(0, 35, 6), np.tile(np.arange(6), 5), rng.uniform(-80, -40, 30))
-    walks = ScannedWalks.of([replace(chain, scans=heard)] * 3)
+    walks = hearing_walks(chain, 3)
     poses = {i: WalkPose(0.0, np.array([9.0 * i, 0.0]), floor) for i, floor in enumerate((0, 0, 1))}
     group = JoinedWalks(poses, {1: poses[1]})
     scans = scans_around(walks, group, [0])
@@ -271,10 +279,7 @@ def test_after_a_map_without_agreement_the_other_pace_is_tried(monkeypatch: pyte
     def drop(_: object, group: JoinedWalks, __: object) -> list[int]:
         return [i for i in (1,) if group.poses[1].turn_rad == PACES[0] and group.poses.pop(1)]
 
-    others = {"grow": grow, "adjust": lambda *_, **__: None, "settle": lambda *_: [], "drop_doubtful_storeys": drop}
-    for name, other in others.items():
-        monkeypatch.setattr(walk_map, name, other)
-    monkeypatch.setattr(walk_map, "log_evidence", lambda _, group: float(len(group.poses)))
+    with_parts(monkeypatch, grow=grow, drop_doubtful_storeys=drop, log_evidence=lambda _, group: len(group.poses))
     group, free = JoinedWalks({0: WalkPose(0.0, np.zeros(2))}, {}), {1}
     walk_map._extend(cast(Any, SimpleNamespace(partners=[{1}, {0}])), group, free, reasons := dict[int, str]())
     assert tried == list(PACES) and set(group.poses) == {0, 1} and not reasons

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -67,21 +67,16 @@ class Client:
         return answer.json()
 
 
-def with_bench(folder: Path, scenario: Callable[[Client], Awaitable[None]], is_working: bool = False) -> None:
-    """Run a scenario with a workbench of a folder; its background work only if wanted."""
-
-    async def run() -> None:
-        bench = Workbench(folder, 1)
-        await bench.start()
-        if not is_working:
-            bench._tasks[0].cancel()
-        transport = httpx.ASGITransport(workbench_application(bench, None))
-        try:
-            async with httpx.AsyncClient(transport=transport, base_url=ORIGIN, timeout=120) as http:
-                await scenario(Client(http, bench))
-        finally:
-            await bench.stop()
-            with suppress(asyncio.CancelledError):
-                await asyncio.gather(*bench._tasks, return_exceptions=True)
-
-    asyncio.run(run())
+@asynccontextmanager
+async def running(folder: Path) -> AsyncIterator[Client]:
+    """A client of a workbench of a folder, without its background work."""
+    bench = Workbench(folder, 1)
+    await bench.start()
+    bench._tasks[0].cancel()
+    transport = httpx.ASGITransport(workbench_application(bench, None))
+    try:
+        async with httpx.AsyncClient(transport=transport, base_url=ORIGIN, timeout=120) as http:
+            yield Client(http, bench)
+    finally:
+        await bench.stop()
+        await asyncio.gather(*bench._tasks, return_exceptions=True)

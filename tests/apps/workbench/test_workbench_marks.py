@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from benches import Client, short_walk, with_bench
+from benches import Client, running, short_walk
+from true_positions import located
 
 import pdr_filter as pdr
 from pdr_filter.apps.maps.marks import (
@@ -31,6 +32,8 @@ from pdr_filter.apps.workbench.worker import Worker
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Recording, Truth
+
+pytestmark = pytest.mark.anyio  # of coroutines
 
 FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None, None], [35.0, 3.0, 20.0, 0.5, None, None, None]
 
@@ -126,27 +129,17 @@ def two_legs() -> Recording:
     return simulate([Leg("walking", distance_m=25.0), Leg("walking", distance_m=15.0, turn_rad=1.5)], seed=1)
 
 
-def with_locations(recording: Recording) -> Recording:
-    """Return the recording without waypoints, with a location of the true position in each second."""
-    truth = recording.truth.position
-    assert truth is not None
-    time_s = np.arange(1.3, truth.time_s[-1])
-    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    latitude_deg, longitude_deg = pdr.Origin(48.1, 11.5).latitude_longitude_deg(place_m)
-    values = np.column_stack([latitude_deg, longitude_deg, np.full((len(time_s), 2), [520.0, 6.0])])
-    return replace(recording, location=pdr.Samples(time_s, values), truth=Truth())
-
-
 @pytest.mark.parametrize("has_locations", [True, False])
 def test_a_mark_on_the_path_of_a_walk_with_own_positions_hardly_moves_it(tmp_path: Path, has_locations: bool) -> None:
     recording = two_legs()
-    path = (with_locations(recording) if has_locations else recording).save(tmp_path / "walk")
+    if has_locations:
+        recording = replace(located(recording, np.arange(1.3, 30.0), accuracy_m=6.0), truth=Truth())
+    path = recording.save(tmp_path / "walk")
     before = pdr.smooth(pdr.read(path), **read_marks(path).arguments(pdr.read(path))).track
     row = before.n_steps // 2
     mark = [float(before.time_s[row]), *before.position_m[row].tolist(), 1.0, None, None]
     files = {FIXES: table_bytes(FIXES, [mark])}
     if has_locations:  # as the page does with the first mark
-        assert before.origin is not None
         files[WALK] = json.dumps({"origin": [before.origin.latitude_deg, before.origin.longitude_deg]}).encode()
     write_mark_files(marks_folder(path), files)
     found = read_marks(path).arguments(pdr.read(path))
@@ -199,83 +192,76 @@ def test_results_are_kept_by_the_content_of_recording_and_marks(tmp_path: Path) 
     assert checksum_of(moved) != checksum
 
 
-def test_edits_are_taken_back_and_made_again(tmp_path: Path) -> None:
+async def test_edits_are_taken_back_and_made_again(client: Client, tmp_path: Path) -> None:
     short_walk().save(tmp_path / "walk")
-
-    async def scenario(client: Client) -> None:
-        walk = await client.walk("walk")
-        empty = await client.get(walk)
-        assert (empty["can_undo"], empty["can_redo"]) == (False, False)
-        one = await client.edit(walk, fixes=[FIRST])
-        two = await client.edit(walk, fixes=[SECOND, FIRST])
-        assert two["marks"]["fixes"] == [FIRST, SECOND]  # by time
-        state = two
-        for wanted in (one, empty):
-            state = await client.post(f"{walk}/undo", {"version": state["version"]})
-            assert state["marks"] == wanted["marks"]
-        assert not (tmp_path / "walk" / FIXES).exists()
-        assert (state["can_undo"], state["can_redo"]) == (False, True)
-        await client.post(f"{walk}/undo", {"version": state["version"]}, 409)
-        for wanted in (one, two):
-            state = await client.post(f"{walk}/redo", {"version": state["version"]})
-            assert state["marks"] == wanted["marks"]
-        # an edit between forbids the way forward
+    walk = await client.walk("walk")
+    empty = await client.get(walk)
+    assert (empty["can_undo"], empty["can_redo"]) == (False, False)
+    one = await client.edit(walk, fixes=[FIRST])
+    two = await client.edit(walk, fixes=[SECOND, FIRST])
+    assert two["marks"]["fixes"] == [FIRST, SECOND]  # by time
+    state = two
+    for wanted in (one, empty):
         state = await client.post(f"{walk}/undo", {"version": state["version"]})
-        state = await client.edit(walk, walk={"is_loop": True})
-        assert not state["can_redo"]
+        assert state["marks"] == wanted["marks"]
+    assert not (tmp_path / "walk" / FIXES).exists()
+    assert (state["can_undo"], state["can_redo"]) == (False, True)
+    await client.post(f"{walk}/undo", {"version": state["version"]}, 409)
+    for wanted in (one, two):
+        state = await client.post(f"{walk}/redo", {"version": state["version"]})
+        assert state["marks"] == wanted["marks"]
+    # an edit between forbids the way forward
+    state = await client.post(f"{walk}/undo", {"version": state["version"]})
+    state = await client.edit(walk, walk={"is_loop": True})
+    assert not state["can_redo"]
 
-    with_bench(tmp_path, scenario)
 
-
-def test_of_two_browsers_the_later_one_is_told_and_nothing_is_lost(tmp_path: Path) -> None:
+async def test_of_two_browsers_the_later_one_is_told_and_nothing_is_lost(client: Client, tmp_path: Path) -> None:
     short_walk().save(tmp_path / "walk")
+    walk = await client.walk("walk")
+    version = (await client.get(walk))["version"]
+    await client.edit(walk, fixes=[FIRST])
+    answer = await client.edit(walk, 409, version=version, fixes=[SECOND])
+    assert "another browser" in answer["error"]
+    assert (await client.get(walk))["marks"]["fixes"] == [FIRST]
+    # also an edit of another program
+    version = (await client.get(walk))["version"]
+    with (tmp_path / "walk" / FIXES).open("a") as file:
+        file.write("20.0,1.0,1.0,0.5\n")
+    await client.edit(walk, 409, version=version, fixes=[SECOND])
+    await client.post(f"{walk}/undo", {"version": version}, 409)
+    assert len((await client.get(walk))["marks"]["fixes"]) == 2
 
-    async def scenario(client: Client) -> None:
-        walk = await client.walk("walk")
-        version = (await client.get(walk))["version"]
-        await client.edit(walk, fixes=[FIRST])
-        answer = await client.edit(walk, 409, version=version, fixes=[SECOND])
-        assert "another browser" in answer["error"]
-        assert (await client.get(walk))["marks"]["fixes"] == [FIRST]
-        # also an edit of another program
-        version = (await client.get(walk))["version"]
-        with (tmp_path / "walk" / FIXES).open("a") as file:
-            file.write("20.0,1.0,1.0,0.5\n")
-        await client.edit(walk, 409, version=version, fixes=[SECOND])
-        await client.post(f"{walk}/undo", {"version": version}, 409)
-        assert len((await client.get(walk))["marks"]["fixes"]) == 2
 
-    with_bench(tmp_path, scenario)
+HEIGHT = "the field Height (m) must be the height of a person in metres, 0.4 to 2.8"
 
 
 @pytest.mark.parametrize(
-    "changes",
+    ("changes", "words"),
     [
-        {"fixes": [[1.0, 0.0, 0.0, 0.0, None, None]]},
-        {"fixes": [[None, 0.0, 0.0, 0.5, None, None]]},
-        {"fixes": [[1.0, 0.0, 0.0, 0.5, 90.0, -1.0]]},
-        {"loop_closures": [[20.0, 10.0, 0.5]]},
-        {"walk": {"height_m": 18}},
-        {"walk": {"plan": "../../etc/passwd"}},
-        {"walk": {"unknown": 1}},
-        {"fixes": "x"},
+        ({"fixes": [[1.0, 0.0, 0.0, 0.0, None, None]]}, ""),
+        ({"fixes": [[None, 0.0, 0.0, 0.5, None, None]]}, ""),
+        ({"fixes": [[1.0, 0.0, 0.0, 0.5, 90.0, -1.0]]}, ""),
+        ({"loop_closures": [[20.0, 10.0, 0.5]]}, ""),
+        ({"walk": {"height_m": 18}}, HEIGHT),
+        ({"walk": {"plan": "../../etc/passwd"}}, ""),
+        ({"walk": {"unknown": 1}}, ""),
+        ({"fixes": "x"}, ""),
     ],
 )
-def test_an_edit_that_cannot_be_used_changes_nothing(tmp_path: Path, changes: dict[str, object]) -> None:
+async def test_an_edit_that_cannot_be_used_changes_nothing(
+    client: Client, tmp_path: Path, changes: dict[str, object], words: str
+) -> None:
     short_walk().save(tmp_path / "walk")
-
-    async def scenario(client: Client) -> None:
-        walk = await client.walk("walk")
-        await client.edit(walk, fixes=[FIRST])
-        before = mark_files(tmp_path / "walk")
-        answer = await client.edit(walk, 400, **changes)
-        assert answer["error"]
-        assert mark_files(tmp_path / "walk") == before
-
-    with_bench(tmp_path, scenario)
+    walk = await client.walk("walk")
+    await client.edit(walk, fixes=[FIRST])
+    before = mark_files(tmp_path / "walk")
+    answer = await client.edit(walk, 400, **changes)
+    assert answer["error"] and answer["error"].startswith(words)
+    assert mark_files(tmp_path / "walk") == before
 
 
-def test_the_step_length_of_a_person_is_used_by_other_walks_only(tmp_path: Path) -> None:
+async def test_the_step_length_of_a_person_is_used_by_other_walks_only(client: Client, tmp_path: Path) -> None:
     name = "Ann: 1/2"
     short_walk().save(tmp_path / "a")
     short_walk().save(tmp_path / "b")
@@ -283,22 +269,18 @@ def test_the_step_length_of_a_person_is_used_by_other_walks_only(tmp_path: Path)
     longer = [
         [float(t), *(1.05 * p).tolist(), 0.1, None, None] for t, p in zip(track.time_s, track.position_m, strict=True)
     ]
-
-    async def scenario(client: Client) -> None:
-        first, second = await client.walk("a"), await client.walk("b")
-        await client.post(f"{first}/teach", {}, 400)  # no name yet
-        await client.edit(first, walk={"person": name}, fixes=longer[::10])
-        found = await client.post(f"{first}/teach", {})
-        assert 0.3 < found["step_length_m"] < 1.2
-        assert not (tmp_path / "a" / "person.json").exists()
-        await client.edit(second, walk={"person": name})
-        (known,) = (tmp_path / "people").iterdir()
-        assert (tmp_path / "b" / "person.json").read_bytes() == known.read_bytes()
-        assert read_marks(tmp_path / "b").arguments(pdr.read(tmp_path / "b"))["person"].name == "person.json"
-        await client.edit(second, walk={})
-        assert not (tmp_path / "b" / "person.json").exists()
-
-    with_bench(tmp_path, scenario)
+    first, second = await client.walk("a"), await client.walk("b")
+    await client.post(f"{first}/teach", {}, 400)  # no name yet
+    await client.edit(first, walk={"person": name}, fixes=longer[::10])
+    found = await client.post(f"{first}/teach", {})
+    assert 0.3 < found["step_length_m"] < 1.2
+    assert not (tmp_path / "a" / "person.json").exists()
+    await client.edit(second, walk={"person": name})
+    (known,) = (tmp_path / "people").iterdir()
+    assert (tmp_path / "b" / "person.json").read_bytes() == known.read_bytes()
+    assert read_marks(tmp_path / "b").arguments(pdr.read(tmp_path / "b"))["person"].name == "person.json"
+    await client.edit(second, walk={})
+    assert not (tmp_path / "b" / "person.json").exists()
 
 
 SAVING = """
@@ -318,7 +300,6 @@ def test_a_kill_during_a_save_leaves_the_old_marks_or_the_new_ones(tmp_path: Pat
     seen: set[int] = set()
     for k in range(6):
         process = subprocess.Popen([sys.executable, "-c", SAVING, str(tmp_path)], stdout=subprocess.PIPE)
-        assert process.stdout is not None
         process.stdout.readline()
         time.sleep(0.02 + 0.011 * k)
         process.send_signal(signal.SIGKILL)
@@ -342,17 +323,6 @@ def test_a_save_that_was_cut_off_between_two_files_is_completed(tmp_path: Path) 
     assert [path.name for path in tmp_path.iterdir()] == [FIXES]
 
 
-def test_a_wrong_height_is_refused_with_the_name_of_its_field(tmp_path: Path) -> None:
-    short_walk().save(tmp_path / "walk")
-
-    async def scenario(client: Client) -> None:
-        answer = await client.edit(await client.walk("walk"), 400, walk={"height_m": 18})
-        assert answer["error"].startswith("the field Height (m) must be the height of a person in metres, 0.4 to 2.8")
-        assert answer["error"].endswith("got 18")
-
-    with_bench(tmp_path, scenario)
-
-
 @pytest.mark.parametrize(("latitude_deg", "is_far"), [(48.0, False), (48.02, True)])
 def test_a_floor_plan_that_lies_elsewhere_is_named_with_its_distance(
     tmp_path: Path, latitude_deg: float, is_far: bool
@@ -368,26 +338,18 @@ def test_a_floor_plan_that_lies_elsewhere_is_named_with_its_distance(
     assert not any("`" in note or " windows" in note for note in notes)
 
 
-def test_an_edit_can_be_taken_back_after_the_workbench_was_started_again(tmp_path: Path) -> None:
+async def test_an_edit_can_be_taken_back_after_the_workbench_was_started_again(tmp_path: Path) -> None:
     path = short_walk().save(tmp_path / "walk")
-
-    async def edit(client: Client) -> None:
+    async with running(tmp_path) as client:
         await client.edit(await client.walk("walk"), fixes=[FIRST])
         await client.edit(await client.walk("walk"), fixes=[FIRST, SECOND])
-
-    async def undo(client: Client) -> None:
+    async with running(tmp_path) as client:
         address = await client.walk("walk")
         state = await client.get(address)
         assert (state["can_undo"], state["can_redo"]) == (True, False)
         await client.post(f"{address}/undo", {"version": state["version"]})
         assert [fix.time_s for fix in read_marks(path).fixes] == [FIRST[0]]
-
-    with_bench(tmp_path, edit)
-    with_bench(tmp_path, undo)
     (history,) = (tmp_path / ".pdr_filter" / "undo").iterdir()
     history.write_text("[[1], {}]")  # a damaged history must not prevent edits
-
-    async def nothing(client: Client) -> None:
+    async with running(tmp_path) as client:
         assert not (await client.get(await client.walk("walk")))["can_undo"]
-
-    with_bench(tmp_path, nothing)

@@ -48,7 +48,6 @@ def workbench(folder: Path, *options: str) -> Iterator[str]:
     """Address of `pdr-filter app` in a process of its own."""
     command = [sys.executable, "-m", "pdr_filter", "app", str(folder), "--port", "0", "--no-browser", "--jobs", "1"]
     process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True)
-    assert process.stderr is not None
     said = ""
     for line in process.stderr:
         said += line

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PIL import Image, ImageDraw
 
 import pdr_filter as pdr
 from pdr_filter.apps.maps.plan_checks import problems_of
@@ -36,6 +37,14 @@ def house() -> list[dict[str, Any]]:
     ]
 
 
+@pytest.fixture
+def plans(tmp_path: Path) -> Plans:
+    """Plans of a folder, with an empty one of the name House."""
+    found = Plans(tmp_path)
+    assert found.new("House") == "House"
+    return found
+
+
 def test_a_plan_is_saved_as_pdr_filter_reads_it_and_edited_again(tmp_path: Path) -> None:
     plans = Plans(tmp_path)
     name = plans.new("House: <1>/..")
@@ -45,9 +54,7 @@ def test_a_plan_is_saved_as_pdr_filter_reads_it_and_edited_again(tmp_path: Path)
     saved = plans.save(name, loaded["version"], loaded | {"features": house(), "storeys": storeys})
     assert (saved["problems"], saved["reason"]) == ([], "")
     assert plans.load(name) == saved
-    path = plans.path(name)
-    assert path is not None
-    read = pdr.FloorPlan.read(path)
+    read = pdr.FloorPlan.read(plans.path(name))
     assert read.storeys[0].summary()["features"] == {"door": 2, "floor": 1, "wall": 1}
     assert read.origin is None
     with pytest.raises(ConflictError, match="another browser"):
@@ -55,11 +62,8 @@ def test_a_plan_is_saved_as_pdr_filter_reads_it_and_edited_again(tmp_path: Path)
     assert plans.load(name) == saved
 
 
-def test_of_two_saves_at_the_same_time_the_second_is_a_conflict(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plans = Plans(tmp_path)
-    name = plans.new("House")
+def test_of_two_saves_at_the_same_time_the_second_is_a_conflict(plans: Plans, monkeypatch: pytest.MonkeyPatch) -> None:
+    name = "House"
     loaded = plans.load(name)
     write, is_writing = plans._write, Event()
 
@@ -78,9 +82,8 @@ def test_of_two_saves_at_the_same_time_the_second_is_a_conflict(
     assert len(plans.load(name)["features"]) == len(house())
 
 
-def test_a_plan_with_two_known_points_lies_on_earth_and_comes_back_in_its_own_frame(tmp_path: Path) -> None:
-    plans = Plans(tmp_path)
-    name = plans.new("House")
+def test_a_plan_with_two_known_points_lies_on_earth_and_comes_back_in_its_own_frame(plans: Plans) -> None:
+    name = "House"
     origin = pdr.Origin(48.1, 11.5)
     # The plan's x axis points to the north.
     latitude, longitude = origin.latitude_longitude_deg(np.array([0.0, 30.0]))
@@ -91,9 +94,7 @@ def test_a_plan_with_two_known_points_lies_on_earth_and_comes_back_in_its_own_fr
     for got, wanted in zip(saved["features"], house(), strict=True):
         found, given = (np.array(f["geometry"]["coordinates"]) for f in (got, wanted))
         np.testing.assert_allclose(found, given, atol=1e-3)
-    path = plans.path(name)
-    assert path is not None
-    read = pdr.FloorPlan.read(path, origin)
+    read = pdr.FloorPlan.read(plans.path(name), origin)
     corners = read.storeys[0].features[0].lines[0]
     np.testing.assert_allclose(corners[1], [0.0, 30.0], atol=0.01)
     np.testing.assert_allclose(corners[3], [-20.0, 0.0], atol=0.01)
@@ -102,9 +103,8 @@ def test_a_plan_with_two_known_points_lies_on_earth_and_comes_back_in_its_own_fr
         plans.save(name, saved["version"], content)
 
 
-def test_a_plan_in_degrees_of_another_program_can_be_edited(tmp_path: Path) -> None:
-    plans = Plans(tmp_path)
-    name = plans.new("House")
+def test_a_plan_in_degrees_of_another_program_can_be_edited(plans: Plans, tmp_path: Path) -> None:
+    name = "House"
     origin = pdr.Origin(48.1, 11.5)
     latitude, longitude = origin.latitude_longitude_deg(np.array(HALL))
     ring = np.column_stack([longitude, latitude]).tolist()
@@ -136,8 +136,6 @@ def test_mistakes_of_a_drawing_are_named_with_their_shape(
 
 
 def test_a_photograph_is_rectified_by_four_corners(tmp_path: Path) -> None:
-    from PIL import Image, ImageDraw
-
     picture = Image.new("RGB", (400, 300), "white")
     corners = [(60, 40), (340, 70), (380, 280), (20, 250)]
     ImageDraw.Draw(picture).polygon(corners, fill="red")
@@ -155,8 +153,6 @@ def test_a_photograph_is_rectified_by_four_corners(tmp_path: Path) -> None:
 
 
 def test_pictures_become_png_of_bounded_size(tmp_path: Path) -> None:
-    from PIL import Image
-
     source = tmp_path / "scan"
     Image.new("L", (6000, 3000), 200).save(source, "JPEG")
     assert convert_picture(source, 1, tmp_path / "plan.png") == {"width": 4000, "height": 2000}

@@ -246,7 +246,6 @@ def core_motion_text(recording: Recording) -> str:
 
 def generic_text(recording: Recording) -> str:
     """Milliseconds, g with Apple's sign, deg/s; the gyroscope in every row."""
-    assert recording.gyroscope is not None
     force_g = -recording.accelerometer.values / STANDARD_GRAVITY_MPS2
     rows = zip(
         recording.accelerometer.time_s.tolist(),
@@ -302,7 +301,6 @@ def wall_clock(time_s: np.ndarray) -> list[str]:
 
 def physics_toolbox_text(recording: Recording) -> str:
     """Blank first line, g, a comma at the end of each line."""
-    assert recording.gyroscope is not None
     force_g = recording.accelerometer.values / STANDARD_GRAVITY_MPS2
     still = 0.0 * force_g
     columns = axes("gF%", force_g) | axes("a%", still) | axes("w%", recording.gyroscope.values)
@@ -429,7 +427,6 @@ def cdr_header(at_ns: int, frame: str = "imu") -> bytes:
 
 def imu_messages(recording: Recording, frame: str = "imu") -> list[tuple[int, bytes]]:
     """Times and CDR of `sensor_msgs/msg/Imu`."""
-    assert recording.gyroscope is not None
     n = len(recording.accelerometer)
     quaternion = np.zeros((n, 4)) if recording.attitude is None else recording.attitude.values[:, [1, 2, 3, 0]]
     found = []
@@ -501,6 +498,15 @@ def write_zip(
     return path
 
 
+def read_columns(folder: Path, *columns: Mapping[str, np.ndarray | list[str]]) -> Recording:
+    """The recording of a table, of all these columns, in a file."""
+    return read(write_columns(folder, *columns))
+
+
+def write_columns(folder: Path, *columns: Mapping[str, np.ndarray | list[str]]) -> Path:
+    return write_text(folder / "walk.csv", table_text({name: part[name] for part in columns for name in part}))
+
+
 def refusal(path: Path, format: str | None = None, platform: str | None = None) -> str:
     """The message with which a path is refused."""
     with pytest.raises(RecordingError) as caught:
@@ -518,6 +524,14 @@ def assert_same_streams(actual: Recording, expected: Recording, names: str, time
         np.testing.assert_allclose(
             ours.values, theirs.values, rtol=0, atol=rtol * np.abs(theirs.values).max(), err_msg=name
         )
+
+
+def assert_same_bits(actual: Recording, expected: Recording) -> None:
+    """All streams have the same times and values."""
+    assert actual.streams.keys() == expected.streams.keys()
+    for name, samples in expected.streams.items():
+        np.testing.assert_array_equal(actual.streams[name].time_s, samples.time_s, err_msg=name)
+        np.testing.assert_array_equal(actual.streams[name].values, samples.values, err_msg=name)
 
 
 def assert_same_track(actual: Recording, expected: Recording, within_m: float) -> None:

@@ -6,6 +6,7 @@ import json
 import os
 import random
 import re
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -30,6 +31,7 @@ from app_files import (
     write_mat,
     write_mcap,
     write_sqlite,
+    write_text,
     write_zip,
     xlsx_files,
 )
@@ -58,128 +60,81 @@ def good_file(name: str, folder: Path) -> Path:
     return file_of(name, small_recording(), folder)
 
 
+def logged(recording: Recording, platform: str = "android") -> dict[str, str]:
+    """Files of Sensor Logger."""
+    return sensor_logger_files(recording, platform) | {"Metadata.csv": metadata(platform)}
+
+
+def json_text(recording: Recording) -> str:
+    """A line for each sample, with both sensors."""
+    force, rate = recording.accelerometer, recording.gyroscope
+    rows = zip(force.time_s.tolist(), force.values.tolist(), rate.values.tolist(), strict=True)
+    return "\n".join(json.dumps({"timestamp": 1000 + t, "accelerometer": f, "gyroscope": r}) for t, f, r in rows)
+
+
+def phyphox_text(recording: Recording) -> str:
+    files = phyphox_files(recording, ";", ",")
+    return "".join(text for name, text in files.items() if "meta" not in name)
+
+
+def write_generic(path: Path, recording: Recording) -> Path:
+    path.with_suffix(".toml").write_text(GENERIC_MAPPING)
+    return write_text(path, generic_text(recording))
+
+
+def write_ronin(path: Path, recording: Recording) -> Path:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file["synced/time"] = recording.accelerometer.time_s
+        file["pose/tango_pos"] = 0 * recording.accelerometer.values
+        names = {"acce": "accelerometer", "gyro": "gyroscope", "magnet": "magnetometer", "game_rv": "attitude"}
+        for name, stream in names.items():
+            if stream in recording.streams:
+                file[f"synced/{name}"] = recording.streams[stream].values
+    return path
+
+
+POSITIONS = ((0.1, 40.0, -3.0, 0.0), (0.2, 40.001, -3.0, 1.0))
+# Each form of a format, the suffix of its file, and a function that writes a recording as that app does.
+WRITERS: dict[str, tuple[str, Callable[[Path, Recording], Path]]] = {
+    "own": (".zip", lambda path, r: write_recording(r, path)),
+    "sensor_logger:android": (".zip", lambda path, r: write_zip(path, logged(r))),
+    "sensor_logger:ios": (".zip", lambda path, r: write_zip(path, logged(r, "ios"))),
+    "sensor_logger:json": (".json", lambda path, r: write_text(path, sensor_logger_json(logged(r)))),
+    "sensor_logger:push": (
+        ".json",
+        lambda path, r: write_text(path, "\n".join(map(json.dumps, reversed(push_messages(logged(r)))))),
+    ),
+    "sensor_logger:sqlite": (".sqlite", lambda path, r: write_sqlite(path, logged(r))),
+    "phyphox:zip": (".zip", lambda path, r: write_zip(path, phyphox_files(r, ";", ","))),
+    "phyphox:csv": (".csv", lambda path, r: write_text(path, phyphox_text(r))),
+    "get_sensor_data": (
+        ".txt",
+        lambda path, r: write_text(path, get_sensor_data_text(r, positions=POSITIONS), "latin-1"),
+    ),
+    "indoor_location": (".txt", lambda path, r: write_text(path, indoor_location_text(r, ((0.1, 3.0, 4.0),)))),
+    "core_motion": (".csv", lambda path, r: write_text(path, core_motion_text(r))),
+    "table:physics_toolbox": (".csv", lambda path, r: write_text(path, physics_toolbox_text(r))),
+    "table:matlab_mobile": (".zip", lambda path, r: write_zip(path, matlab_mobile_files(r))),
+    "table:json": (".json", lambda path, r: write_text(path, json_text(r))),
+    "table:mat": (".mat", write_mat),
+    "table:xlsx": (".xlsx", lambda path, r: write_zip(path, xlsx_files(phyphox_sheets(r)))),
+    "ros_bag:mcap": (".mcap", lambda path, r: write_mcap(path, imu_messages(r))),
+    "ros_bag:db3": (".db3", lambda path, r: write_db3(path, imu_messages(r))),
+    "generic_csv": (".csv", write_generic),
+    "ronin": (".hdf5", write_ronin),
+}
+FORMS = tuple(WRITERS)
+
+
 def file_of(name: str, recording: Recording, folder: Path) -> Path:
     """A recording as the app of that format would have written it."""
-    path = folder / "good"
-    format, _, form = name.partition(":")
-    if format == "own":
-        return write_recording(recording, folder / "good.zip")
-    if format == "sensor_logger":
-        files = sensor_logger_files(recording, "ios" if form == "ios" else "android")
-        files["Metadata.csv"] = metadata("ios" if form == "ios" else "android")
-        if form == "json":
-            path = folder / "good.json"
-            path.write_text(sensor_logger_json(files))
-            return path
-        if form == "push":
-            path = folder / "good.json"
-            path.write_text("\n".join(map(json.dumps, reversed(push_messages(files)))))
-            return path
-        if form == "sqlite":
-            return write_sqlite(folder / "good.sqlite", files)
-        return write_zip(folder / "good.zip", files)
-    if format == "table":
-        if form == "physics_toolbox":
-            path = folder / "good.csv"
-            path.write_text(physics_toolbox_text(recording))
-            return path
-        if form == "matlab_mobile":
-            return write_zip(folder / "good.zip", matlab_mobile_files(recording))
-        if form == "json":
-            path = folder / "good.json"
-            force, rate = recording.accelerometer, recording.gyroscope
-            assert rate is not None
-            rows = zip(force.time_s.tolist(), force.values.tolist(), rate.values.tolist(), strict=True)
-            names = ("timestamp", "accelerometer", "gyroscope")
-            path.write_text("\n".join(json.dumps(dict(zip(names, (1000 + t, f, r), strict=True))) for t, f, r in rows))
-            return path
-        if form == "mat":
-            return write_mat(folder / "good.mat", recording)
-        return write_zip(folder / "good.xlsx", xlsx_files(phyphox_sheets(recording)))
-    if format == "ros_bag":
-        messages = imu_messages(recording)
-        if form == "mcap":
-            return write_mcap(folder / "good.mcap", messages)
-        return write_db3(folder / "good.db3", messages)
-    if format == "phyphox":
-        files = phyphox_files(recording, ";", ",")
-        if form == "csv":
-            path = folder / "good.csv"
-            path.write_text("".join(text for name, text in files.items() if "meta" not in name), encoding="utf-8")
-            return path
-        return write_zip(folder / "good.zip", files)
-    if format == "get_sensor_data":
-        path = folder / "good.txt"
-        text = get_sensor_data_text(recording, positions=((0.1, 40.0, -3.0, 0.0), (0.2, 40.001, -3.0, 1.0)))
-        path.write_text(text, encoding="latin-1")
-        return path
-    if format == "indoor_location":
-        path = folder / "good.txt"
-        path.write_text(indoor_location_text(recording, ((0.1, 3.0, 4.0),)))
-        return path
-    if format == "core_motion":
-        path = folder / "good.csv"
-        path.write_text(core_motion_text(recording))
-        return path
-    if format == "generic_csv":
-        path = folder / "good.csv"
-        path.write_text(generic_text(recording))
-        (folder / "good.toml").write_text(GENERIC_MAPPING)
-        return path
-    if format == "ronin":
-        import h5py
-
-        with h5py.File(path, "w") as file:
-            file["synced/time"] = recording.accelerometer.time_s
-            file["synced/acce"] = recording.accelerometer.values
-            assert recording.gyroscope is not None
-            file["synced/gyro"] = recording.gyroscope.values
-            file["pose/tango_pos"] = 0 * recording.accelerometer.values
-            if recording.magnetometer is not None:
-                file["synced/magnet"] = recording.magnetometer.values
-            if recording.attitude is not None:
-                file["synced/game_rv"] = recording.attitude.values
-        return path.rename(folder / "good.hdf5")
-    raise ValueError(name)
+    suffix, write = WRITERS[name]
+    return write(folder / f"good{suffix}", recording)
 
 
-FORMS = (
-    "own",
-    "sensor_logger:android",
-    "sensor_logger:ios",
-    "sensor_logger:json",
-    "sensor_logger:push",
-    "sensor_logger:sqlite",
-    "phyphox:zip",
-    "phyphox:csv",
-    "get_sensor_data",
-    "indoor_location",
-    "core_motion",
-    "table:physics_toolbox",
-    "table:matlab_mobile",
-    "table:json",
-    "table:mat",
-    "table:xlsx",
-    "ros_bag:mcap",
-    "ros_bag:db3",
-    "generic_csv",
-    "ronin",
-)
-
-ABSURD = [
-    b"1e308",
-    b"-1e308",
-    b"1e309",
-    b"nan",
-    b"inf",
-    b"",
-    b"x",
-    b"1_0",
-    b"0x10",
-    b"99999999999999999999",
-    b'"',
-    b"-",
-]
+ABSURD = [*b'1e308 -1e308 1e309 nan inf x 1_0 0x10 99999999999999999999 " -'.split(), b""]
 LINE_ENDS = [b"\n", b"\r\n", b"\r", b"\x00", b"\x0b", b"\n\n", b";", b",", b"\t", b'"', b"},{", b"#", b"%"]
 ENCODINGS = ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-8-sig", "cp037"]
 
@@ -274,8 +229,6 @@ def a_mutation(rng: random.Random) -> Callable[[bytes, random.Random], bytes]:
 
 def mutated_file(good: Path, folder: Path, rng: random.Random) -> Path:
     """A mutation of a good file: of its bytes, or of one member of a zip, which is then packed again."""
-    import zipfile
-
     if zipfile.is_zipfile(good) and rng.random() < 0.7:  # otherwise nearly all end at the checksum
         with zipfile.ZipFile(good) as archive:
             files = {name: archive.read(name) for name in archive.namelist()}
@@ -297,8 +250,6 @@ def mutated_file(good: Path, folder: Path, rng: random.Random) -> Path:
 
 def of_another_kind(good: Path, folder: Path, elsewhere: Path, rng: random.Random) -> Path:
     """A good file, unpacked if it is a zip, of which one is a pipe, a device, or a link to a copy of it elsewhere."""
-    import zipfile
-
     if zipfile.is_zipfile(good):
         path = folder / "unpacked"
         with zipfile.ZipFile(good) as archive:

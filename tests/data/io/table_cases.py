@@ -20,7 +20,6 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 WALK = on_one_clock(a_walk(50.0))
 TIME_S, FORCE = WALK.accelerometer.time_s, WALK.accelerometer.values
-assert WALK.gyroscope is not None
 RATE = WALK.gyroscope.values
 GRAVITY = np.tile(FORCE.mean(axis=0), (len(FORCE), 1))
 FORCE_G = FORCE / STANDARD_GRAVITY_MPS2

@@ -73,8 +73,3 @@ def test_gravity_in_mps2_is_refused(tmp_path: Path) -> None:
     row[names.index("gravity.z")] = "-9.81"
     text = HEADER + "\n" + 60 * (",".join(row) + "\n")
     assert "median |a| is 96.2" in refusal(write_text(tmp_path / "w.csv", text))
-
-
-def test_a_missing_column_is_refused_with_its_axis(tmp_path: Path) -> None:
-    message = refusal(write_text(tmp_path / "w.csv", TEXT.replace("userAcceleration.z", "other", 1)))
-    assert "'userAcceleration.x' is one axis of the accelerometer, and there is no column for z" in message

@@ -6,17 +6,18 @@ import hashlib
 import json
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 from zipfile import ZipFile
 
 import numpy as np
 import pytest
-from app_files import core_motion_text, indoor_location_text, on_one_clock
+from app_files import core_motion_text, indoor_location_text, on_one_clock, write_folder
 
 import pdr_filter as pdr
 from pdr_filter import datasets
@@ -49,8 +50,22 @@ def home(tmp_path: Path) -> Iterator[str]:
     server.server_close()
 
 
-def little(home: str, sha256: tuple[str, ...] = ()) -> Dataset:
-    return Dataset("Two little walks", "CC0", "Nobody", home, FILES, sha256)
+Publish = Callable[..., Dataset]
+Fetched = Callable[[str, Mapping[str, str | bytes]], list[Path]]
+
+
+@pytest.fixture
+def publish(monkeypatch: pytest.MonkeyPatch) -> Publish:
+    """Add a data set of two walks with a home, or another data set under another name."""
+
+    def published(home: str, sha256: tuple[str, ...] = (), name: str = "little", **changes: Any) -> Dataset:
+        dataset = (
+            Dataset("Two little walks", "CC0", "Nobody", home, FILES, sha256) if name == "little" else DATASETS[name]
+        )
+        monkeypatch.setitem(DATASETS, name, replace(dataset, home=home, **changes))
+        return DATASETS[name]
+
+    return published
 
 
 @pytest.fixture(autouse=True)
@@ -59,9 +74,9 @@ def _without_a_local_folder(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_recordings_are_downloaded_once_and_their_licence_is_shown(
-    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, home: str, publish: Publish, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(DATASETS, "little", little(home))
+    publish(home)
     paths = datasets.fetch("little", tmp_path / "cache")
     assert [path.name for path in paths] == ["walk_1.zip", "walk_2.zip"]
     shown = capsys.readouterr().err
@@ -79,19 +94,19 @@ def test_recordings_are_downloaded_once_and_their_licence_is_shown(
     assert capsys.readouterr().err == ""
 
 
-def test_a_file_with_another_checksum_is_refused(tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_with_another_checksum_is_refused(tmp_path: Path, home: str, publish: Publish) -> None:
     right = tuple(hashlib.sha256((tmp_path / "home" / file).read_bytes()).hexdigest() for file in FILES)
-    monkeypatch.setitem(DATASETS, "little", little(home, right))
+    publish(home, right)
     assert datasets.fetch("little", tmp_path / "cache")
-    monkeypatch.setitem(DATASETS, "little", little(home, ("0" * 64, *right[1:])))
+    publish(home, ("0" * 64, *right[1:]))
     with pytest.raises(ValueError, match="has changed since"):
         datasets.fetch("little", tmp_path / "other")
 
 
 def test_a_proxy_that_requests_cannot_use_is_not_taken_for_another_checksum(
-    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, home: str, publish: Publish, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(DATASETS, "little", little(home))
+    publish(home)
     monkeypatch.setenv("HTTP_PROXY", "http:///nowhere")
     monkeypatch.setenv("NO_PROXY", "")
     with pytest.raises(ConnectionError, match="cannot be downloaded"):
@@ -99,23 +114,21 @@ def test_a_proxy_that_requests_cannot_use_is_not_taken_for_another_checksum(
 
 
 def test_what_came_without_a_known_checksum_says_so_and_can_be_checked_later(
-    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, home: str, publish: Publish, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(DATASETS, "little", little(home))
+    publish(home)
     datasets.fetch("little", tmp_path)
     assert "no sha256 is known yet" in capsys.readouterr().err
     rows = [row.split("  ") for row in (tmp_path / "little" / ".raw" / "SHA256SUMS").read_text().splitlines()]
     assert [name for _, name in rows] == list(FILES)
     for checksum, name in rows:
         assert hashlib.sha256((tmp_path / "home" / name).read_bytes()).hexdigest() == checksum
-    monkeypatch.setitem(DATASETS, "little", little(home, tuple(checksum for checksum, _ in rows)))
-    assert "checked: sha256 of each file" in DATASETS["little"].about()
+    checked = publish(home, tuple(checksum for checksum, _ in rows))
+    assert "checked: sha256 of each file" in checked.about()
 
 
-def test_a_download_that_broke_off_goes_on_where_it_was(
-    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(DATASETS, "little", little(home))
+def test_a_download_that_broke_off_goes_on_where_it_was(tmp_path: Path, home: str, publish: Publish) -> None:
+    publish(home)
     gone = tmp_path / "home" / FILES[2]
     content = gone.read_text()
     gone.unlink()
@@ -126,10 +139,8 @@ def test_a_download_that_broke_off_goes_on_where_it_was(
     assert sum(FILES[0] in path for path in Quiet.asked) == 1
 
 
-def test_without_network_the_message_says_what_else_can_be_done(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(DATASETS, "little", little("http://127.0.0.1:9"))
+def test_without_network_the_message_says_what_else_can_be_done(tmp_path: Path, publish: Publish) -> None:
+    publish("http://127.0.0.1:9")
     with pytest.raises(ConnectionError, match=r"little: http://127.0.0.1:9/.* cannot be downloaded .*PDR_DATA"):
         datasets.fetch("little", tmp_path)
 
@@ -144,14 +155,12 @@ def test_a_local_folder_is_used_in_place_of_the_network(tmp_path: Path, monkeypa
         datasets.fetch("theirs")
 
 
-def test_a_zip_is_unpacked_beside_itself(tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    import zipfile
-
-    with zipfile.ZipFile(tmp_path / "home" / "all.zip", "w") as archive:
+def test_a_zip_is_unpacked_beside_itself(tmp_path: Path, home: str, publish: Publish) -> None:
+    with ZipFile(tmp_path / "home" / "all.zip", "w") as archive:
         for file in FILES:
             archive.write(tmp_path / "home" / file, file)
         archive.writestr("notes.pdf", "no text")
-    monkeypatch.setitem(DATASETS, "little", Dataset("Zipped", "CC0", "Nobody", home, ("all.zip",)))
+    publish(home, files=("all.zip",))
     paths = datasets.fetch("little", tmp_path / "cache")
     assert [path.name for path in paths] == ["walk_1.zip", "walk_2.zip"]
     assert not list((tmp_path / "cache").rglob("notes.pdf"))
@@ -166,23 +175,25 @@ def test_without_the_package_for_downloads_the_message_says_which(
 
 
 def test_a_file_that_is_not_in_the_commit_is_taken_from_the_newest_state(
-    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, home: str, publish: Publish
 ) -> None:
-    there = Dataset("Two little walks", "CC0", "Nobody", f"{home}/commit", FILES, or_home=home)
-    monkeypatch.setitem(DATASETS, "little", there)
+    publish(f"{home}/commit", or_home=home)
     assert len(datasets.fetch("little", tmp_path / "cache")) == 2
 
 
 # ---------------------------------------------------------------- as their owners publish them
 
 
-def at_home(tmp_path: Path, name: str, files: Mapping[str, str | bytes], home: str) -> Dataset:
-    """The data set with made-up files of its layout at a local home."""
-    for file, content in files.items():
-        place = tmp_path / "home" / file
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.write_bytes(content if isinstance(content, bytes) else content.encode())
-    return replace(DATASETS[name], home=home, or_home="", files=tuple(files))
+@pytest.fixture
+def fetched(tmp_path: Path, home: str, publish: Publish) -> Fetched:
+    """Function that fetches a data set with made-up files of its layout from a local home."""
+
+    def fetch(name: str, files: Mapping[str, str | bytes]) -> list[Path]:
+        write_folder(tmp_path / "home", files)
+        publish(home, name=name, or_home="", files=tuple(files))
+        return datasets.fetch(name, tmp_path / "cache")
+
+    return fetch
 
 
 def senslogs(rows: Iterable[str]) -> str:
@@ -215,18 +226,12 @@ def humolire_files() -> dict[str, str | bytes]:
     return files | {"maps/map_data.json": json.dumps({"scale": 0.04, "links": [link]})}
 
 
-def test_humolire_comes_with_landmarks_legs_person_and_plan(
-    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(DATASETS, "humolire", at_home(tmp_path, "humolire", humolire_files(), home))
-    paths = datasets.fetch("humolire", tmp_path / "cache")
+def test_humolire_comes_with_landmarks_legs_person_and_plan(tmp_path: Path, fetched: Fetched) -> None:
+    paths = fetched("humolire", humolire_files())
     names = ["humolire_user1_1f", "humolire_user1_forward", "humolire_user1_straight"]
     assert [path.stem for path in paths] == names
     for walk in map(pdr.read, paths):
         waypoints, segments, labels = walk.truth.waypoints, walk.truth.segments, walk.truth.labels
-        assert waypoints is not None
-        assert segments is not None
-        assert labels is not None
         # on the clock of the sensors, which begins with the first sample; the start is where motion begins
         np.testing.assert_allclose(waypoints["time_s"], [1.5, 9.0, 18.0, 27.0, 33.0], atol=0.1)
         np.testing.assert_allclose(waypoints["time_s"][1:], [9.0, 18.0, 27.0, 33.0], atol=1e-6)
@@ -241,15 +246,14 @@ def test_humolire_comes_with_landmarks_legs_person_and_plan(
     assert content["features"][0]["geometry"]["coordinates"] == [[4.0, 0.0], [4.0, 36.0]]
 
 
-def test_clicks_without_a_landmark_each_are_refused(tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_clicks_without_a_landmark_each_are_refused(fetched: Fetched) -> None:
     files = humolire_files()
     files["imus/1/forward/references.txt"] = str(files["imus/1/forward/references.txt"]) + "35.0 0.0 0.0\n"
-    monkeypatch.setitem(DATASETS, "humolire", at_home(tmp_path, "humolire", files, home))
     with pytest.raises(ValueError, match="5 clicks and 4 landmarks"):
-        datasets.fetch("humolire", tmp_path / "cache")
+        fetched("humolire", files)
 
 
-def test_motionsense_comes_with_person_and_activity(tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_motionsense_comes_with_person_and_activity(fetched: Fetched) -> None:
     packed = BytesIO()
     with ZipFile(packed, "w") as archive:
         for trial, code in (("dws_1", 1), ("jog_9", 3), ("std_6", 3), ("wlk_7", 24)):
@@ -258,8 +262,7 @@ def test_motionsense_comes_with_person_and_activity(tmp_path: Path, home: str, m
             archive.writestr(f"__MACOSX/A_DeviceMotion_data/{trial}/._sub_{code}.csv", "x")
     people = "code,weight,height,age,gender\n1,102,188,46,1\n3,48,161,28,0\n24,74,173,18,0"
     files = {"data_subjects_info.csv": people, "A_DeviceMotion_data.zip": packed.getvalue()}
-    monkeypatch.setitem(DATASETS, "motionsense", at_home(tmp_path, "motionsense", files, home))
-    found = {path.stem: pdr.read(path) for path in datasets.fetch("motionsense", tmp_path / "cache")}
+    found = {path.stem: pdr.read(path) for path in fetched("motionsense", files)}
     assert sorted(found) == ["motionsense_s01_dws_1", "motionsense_s03_jog_9", "motionsense_s03_std_6"]
     labels = {name: walk.truth.labels for name, walk in found.items()}
     contexts = [rows["context"][0] for rows in labels.values() if rows is not None]
@@ -268,17 +271,12 @@ def test_motionsense_comes_with_person_and_activity(tmp_path: Path, home: str, m
     assert (subject.id, subject.height_m, subject.weight_kg, subject.gender) == ("s03", 1.61, 48.0, "F")
 
 
-def test_ms_indoor_comes_with_points_of_the_map_storey_and_labels(
-    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ms_indoor_comes_with_points_of_the_map_storey_and_labels(fetched: Fetched) -> None:
     text = indoor_location_text(simulated(), ((0.5, 3.0, 4.0), (9.0, 13.0, 4.5)))
     files = {"B1/path_data_files/5dda.txt": text.replace("FloorName:F2", "FloorName:B1")}
-    monkeypatch.setitem(DATASETS, "ms_indoor", at_home(tmp_path, "ms_indoor", files, home))
-    (path,) = datasets.fetch("ms_indoor", tmp_path / "cache")
+    (path,) = fetched("ms_indoor", files)
     assert path.stem == "ms_indoor_anon_site1_b1_5dda"
     walk = pdr.read(path)
-    assert walk.truth.waypoints is not None
-    assert walk.truth.labels is not None
     assert walk.truth.waypoints["floor"].tolist() == [-1.0, -1.0]
     np.testing.assert_allclose(walk.truth.waypoints["east_m"], [3.0, 13.0])
     np.testing.assert_allclose([walk.truth.labels["start_s"][0], walk.truth.labels["end_s"][0]], [0.5, 9.0])

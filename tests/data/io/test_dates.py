@@ -34,7 +34,6 @@ def test_a_column_of_dates_is_read_as_each_of_them(style: str, start: datetime, 
     text = "".join(";".join(row) + "\n" for row in rows).encode()
     quick = column_nanoseconds(text, b";", place)
     plain = [int(line.split(b";")[place]) for line in as_nanoseconds(text, b";", place).splitlines()]
-    assert quick is not None
     assert quick.tolist() == plain == [nanoseconds_of(date) for date in dates]
     if "%d" in style and "%f" in style:
         expected = [(start + step).replace(tzinfo=UTC).timestamp() for step in steps]

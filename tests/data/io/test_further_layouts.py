@@ -18,6 +18,9 @@ LOCATION Accuracy ( m)
 Horizontale Genauigkeit (m); Précision horizontale (m); precisión (m); Precisão horizontal (m)
 Precisione orizzontale (m); Nauwkeurigheid (m); 水平精度 (m); 精度; 정확도 (m); Точность (м); h_acc; hAcc_m; gps_hacc
 doğruluk; acc_h; accH_m; gps_acc_h
+horizontalAccuracy; horizontal_accuracy_m; HORIZONTALACCURACY; hacc; hAcc; horAccuracy; accuracy; positionAccuracy
+Horizontale Genauigkeit (m); Precisión horizontal (m); Accuratezza orizzontale (m); Horizontale nauwkeurigheid (m)
+수평 정확도; Горизонтальная точность
 eph; HorizontalAccuracyMeters; AccuracyMeters; gps_accuracy; Dokładność (m); Noggrannhet (m); Nøyaktighet; tarkkuus
 """
 OF_OTHERS = """
@@ -27,6 +30,9 @@ locationHeadingAccuracy(°); courseAccuracy; coords.altitudeAccuracy; Vertikale 
 Précision verticale (m); Précision de la vitesse (m/s); precisión de velocidad; Precisión del rumbo; Precisão rumo
 accuratezza verticale; accuratezza direzione; Richtungsgenauigkeit; koersnauwkeurigheid; 垂直精度 (m); 速度精度 (m/s)
 方位精度; 方向精度; Точность высоты (м); точность направления; точность курса; 수직 정확도; 방향 정확도; yawAccuracy
+speed_accuracy; speedAccuracy; bearingAccuracy; compass accuracy; locationCourseAccuracy(°); accelerometerAccuracy
+Vertikale Genauigkeit (m); Précision verticale; Precisión vertical; Geschwindigkeitsgenauigkeit (m/s); accuracy (m/s)
+hdop
 precisión acelerómetro; magnetometerAccuracy; accuracy_status; elapsedRealtimeUncertaintyNanos; peilung genauigkeit
 """
 COLUMNS = {
@@ -35,6 +41,7 @@ accelerationIncludingGravity.x; acceleration_including_gravity_x; accel_with_gra
 event.accelerationIncludingGravity.x; includingGravityX; Beschleunigung mit Gravitation x; Aceleração com g x (m/s^2)
 Accélération avec g x (m/s^2); Aceleración con gravedad x; Accelerazione con g x; total_acc_x; totalAccX; WAL_acc_x
 normal_acc_x; raw_acc_x; wrist_acc_x; TotalAcceleration x; rawAccelerometerX; x_acc; Accelerometer_X; tot_acc_x (m/s^2)
+totalacc_x; TOTALACCX; normal_acc_x; medial acc x; globalAccX; wristaccx; accelerationIncludingGravityX
 accG_x; accGx; acc_g_x; phone_accG_x; rawAccelG_x; aG_x
 """,
     "linear_acceleration": """
@@ -42,16 +49,19 @@ linear_acc_x; linAccX; LinearAcceleration.x; lacc_x; laccX; acceleration_excludi
 acceleration without g x (m/s^2); userAcceleration.x; user_acc_x; motionUserAccelerationX(G); acc_no_gravity_x
 acceleration_minus_gravity_x; Lineare Beschleunigung x (m/s^2); Beschleunigung ohne g x; Accélération sans g x
 Aceleración sin g x; Aceleración lineal x; Accélération linéaire x; Accelerazione lineare x; Accelerazione senza g x
+LACCX; LAccX; acc_without_gravity_x; linear_ax
 Aceleração linear x; Aceleração sem g x; linaccel_x; linaccG_x
 """,
     "gyroscope": """
 rotationRate.alpha; rotation_rate_beta; rotationRateX(rad/s); motionRotationRateX(rad/s); gyroRotationX(rad/s); gyroX
 gyr_x; angular_velocity_x; angularVelocity.x; omega_x; wx; rot_rate_x; turn_rate_x; ang_vel_x; GYROSCOPE X (rad/s)
 Gyroskop x (rad/s); Giroscópio x (rad/s); Vitesse angulaire x (rad/s); body_gyro_x; uncal_gyro_x; calGyro_x
-rate_x; rateX (deg/s)
+rate_x; rateX (deg/s); spinal_gyro_x
 """,
+    "magnetometer": "thermal_mag_x",
     "": """
-flight_x; acc_magnitude; accel_std; orientation_x; rotation_vector_x; quaternion_x; position_x; velocity_x; distance_x
+flux; flight; flat; rotation.alpha; flight_x; acc_magnitude; accel_std; orientation_x; rotation_vector_x
+quaternion_x; position_x; velocity_x; distance_x
 index; jerk_x; accelerationAbsolute; screen_x; touch_x; max; heading_x; roll; pitch; speed; step_count; pdop accuracy
 heart_rate_x; access_x; bag_x; lag_x; drag_x; frameRate_x
 """,
@@ -118,7 +128,6 @@ Accelerometer (1).csv; AccelerometerUncalibrated.csv; Pedometer.tsv; annotation.
 """),
 )
 def test_a_table_with_both_sensors_reads_whatever_its_file_is_called(tmp_path: Path, name: str) -> None:
-    assert WALK.gyroscope is not None
     columns = {"time": WALK.accelerometer.time_s} | axes("acc%", WALK.accelerometer.values)
     text = table_text(columns | axes("gyro%", WALK.gyroscope.values))
     assert_same_streams(read(write_text(tmp_path / name, text)), WALK, "accelerometer gyroscope", 1e-6, 1e-9)

@@ -101,7 +101,9 @@ def test_any_bytes_give_a_recording_or_a_refusal(tmp_path: Path, format: str, co
 
 
 @pytest.mark.parametrize(
-    "files", [sensor_logger_files(a_walk()), phyphox_files(a_walk())], ids=["sensor_logger", "phyphox"]
+    "files",
+    [sensor_logger_files(a_walk()), phyphox_files(a_walk()), {"accelerometer.csv": "time_s,x,y,z\n"}],
+    ids=["sensor_logger", "phyphox", "own"],
 )
 @pytest.mark.parametrize("name", ["../evil.csv", "/etc/evil.csv", "a/../../evil.csv", "..\\evil.csv", "C:\\evil.csv"])
 def test_a_member_that_points_outside_the_zip_is_refused(tmp_path: Path, files: dict[str, str], name: str) -> None:
@@ -113,6 +115,7 @@ def test_a_member_that_points_outside_the_zip_is_refused(tmp_path: Path, files: 
 @pytest.mark.parametrize(
     ("name", "head"),
     [
+        ("accelerometer.csv", b""),
         ("TotalAcceleration.csv", b"time,seconds_elapsed,z,y,x\n"),
         ("Raw Data.csv", b'"Time (s)","Acceleration x (m/s^2)"\n'),
         ("log.txt", b"ACCE;0.1;0.1;0.1;0.1;9.8;3\n"),

@@ -91,8 +91,6 @@ def test_sensors_of_different_rates_leave_fields_empty(tmp_path: Path) -> None:
     lines = TEXT.splitlines()
     thinned = [line if i % 2 == 1 else ";".join([*line.split(";")[:4], "", "", ""]) for i, line in enumerate(lines[1:])]
     recording = read(mapped(tmp_path, "\n".join([lines[0], *thinned]) + "\n"))
-    assert recording.gyroscope is not None
-    assert WALK.gyroscope is not None
     assert len(recording.accelerometer) == len(WALK.accelerometer)
     np.testing.assert_allclose(recording.gyroscope.values, WALK.gyroscope.values[1::2], atol=1e-12)
 
@@ -134,8 +132,6 @@ def test_a_format_can_be_forced(tmp_path: Path) -> None:
     path = mapped(tmp_path)
     assert len(read(path, "generic_csv").accelerometer) == len(WALK.accelerometer)
     assert refusal(path, "get_sensor_data")
-    with pytest.raises(ValueError, match="format is 'excel'; give one of own, sensor_logger"):
-        read(path, "excel")
 
 
 def test_a_mapping_of_an_acceleration_without_gravity_restores_it(tmp_path: Path) -> None:

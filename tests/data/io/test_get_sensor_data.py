@@ -49,7 +49,6 @@ def test_reference_positions_are_on_the_apps_clock(tmp_path: Path) -> None:
     for boot_s in (0.0, 81_234.5):  # whatever the sensor's clock says
         text = get_sensor_data_text(WALK, boot_s=boot_s, positions=((1.0, 40.0, -3.0, 0.0), (20.0, 40.001, -3.0, 2.0)))
         waypoints = read(log(tmp_path / f"{boot_s}.txt", text)).truth.waypoints
-        assert waypoints is not None
         # zero is the first sample on the app's clock, which is late by 4 ms in the median
         np.testing.assert_allclose(waypoints.time_s, np.array([1.0, 20.0]) - WALK.accelerometer.time_s[0], atol=0.006)
         np.testing.assert_array_equal(waypoints.floor, [0, 2])
@@ -58,7 +57,6 @@ def test_reference_positions_are_on_the_apps_clock(tmp_path: Path) -> None:
 def test_reference_positions_are_metres_from_the_first(tmp_path: Path) -> None:
     recording = read(log(tmp_path / "w.txt", TEXT))
     waypoints = recording.truth.waypoints
-    assert waypoints is not None
     assert (waypoints.east_m[0], waypoints.north_m[0]) == (0, 0)
     back = pymap3d.enu2geodetic(waypoints.east_m[1], waypoints.north_m[1], 0, 40.3130, -3.4833, 0)
     np.testing.assert_allclose(back[:2], (40.3131, -3.4830), atol=1e-8)
@@ -67,7 +65,6 @@ def test_reference_positions_are_metres_from_the_first(tmp_path: Path) -> None:
 
 def test_positions_that_are_no_degrees_are_left_out_with_a_note(tmp_path: Path) -> None:
     recording = read(log(tmp_path / "w.txt", TEXT + "POSI;21.0;3;4468180.2;438302.1;0;1\n"))
-    assert recording.truth.waypoints is not None
     assert len(recording.truth.waypoints) == 2
     assert any("no latitude and longitude" in note for note in recording.notes)
 
@@ -133,8 +130,6 @@ def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize("last", ["POSI;21.0;3;40.3132;-3.483;0;20", "ACCE;23.5;81258.0;0.1;0.2;9.8;3"])
 def test_a_last_line_that_is_whole_needs_no_line_feed(tmp_path: Path, last: str) -> None:
     ended, unended = read(log(tmp_path / "a.txt", TEXT + last + "\n")), read(log(tmp_path / "b.txt", TEXT + last))
-    assert ended.truth.waypoints is not None
-    assert unended.truth.waypoints is not None
     np.testing.assert_array_equal(unended.accelerometer.values, ended.accelerometer.values)
     np.testing.assert_array_equal(unended.truth.waypoints.north_m, ended.truth.waypoints.north_m)
     assert unended.notes == ()

@@ -26,7 +26,6 @@ def test_a_walk_comes_back_to_the_millisecond(tmp_path: Path) -> None:
 
 def test_waypoints_are_map_metres_on_the_floor_of_the_header(tmp_path: Path) -> None:
     waypoints = read(write_text(tmp_path / "w.txt", TEXT)).truth.waypoints
-    assert waypoints is not None
     np.testing.assert_allclose(waypoints.time_s, np.array([0.2, 20.0]) - WALK.accelerometer.time_s[0], atol=1e-3)
     np.testing.assert_array_equal(waypoints.east_m, [196.41757, 200.0])
     np.testing.assert_array_equal(waypoints.north_m, [117.84907, 118.5])
@@ -36,7 +35,6 @@ def test_waypoints_are_map_metres_on_the_floor_of_the_header(tmp_path: Path) -> 
 @pytest.mark.parametrize(("name", "floor"), [("F1", 0), ("1F", 0), ("B1", -1), ("L7", np.nan), ("", np.nan)])
 def test_floor_names_are_storeys_or_unknown(tmp_path: Path, name: str, floor: float) -> None:
     waypoints = read(write_text(tmp_path / "w.txt", TEXT.replace("FloorName:F2", f"FloorName:{name}"))).truth.waypoints
-    assert waypoints is not None
     np.testing.assert_array_equal(waypoints.floor, [floor, floor])
 
 
@@ -74,6 +72,5 @@ def test_a_line_end_that_is_missing_loses_the_last_line_only(tmp_path: Path) -> 
 def test_a_last_line_that_is_whole_needs_no_line_feed(tmp_path: Path) -> None:
     last = f"\n{T0_MS + 23_500}\tTYPE_WAYPOINT\t1.5\t2.5"
     waypoints = read(write_text(tmp_path / "w.txt", TEXT + last)).truth.waypoints
-    assert waypoints is not None
     assert len(waypoints) == 3
     assert waypoints.north_m[2] == 2.5

@@ -89,7 +89,6 @@ def head(objects_at: int = 0) -> bytes:
 
 
 def test_timetables_of_matlab_mobile_are_read(tmp_path: Path) -> None:
-    assert WALK.gyroscope is not None
     at_ms = 1678974717940.0 + 1000 * WALK.accelerometer.time_s
     tables = {
         "Acceleration": (at_ms, WALK.accelerometer.values),

@@ -31,7 +31,6 @@ from oddities import (
     ride,
     sensor_logger_of_2021,
     trials,
-    with_accuracies,
 )
 
 import pdr_filter as pdr
@@ -60,38 +59,7 @@ def test_the_table_of_odd_tables_in_the_docs_has_every_kind() -> None:
 
 def accuracy_m(path: Path) -> float:
     location = read(path).location
-    assert location is not None
     return float(np.nanmax(location.values[:, 3], initial=-1.0))
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("horizontalAccuracy", "locationHorizontalAccuracy(m)", "horizontal_accuracy_m", "HORIZONTALACCURACY", "hacc"),
-        *("hAcc", "h_acc", "gps_hacc", "horAccuracy", "eph", "accuracy", "LOCATION Accuracy ( m)", "gps_accuracy"),
-        *("coords.accuracy", "positionAccuracy", "Horizontale Genauigkeit (m)", "Pr\u00e9cision horizontale (m)"),
-        *("Precisi\u00f3n horizontal (m)", "Accuratezza orizzontale (m)", "Precis\u00e3o horizontal (m)"),
-        *("Horizontale nauwkeurigheid (m)", "\u6c34\u5e73\u7cbe\u5ea6 (m)", "\uc218\ud3c9 \uc815\ud655\ub3c4"),
-        "\u0413\u043e\u0440\u0438\u0437\u043e\u043d\u0442\u0430\u043b\u044c\u043d\u0430\u044f "
-        "\u0442\u043e\u0447\u043d\u043e\u0441\u0442\u044c",
-    ],
-)
-def test_the_horizontal_accuracy_is_found_whatever_it_is_called_and_stands_beside(tmp_path: Path, name: str) -> None:
-    assert accuracy_m(write_text(tmp_path / "walk.csv", with_accuracies(name))) == ACCURACY_M
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        *("verticalAccuracy", "vAcc", "sAcc", "headAcc", "epv", "altitudeAccuracy", "speed_accuracy", "speedAccuracy"),
-        *("bearingAccuracy", "courseAccuracy", "headingAccuracy", "compass accuracy", "locationCourseAccuracy(\u00b0)"),
-        *("Vertikale Genauigkeit (m)", "Pr\u00e9cision verticale", "Precisi\u00f3n vertical", "accelerometerAccuracy"),
-        *("\u5782\u76f4\u7cbe\u5ea6 (m)", "Geschwindigkeitsgenauigkeit (m/s)", "accuracy (m/s)", "hdop"),
-    ],
-)
-def test_an_accuracy_of_something_else_is_not_that_of_the_place(tmp_path: Path, name: str) -> None:
-    text = table_text(columns() | places() | {name: np.full(N, ACCURACY_M)})
-    assert accuracy_m(write_text(tmp_path / "walk.csv", text)) == -1.0
 
 
 def test_a_horizontal_accuracy_goes_before_one_that_does_not_say_of_what_it_is(tmp_path: Path) -> None:
@@ -159,7 +127,6 @@ def test_the_greek_axes_of_a_browser_are_x_y_and_z_in_degrees(tmp_path: Path, al
     rate = dict(zip(names, np.degrees(turn).T, strict=True))
     text = table_text({"t": TIME_S} | axes("accelerationIncludingGravity%", FORCE) | rate)
     gyroscope = read(write_text(tmp_path / "walk.csv", text)).gyroscope
-    assert gyroscope is not None
     np.testing.assert_allclose(gyroscope.values, turn, atol=1e-9)
 
 
@@ -256,17 +223,6 @@ def test_the_rate_of_packs_can_be_given(tmp_path: Path) -> None:
     recording = read(path)
     np.testing.assert_allclose(np.diff(recording.accelerometer.time_s[: N // 3 * 3]), 0.02, atol=1e-6)
     assert any("at 50 Hz (as given)" in note for note in recording.notes)
-
-
-@pytest.mark.parametrize("times", ["clock", "whole seconds"])
-def test_times_that_were_rounded_are_no_packs(tmp_path: Path, times: str) -> None:
-    rounded = (
-        np.floor(TIME_S)
-        if times == "whole seconds"
-        else [f"0:{t // 60:02.0f}:{t % 60 // 0.1 / 10:04.1f}" for t in TIME_S]
-    )
-    message = refusal(write_text(tmp_path / "walk.csv", table_text({**columns(), "time": rounded})))
-    assert "the times may be rounded" in message
 
 
 def test_a_ride_is_named_with_the_place_where_the_track_stopped_and_a_walk_is_none(tmp_path: Path) -> None:

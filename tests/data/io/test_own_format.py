@@ -189,10 +189,39 @@ def noted(path: Path) -> tuple[Recording, str]:
     return recording, " | ".join(recording.notes)
 
 
-def test_a_recording_without_meta_is_named_after_its_file(tmp_path: Path) -> None:
-    recording, notes = noted(folder_with(tmp_path / "my_walk", meta=None))
-    assert recording.name == "my_walk"
-    assert "meta.json is missing" in notes
+def with_rows(*rows: str) -> str:
+    """Samples of the accelerometer with other rows in place of the first ones."""
+    return "\n".join(["time_s,x,y,z", *rows, *accelerometer_csv().splitlines()[1 + len(rows) :], ""])
+
+
+NOTED: dict[str, tuple[dict[str, str | None], int, str]] = {
+    "no meta": ({"meta": None}, 200, "meta.json is missing"),
+    "repeated and backward times": (
+        {"accelerometer": with_rows(*(f"0.0{i},0,0,9.8" for i in (0, 1, 1, 2, 2, 1)))},
+        200,
+        "accelerometer.csv: 2 repeated and 1 backward times",
+    ),
+    "rows without a time": ({"accelerometer": accelerometer_csv() + ",0,0,9.8\n,,,\n"}, 200, "2 rows without a time"),
+    "a last line that is cut off": ({"accelerometer": accelerometer_csv() + "2.00,0.1"}, 200, "last line is cut off"),
+    "a sensor on another clock": (
+        {"barometer": "time_s,pressure_hpa\n900,1000\n901,1000\n"},
+        200,
+        "barometer.csv: its times do not overlap",
+    ),
+    "times that do not begin at zero": (
+        {"accelerometer": "time_s,x,y,z\n" + "".join(f"{1.7e9 + i / 100:.6f},0,0,9.8\n" for i in range(50))},
+        50,
+        "begins at 1700000000",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", NOTED)
+def test_what_is_odd_is_kept_or_left_out_with_a_note(tmp_path: Path, kind: str) -> None:
+    files, n, words = NOTED[kind]
+    recording, notes = noted(folder_with(tmp_path / "my_walk", **files))
+    assert (recording.name, len(recording.accelerometer)) == ("my_walk" if kind == "no meta" else "test_s1_walk", n)
+    assert words in notes
 
 
 @pytest.mark.parametrize("name", ["../evil", "a/b", "..", "", 3, "bell\u0007"])
@@ -200,15 +229,6 @@ def test_a_name_that_is_no_file_name_is_replaced(tmp_path: Path, name: object) -
     recording, notes = noted(folder_with(tmp_path / "my_walk", meta=json.dumps({"name": name})))
     assert recording.name == "my_walk"
     assert "no usable name" in notes
-
-
-def test_repeated_and_backward_times_are_kept_and_counted(tmp_path: Path) -> None:
-    lines = accelerometer_csv().splitlines()
-    lines[10], lines[20], lines[50] = lines[9], lines[19], "0.3,0,0,9.8"
-    recording, notes = noted(folder_with(tmp_path / "w", accelerometer="\n".join(lines)))
-    assert len(recording.accelerometer) == 200
-    assert recording.accelerometer.time_s[49] == 0.3
-    assert "accelerometer.csv: 2 repeated and 1 backward times" in notes
 
 
 @pytest.mark.parametrize(
@@ -222,34 +242,9 @@ def test_a_gyroscope_without_values_is_left_out(tmp_path: Path, content: str) ->
 
 @pytest.mark.parametrize("value", ["inf", "-inf", "1e308", "1e999"])
 def test_infinite_and_absurd_values_are_unknown(tmp_path: Path, value: str) -> None:
-    lines = accelerometer_csv().splitlines()
-    lines[7] = f"0.06,{value},0,9.8"
-    recording, notes = noted(folder_with(tmp_path / "w", accelerometer="\n".join(lines) + "\n"))
-    assert np.isnan(recording.accelerometer.values[6, 0])
+    recording, notes = noted(folder_with(tmp_path / "w", accelerometer=with_rows(f"0.0,{value},0,9.8")))
+    assert np.isnan(recording.accelerometer.values[0, 0])
     assert notes == "accelerometer.csv: 1 infinite or absurdly large values taken as unknown"
-
-
-def test_rows_without_a_time_are_left_out(tmp_path: Path) -> None:
-    recording, notes = noted(folder_with(tmp_path / "w", accelerometer=accelerometer_csv() + ",0,0,9.8\n,,,\n"))
-    assert len(recording.accelerometer) == 200
-    assert "2 rows without a time" in notes
-
-
-def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path) -> None:
-    recording, notes = noted(folder_with(tmp_path / "w", accelerometer=accelerometer_csv() + "2.00,0.1"))
-    assert len(recording.accelerometer) == 200
-    assert "last line is cut off" in notes
-
-
-def test_a_sensor_on_another_clock_is_noted(tmp_path: Path) -> None:
-    _, notes = noted(folder_with(tmp_path / "w", barometer="time_s,pressure_hpa\n900,1000\n901,1000\n"))
-    assert "barometer.csv: its times do not overlap" in notes
-
-
-def test_times_that_do_not_begin_at_zero_are_noted(tmp_path: Path) -> None:
-    rows = "".join(f"{1.7e9 + i / 100:.6f},0,0,9.8\n" for i in range(50))
-    _, notes = noted(folder_with(tmp_path / "w", accelerometer="time_s,x,y,z\n" + rows))
-    assert "begins at 1700000000" in notes
 
 
 def test_a_context_that_the_default_does_not_have_is_kept_and_noted(tmp_path: Path) -> None:
@@ -262,29 +257,62 @@ def test_a_context_that_the_default_does_not_have_is_kept_and_noted(tmp_path: Pa
 # ---------------------------------------------------------------- what is refused: file, column, value, remedy
 
 
-def test_a_path_that_does_not_exist_is_refused(tmp_path: Path) -> None:
-    message = refusal(tmp_path / "nothing.zip")
-    assert "nothing.zip: no such file" in message
-    assert "check the path" in message
+REFUSED: dict[str, tuple[dict[str, str | bytes | None], str]] = {
+    "no accelerometer": ({"accelerometer": None}, "no accelerometer.csv (found: meta.json)"),
+    "no column x": (
+        {"accelerometer": accelerometer_csv().replace("x", "other", 1)},
+        "accelerometer.csv: no column 'x' (found: time_s, other, y, z)",
+    ),
+    "no column of times": (
+        {"accelerometer": accelerometer_csv().replace("time_s", "other", 1)},
+        "accelerometer.csv: no column 'time_s' (found: other, x, y, z)",
+    ),
+    "a column twice": ({"accelerometer": accelerometer_csv().replace("y,z", "y,z,z", 1)}, "2 columns 'z'"),
+    "text in a truth table": (
+        {"truth_labels": "start_s,end_s,context,carrying_mode\n0,1,walking,pocket\n1,soon,walking,pocket\n"},
+        "truth_labels.csv, line 3, column end_s: 'soon' is not a number",
+    ),
+    "too few fields": ({"accelerometer": with_rows("0,0,0,9.8", "0.01,0.1")}, "line 3: only 2 fields ('0.01,0.1')"),
+    "no UTF-8": ({"accelerometer": accelerometer_csv().encode("utf-16-le")}, "accelerometer.csv: not UTF-8"),
+    "g": ({"accelerometer": accelerometer_csv(scale=1 / 9.80665)}, "multiply by 9.80665"),
+    "less than gravity": ({"accelerometer": accelerometer_csv(scale=0.3)}, "gravity was removed"),
+    "more than gravity": ({"accelerometer": accelerometer_csv(scale=100.0)}, "about 9.81 at rest"),
+    "degrees": (
+        {"gyroscope": "time_s,x,y,z\n" + "".join(f"{i / 100},10,-30,5\n" for i in range(200))},
+        "looks like deg/s",
+    ),
+    "no values": (
+        {"accelerometer": "time_s,x,y,z\n" + "".join(f"{i / 100},,nan,\n" for i in range(50))},
+        "no values in column x, y, z",
+    ),
+    "no samples": ({"accelerometer": accelerometer_csv(0)}, "only 0 samples"),
+    "few samples": ({"accelerometer": accelerometer_csv(3)}, "and 10 are needed; record for longer"),
+    "ms": ({"accelerometer": accelerometer_csv(rate_hz=0.1)}, "look like milliseconds, convert them to seconds"),
+    "us": ({"accelerometer": accelerometer_csv(rate_hz=1e-4)}, "look like microseconds, convert them to seconds"),
+    "ns": ({"accelerometer": accelerometer_csv(rate_hz=1e-7)}, "look like nanoseconds, convert them to seconds"),
+    "a high rate": ({"accelerometer": accelerometer_csv(rate_hz=1e4)}, "rate of 1e+04 Hz"),
+    "half an object": ({"meta": "{"}, "meta.json: not JSON"),
+    "a zero byte": ({"meta": "\x00"}, "meta.json: not JSON"),
+    "deep JSON": ({"meta": "[" * 100_000}, "correct it or leave the file out"),
+    "a long number": ({"meta": '{"a": ' + "9" * 5000 + "}"}, "meta.json: not JSON"),
+    "no object": ({"meta": "[1, 2]"}, "one object"),
+    "a subject that is a text": ({"meta": '{"subject": "s1"}'}, "subject is 's1'"),
+    "a height that is a text": ({"meta": '{"subject": {"height_m": "tall"}}'}, "height_m is 'tall'"),
+    "a height in centimetres": ({"meta": '{"subject": {"height_m": 180}}'}, "give it in metres"),
+    "a height that is not a number": ({"meta": '{"subject": {"height_m": NaN}}'}, "give it in metres"),
+    "an age that is true": ({"meta": '{"subject": {"age": true}}'}, "age is True"),
+}
 
 
-def test_an_empty_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "w.zip").write_bytes(b"")
-    assert "empty (0 bytes)" in refusal(tmp_path / "w.zip")
+@pytest.mark.parametrize("kind", REFUSED)
+def test_a_folder_with_a_fault_is_refused_with_the_file_and_the_remedy(tmp_path: Path, kind: str) -> None:
+    files, words = REFUSED[kind]
+    assert words in refusal(folder_with(tmp_path / "w", **files))
 
 
 def test_a_zip_without_accelerometer_is_refused_with_what_was_found(tmp_path: Path) -> None:
     message = refusal(write_zip(tmp_path / "w.zip", {"photo.jpg": b"x", "gyroscope.csv": "time_s,x,y,z\n"}))
     assert "no accelerometer.csv (found: gyroscope.csv, photo.jpg)" in message
-
-
-def test_a_folder_without_accelerometer_is_refused_with_what_was_found(tmp_path: Path) -> None:
-    assert "no accelerometer.csv (found: meta.json)" in refusal(folder_with(tmp_path / "w", accelerometer=None))
-
-
-def test_a_zip_with_two_recordings_is_refused(tmp_path: Path) -> None:
-    members = {f"{name}/accelerometer.csv": accelerometer_csv() for name in "ab"}
-    assert "holds 2 recordings (a, b)" in refusal(write_zip(tmp_path / "w.zip", members))
 
 
 def test_a_file_that_is_no_zip_is_refused(tmp_path: Path) -> None:
@@ -305,74 +333,12 @@ def test_a_zip_with_a_changed_byte_is_refused(tmp_path: Path) -> None:
     assert "damaged" in refusal(path)
 
 
-@pytest.mark.parametrize("column", ["time_s", "x", "z"])
-def test_a_missing_column_is_refused_with_the_columns_found(tmp_path: Path, column: str) -> None:
-    message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv().replace(column, "other", 1)))
-    assert f"accelerometer.csv: no column '{column}' (found: " in message
-    assert "other" in message
-
-
-def test_a_column_named_twice_is_refused(tmp_path: Path) -> None:
-    message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv().replace("y,z", "z,z", 1)))
-    assert "no column 'y'" in message
-    message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv().replace("y,z", "y,z,z", 1)))
-    assert "2 columns 'z'" in message
-
-
 @pytest.mark.parametrize("file", ["accelerometer", "gyroscope"])
 @pytest.mark.parametrize("text", ["abc", "1_0", "9;8", "0x10", '"1,5"'])
 def test_text_in_a_number_column_is_refused_with_line_and_column(tmp_path: Path, file: str, text: str) -> None:
-    lines = accelerometer_csv().splitlines()
-    lines[6] = f"0.05,0.1,{text},9.8"
-    message = refusal(folder_with(tmp_path / "w", **{file: "\n".join(lines) + "\n"}))
+    message = refusal(folder_with(tmp_path / "w", **{file: with_rows("0,0.1,0.1,9.8", f"0.01,0.1,{text},9.8")}))
     unquoted = text.strip('"')
-    assert f"{file}.csv, line 7, column y: {unquoted!r} is not a number" in message
-
-
-def test_text_in_a_truth_table_is_refused_with_line_and_column(tmp_path: Path) -> None:
-    labels = "start_s,end_s,context,carrying_mode\n0,1,walking,pocket\n1,soon,walking,pocket\n"
-    message = refusal(folder_with(tmp_path / "w", truth_labels=labels))
-    assert "truth_labels.csv, line 3, column end_s: 'soon' is not a number" in message
-
-
-def test_a_row_with_too_few_fields_is_refused_with_its_line(tmp_path: Path) -> None:
-    lines = accelerometer_csv().splitlines()
-    lines[6] = "0.05,0.1"
-    message = refusal(folder_with(tmp_path / "w", accelerometer="\n".join(lines) + "\n"))
-    assert "line 7: only 2 fields ('0.05,0.1')" in message
-
-
-def test_a_file_that_is_no_utf8_is_refused(tmp_path: Path) -> None:
-    message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv().encode("utf-16-le")))
-    assert "accelerometer.csv: not UTF-8" in message
-
-
-@pytest.mark.parametrize(
-    ("scale", "hint"),
-    [(1 / 9.80665, "multiply by 9.80665"), (0.3, "gravity was removed"), (100.0, "about 9.81 at rest")],
-)
-def test_specific_force_in_wrong_units_is_refused(tmp_path: Path, scale: float, hint: str) -> None:
-    message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv(scale=scale)))
-    assert "accelerometer.csv: median |a| is" in message
-    assert hint in message
-
-
-def test_a_gyroscope_in_degrees_is_refused(tmp_path: Path) -> None:
-    rows = "".join(f"{i / 100},10,-30,5\n" for i in range(200))
-    assert "looks like deg/s" in refusal(folder_with(tmp_path / "w", gyroscope="time_s,x,y,z\n" + rows))
-
-
-def test_an_accelerometer_without_values_is_refused(tmp_path: Path) -> None:
-    rows = "".join(f"{i / 100},,nan,\n" for i in range(50))
-    message = refusal(folder_with(tmp_path / "w", accelerometer="time_s,x,y,z\n" + rows))
-    assert "no values in column x, y, z" in message
-
-
-@pytest.mark.parametrize("n", [0, 3])
-def test_too_few_samples_are_refused_with_their_number(tmp_path: Path, n: int) -> None:
-    message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv(n)))
-    assert f"only {n} samples" in message
-    assert "10 are needed; record for longer" in message
+    assert f"{file}.csv, line 3, column y: {unquoted!r} is not a number" in message
 
 
 def test_an_accelerometer_alone_is_read_whatever_its_file_is_called(tmp_path: Path) -> None:
@@ -390,47 +356,7 @@ def test_reversed_rows_are_sorted_with_a_note(tmp_path: Path) -> None:
     assert "accelerometer.csv: 199 rows out of order" in notes
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])
-def test_times_in_another_unit_are_refused_with_that_unit(tmp_path: Path, factor: float, unit: str) -> None:
-    message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv(rate_hz=100 / factor)))
-    assert f"look like {unit}, convert them to seconds" in message
-
-
-def test_a_rate_of_more_than_2000_hz_is_refused(tmp_path: Path) -> None:
-    message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv(rate_hz=1e4)))
-    assert "rate of 1e+04 Hz" in message
-    assert "give the times in seconds" in message
-
-
-@pytest.mark.parametrize("text", ["{", "\x00", "[" * 100_000, '{"a": ' + "9" * 5000 + "}"])
-def test_broken_meta_is_refused(tmp_path: Path, text: str) -> None:
-    message = refusal(folder_with(tmp_path / "w", meta=text))
-    assert "meta.json: not JSON" in message
-    assert "correct it or leave the file out" in message
-
-
-@pytest.mark.parametrize(
-    ("meta", "hint"),
-    [
-        ("[1, 2]", "one object"),
-        ('{"subject": "s1"}', "subject is 's1'"),
-        ('{"subject": {"height_m": "tall"}}', "height_m is 'tall'"),
-        ('{"subject": {"height_m": 180}}', "give it in metres"),
-        ('{"subject": {"height_m": NaN}}', "give it in metres"),
-        ('{"subject": {"age": true}}', "age is True"),
-    ],
-)
-def test_meta_that_says_nonsense_is_refused(tmp_path: Path, meta: str, hint: str) -> None:
-    assert hint in refusal(folder_with(tmp_path / "w", meta=meta))
-
-
 # ---------------------------------------------------------------- hostile zips
-
-
-@pytest.mark.parametrize("name", ["../evil.csv", "/etc/evil.csv", "a/../../evil", "..\\evil.csv", "C:\\evil.csv"])
-def test_a_member_that_points_outside_the_zip_is_refused(tmp_path: Path, name: str) -> None:
-    message = refusal(write_zip(tmp_path / "w.zip", {**good_members(), name: "x"}))
-    assert "points outside the zip" in message
 
 
 def test_an_encrypted_member_is_refused(tmp_path: Path) -> None:
@@ -440,16 +366,6 @@ def test_an_encrypted_member_is_refused(tmp_path: Path) -> None:
         data[data.index(signature) + offset] |= 1
     path.write_bytes(data)
     assert "accelerometer.csv is encrypted" in refusal(path)
-
-
-def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
-    path = tmp_path / "w.zip"
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
-        with file.open("accelerometer.csv", "w") as member:
-            for _ in range(65):
-                member.write(b"0" * 2**20)
-        file.writestr("meta.json", META)
-    assert "times its size" in refusal(path)
 
 
 def test_a_member_beyond_the_bound_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -489,25 +405,8 @@ def assert_recording_or_refusal(path: Path) -> None:
 FUZZ = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-@FUZZ
-@given(data=st.data())
-def test_a_damaged_zip_gives_a_recording_or_a_refusal(tmp_path: Path, data: st.DataObject) -> None:
-    good = write_zip(
-        tmp_path / "good.zip", {"accelerometer.csv": accelerometer_csv(20), "meta.json": META}
-    ).read_bytes()
-    damaged = bytearray(good[: data.draw(st.integers(0, len(good)) | st.just(len(good)))])
-    for at, value in data.draw(st.lists(st.tuples(st.integers(0, len(good) - 1), st.integers(0, 255)), max_size=8)):
-        if at < len(damaged):
-            damaged[at] = value
-    path = tmp_path / "damaged.zip"
-    path.write_bytes(bytes(damaged))
-    assert_recording_or_refusal(path)
-
-
 def test_every_single_damaged_header_byte_gives_a_recording_or_a_refusal(tmp_path: Path) -> None:
-    good = write_zip(
-        tmp_path / "good.zip", {"accelerometer.csv": accelerometer_csv(20), "meta.json": META}
-    ).read_bytes()
+    good = write_zip(tmp_path / "good.zip", good_members(20)).read_bytes()
     directory = good.index(b"PK\x01\x02")
     rng = random.Random(0)
     path = tmp_path / "damaged.zip"
@@ -540,16 +439,6 @@ def test_any_csv_text_gives_a_recording_or_a_refusal(
     data = text.encode("utf-8", "surrogatepass")
     assert_recording_or_refusal(folder_with(tmp_path / "a", accelerometer=data))
     assert_recording_or_refusal(folder_with(tmp_path / "b", gyroscope=data, truth_position=data))
-
-
-@FUZZ
-@given(content=st.binary(max_size=200))
-def test_any_bytes_give_a_recording_or_a_refusal(tmp_path: Path, content: bytes) -> None:
-    (tmp_path / "bytes").write_bytes(content)
-    assert_recording_or_refusal(tmp_path / "bytes")
-    assert_recording_or_refusal(folder_with(tmp_path / "a", accelerometer=content))
-    assert_recording_or_refusal(folder_with(tmp_path / "b", meta=content))
-    assert_recording_or_refusal(folder_with(tmp_path / "c", truth_labels=content))
 
 
 JSON = st.recursive(
@@ -628,12 +517,3 @@ def test_a_fault_in_a_later_block_is_named_by_its_line_in_the_file(
     lines[149] = "1.48,0.1,\udce9,9.8"
     data = ("\n".join(lines) + "\n").encode("utf-8", "surrogateescape")
     assert "line 150: not UTF-8 text (byte 0xe9)" in refusal(folder_with(tmp_path / "v", accelerometer=data))
-
-
-def test_a_recording_that_was_saved_is_read_as_it_was(tmp_path: Path) -> None:
-    from pdr_filter.simulate import demo_walk
-
-    walk = demo_walk()
-    again = read(walk.save(tmp_path / "walk.zip"))
-    np.testing.assert_allclose(again.accelerometer.values, walk.accelerometer.values, rtol=1e-6, atol=1e-6)
-    assert again.subject == walk.subject

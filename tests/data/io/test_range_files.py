@@ -27,7 +27,6 @@ def anchors_file(path: Path, places: dict[str, tuple[float, ...]]) -> Path:
 
 def ranges_file(path: Path, recording: pdr.Recording) -> Path:
     truth, rows = recording.truth.position, ["anchor,time_s,range_m"]
-    assert truth is not None
     for time_s in np.arange(6.0, 100.0, 2.0):
         here_m = np.array([np.interp(time_s, truth.time_s, column) for column in (truth.east_m, truth.north_m)])
         for name, place in ANCHORS.items():
@@ -116,7 +115,6 @@ def test_a_command_takes_ranges_and_anchors(command: str, tmp_path: Path) -> Non
     assert done.exit_code == 0, done.output
     if command == "track":
         result, truth = json.loads(done.stdout), walk.truth.position
-        assert truth is not None
         off_m = np.hypot(result["end_east_m"] - truth.east_m[-1], result["end_north_m"] - truth.north_m[-1])
         assert off_m < 6.0  # of a walk whose last 14 s are without ranges
     else:

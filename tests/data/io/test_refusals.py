@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import gzip
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,7 +12,6 @@ import pytest
 from app_files import (
     axes,
     imu_messages,
-    push_messages,
     sensor_logger_files,
     table_text,
     wall_clock,
@@ -31,18 +29,12 @@ from pdr_filter.data.io.formats import read
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 N = len(TIME_S)
-TOML = 'time = { column = "time" }\naccelerometer = { columns = ["acc_x", "acc_y", "acc_z"], unit = "m/s2" }\n'
 
 
 def walk_csv(folder: Path, *without: str, **changes: np.ndarray | list[str]) -> Path:
     columns: dict[str, np.ndarray | list[str]] = {"time": TIME_S} | axes("acc_%", FORCE) | axes("gyro_%", RATE)
     columns |= changes
     return write_text(folder / "walk.csv", table_text({k: v for k, v in columns.items() if k not in without}))
-
-
-def mapped(folder: Path, old: str, new: str) -> Path:
-    write_text(folder / "walk.toml", TOML.replace(old, new))
-    return walk_csv(folder)
 
 
 def scaled(factor: float, force: np.ndarray = FORCE) -> dict[str, np.ndarray]:
@@ -68,11 +60,6 @@ def cut_gzip(folder: Path) -> Path:
     return folder / "walk.csv.gz"
 
 
-def sessions(folder: Path) -> Path:
-    messages = [*push_messages(sensor_logger_files(WALK)), *push_messages(sensor_logger_files(WALK), "two")]
-    return write_text(folder / "walk.json", "\n".join(map(json.dumps, messages)))
-
-
 def rounded(folder: Path) -> Path:
     return walk_csv(folder, time=[text[12:20] for text in wall_clock(TIME_S)])
 
@@ -83,18 +70,6 @@ REFUSALS: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
     "an empty file": (lambda f: write_text(f / "walk.csv", ""), "walk.csv", "0 bytes", "export the recording again"),
     "a cut zip": (cut_zip, "walk.zip", "cut off", "copy or export it again"),
     "a cut gzip": (cut_gzip, "walk.csv.gz", "damaged (", "export the recording again"),
-    "an archive of another kind": (
-        lambda f: write_text(f / "walk.7z", "7z\xbc\xaf", "latin-1"),
-        "walk.7z",
-        "7z archive",
-        "unpack it",
-    ),
-    "a web page": (
-        lambda f: write_text(f / "walk.csv", "<html>"),
-        "walk.csv",
-        "a web page",
-        "download the file itself",
-    ),
     "a database that is none": (sqlite, "walk.db", "database", "export it again"),
     "a bag without messages of a sensor": (
         lambda f: write_mcap(f / "walk.mcap", imu_messages(WALK), "std_msgs/msg/Empty"),
@@ -189,42 +164,11 @@ REFUSALS: dict[str, tuple[Callable[[Path], Path], str, str, str]] = {
         "'far' is not a number",
         "use '.' as decimal point",
     ),
-    "several phones in one table": (
-        lambda f: walk_csv(f, device=[f"phone {k % 2}" for k in range(N)]),
-        "column 'device'",
-        "2 values (phone 0, phone 1)",
-        "write the rows of each into a file",
-    ),
     "several recordings": (
         lambda f: write_folder(f / "walks", {f"{n}.csv": walk_csv(f).read_text() for n in ("a", "b")}),
         "walks",
         "holds 2 recordings (a.csv, b.csv)",
         "read one, such as",
-    ),
-    "several sessions": (sessions, "walk.json", "holds 2 recordings (one, two)", "read one"),
-    "columns that are not known": (
-        lambda f: write_text(f / "walk.csv", table_text({"n": TIME_S} | axes("spur%", FORCE))),
-        "walk.csv",
-        "Columns seen: n, spurx",
-        "convert walk.csv --map MAP.toml",
-    ),
-    "a mapping of a column that is not there": (
-        lambda f: mapped(f, "acc_x", "acc_w"),
-        "walk.toml",
-        "column 'acc_w' is in the table 0 times",
-        "name one that is there once",
-    ),
-    "a mapping with an unknown unit": (
-        lambda f: mapped(f, "m/s2", "stone"),
-        "walk.toml: [accelerometer] unit",
-        "'stone'",
-        "write one of m/s2",
-    ),
-    "a mapping without a time": (
-        lambda f: mapped(f, '{ column = "time" }', "{ }"),
-        "walk.toml",
-        "[time] names no time",
-        "write column = ... or rate_hz = ...",
     ),
 }
 

@@ -26,8 +26,6 @@ INFO = {
 
 def arrays() -> dict[str, np.ndarray]:
     """The data sets of a file, so that calibration gives the walk."""
-    assert WALK.gyroscope is not None
-    assert WALK.attitude is not None
     n = len(WALK.accelerometer)
     return {
         "synced/time": WALK.accelerometer.time_s + 5000.0,
@@ -61,7 +59,6 @@ def test_a_walk_comes_back_calibrated(tmp_path: Path, file: str) -> None:
 
 def test_the_position_is_truth_on_the_same_clock(tmp_path: Path) -> None:
     position = read(folder_with(tmp_path / "a")).truth.position
-    assert position is not None
     assert position.time_s[0] == 0
     np.testing.assert_allclose(position.north_m, 2 * position.east_m)
 
@@ -69,7 +66,6 @@ def test_the_position_is_truth_on_the_same_clock(tmp_path: Path) -> None:
 def test_without_info_the_values_are_as_recorded_with_a_note(tmp_path: Path) -> None:
     recording = read(folder_with(tmp_path / "a", info=None))
     np.testing.assert_allclose(recording.accelerometer.values, arrays()["synced/acce"])
-    assert recording.gyroscope is not None
     np.testing.assert_allclose(recording.gyroscope.values, arrays()["synced/gyro"])
     assert any("no info.json" in note for note in recording.notes)
 

@@ -22,9 +22,11 @@ def test_a_digit_that_is_no_number_is_no_time(tmp_path: Path) -> None:
         read(tmp_path / "walk.csv")
 
 
-@pytest.mark.parametrize("style", ["{m:02d}:{s:04.1f}", "18:{m:02d}", "18:{m:02d}:{s:02.0f}", "8/12/2022 18:{m:02d}"])
+@pytest.mark.parametrize(
+    "style", ["{m:02d}:{s:04.1f}", "18:{m:02d}", "18:{m:02d}:{s:02.0f}", "8/12/2022 18:{m:02d}", "{t:.0f}"]
+)
 def test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened(tmp_path: Path, style: str) -> None:
-    times = [style.format(m=int(t // 60), s=t // 0.1 / 10 % 60) for t in TIME_S]
+    times = [style.format(t=t // 1, m=int(t // 60), s=t // 0.1 / 10 % 60) for t in TIME_S]
     (tmp_path / "walk.csv").write_text(table_text({"time": times} | axes("gF%", FORCE_G) | axes("w%", RATE)))
     assert "the times may be rounded, as a spreadsheet does" in refusal(tmp_path / "walk.csv")
 
@@ -44,11 +46,6 @@ def test_milliseconds_that_are_declared_are_believed_at_2_hz(tmp_path: Path) -> 
     assert "a rate of 2 Hz" in message
     assert "look like" not in message
     assert "AndroSensor" in message
-
-
-def test_a_table_without_times_is_asked_for_its_rate(tmp_path: Path) -> None:
-    (tmp_path / "walk.csv").write_text(table_text(axes("acc%", FORCE) | axes("gyro%", RATE)))
-    assert "rate_hz" in refusal(tmp_path / "walk.csv")
 
 
 def test_a_clock_goes_on_at_midnight(tmp_path: Path) -> None:

@@ -49,7 +49,6 @@ def test_wifi_of_another_recording_is_not_left_in_its_folder(tmp_path: Path) -> 
 
 def test_addresses_may_be_hidden_by_a_hash(tmp_path: Path) -> None:
     recording = read(with_rows(tmp_path, f"0.5,{'0a1b2c3d4e5f' + 28 * '7'},-60,2412\n"))
-    assert recording.wifi is not None
     assert recording.wifi.bssid.tolist() == [0x0A1B2C3D4E5F]
 
 
@@ -59,7 +58,6 @@ def test_rows_that_cannot_be_used_are_left_out_with_a_note(tmp_path: Path) -> No
         ",aa:bb:cc:dd:ee:ff,-60,2412\n0.6,,-60,2412\n0.7,aa:bb:cc:dd:ee:ff,,\n0.8,aa:bb:cc:dd:ee:ff,600,\n0.9,-1,-60,\n"
     )
     recording = read(with_rows(tmp_path, good + bad))
-    assert recording.wifi is not None
     assert len(recording.wifi) == 1
     assert any("5 rows without a time, an address or a power in dBm left out" in note for note in recording.notes)
 
@@ -67,7 +65,6 @@ def test_rows_that_cannot_be_used_are_left_out_with_a_note(tmp_path: Path) -> No
 def test_what_was_heard_once_and_reported_twice_is_there_once(tmp_path: Path) -> None:
     row = "0.5,aa:bb:cc:dd:ee:ff,-60,2412\n"
     recording = read(with_rows(tmp_path, row + row + row.replace("0.5", "0.6")))
-    assert recording.wifi is not None
     np.testing.assert_array_equal(recording.wifi.time_s, [0.5, 0.6])
 
 
@@ -93,7 +90,6 @@ def test_indoor_location_says_when_it_was_heard_and_names_may_be_anything(tmp_pa
     )
     recording = indoor(tmp_path, lines)
     wifi = recording.wifi
-    assert wifi is not None
     zero_s = WALK.accelerometer.time_s[0]
     np.testing.assert_allclose(wifi.time_s, 1.0 + np.arange(4) * 1e-3 - zero_s, atol=1.1e-3)
     np.testing.assert_array_equal(wifi.rssi_dbm, [-60, -61, -62, -63])
@@ -103,7 +99,6 @@ def test_indoor_location_says_when_it_was_heard_and_names_may_be_anything(tmp_pa
 def test_times_of_another_clock_are_replaced_by_those_of_the_reports(tmp_path: Path) -> None:
     lines = f"{T0_MS + 3000}\tTYPE_WIFI\tnet\taa:bb:cc:dd:ee:ff\t-60\t2412\t123456\n"
     recording = indoor(tmp_path, lines)
-    assert recording.wifi is not None
     np.testing.assert_allclose(recording.wifi.time_s, [3.0 - WALK.accelerometer.time_s[0]], atol=1.1e-3)
     assert any("not on the clock of the reports" in note for note in recording.notes)
 
@@ -113,7 +108,6 @@ def test_get_sensor_data_moves_the_time_of_hearing_to_the_clock_of_the_app(tmp_p
     lines = 'WIFI;3.000;81236.000;"a;b;aa:bb:cc:dd:ee:ff;-61\nWIFI;3.000;81236.500;c;aa:bb:cc:dd:ee:00;-70;5180\n'
     text = "".join(line for line in text.splitlines(keepends=True) if not line.startswith("WIFI")) + lines
     wifi = read(write_text(tmp_path / "w.txt", text)).wifi
-    assert wifi is not None
     zero_s = WALK.accelerometer.time_s[0]
     np.testing.assert_allclose(wifi.time_s + zero_s, [1.5, 2.0], atol=0.01)
     np.testing.assert_array_equal(wifi.rssi_dbm, [-61, -70])

@@ -7,7 +7,7 @@ import importlib.util
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -15,6 +15,7 @@ import numpy as np
 import pymap3d
 import pytest
 from helpers import windows_of
+from made_tracks import make_track
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
@@ -22,45 +23,42 @@ from pdr_filter.apps.cli.app import app
 from pdr_filter.data.io.files import track_writers as writers
 from pdr_filter.simulate import Leg
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import Step, step_table
 
 ORIGIN = (48.137, 11.575)
-GPX = {"g": "http://www.topografix.com/GPX/1/1"}
+GPX, KML = {"g": "http://www.topografix.com/GPX/1/1"}, {"k": "http://www.opengis.net/kml/2.2"}
 
 
 def small_track(n: int = 3) -> Track:
     """Steps to the east, to the north, and to the west again."""
-    steps = [Step(**{f.name: 0.5 for f in fields(Step)}) for _ in range(n)]
-    covariance = np.array([[0.1, 0.02], [0.02, 0.2]]) * np.arange(1, n + 1)[:, None, None]
-    windows = windows_of(np.empty(0), np.empty((0, 2)), ("stationary", "walking"))
-    return Track(
+    contexts = ("stationary", "walking")
+    return make_track(
+        n,
+        0,
         name="small <walk>",
         time_s=np.array([1.5, 2.0, 2.5])[:n],
         position_m=np.array([[0.7, 0.0], [0.7, 0.8], [0.0, 0.8]])[:n],
-        position_cov_m2=covariance,
+        position_cov_m2=np.array([[0.1, 0.02], [0.02, 0.2]]) * np.arange(1, n + 1)[:, None, None],
         step_length_m=np.array([0.7, 0.8, 0.7])[:n],
         walked_m=np.array([0.7, 1.5, 2.2])[:n],
         walking_heading_rad=np.array([np.pi / 2, 0.0, -np.pi / 2])[:n],
-        step_speed_mps=np.array([1.4, 1.6, 1.4])[:n],
-        step_speed_std_mps=np.full(n, 0.2),
         smoothed_speed_mps=np.array([1.4, 1.5, 1.45])[:n],
-        smoothed_speed_std_mps=np.full(n, 0.1),
         context_prob=np.tile([0.25, 0.75], (n, 1)),
-        contexts=("stationary", "walking"),
+        contexts=contexts,
         mode_prob=np.ones((n, 1)),
         modes=("walk, normal",),
         mode_contexts=("walking",),
-        gap_before_s=np.zeros(n),
-        height_m=np.zeros(n),
-        height_std_m=np.zeros(n),
-        floor=np.zeros(n, dtype=np.int64),
-        steps=step_table(steps),
-        windows=windows,
+        windows=windows_of(np.empty(0), np.empty((0, 2)), contexts),
         start_time_s=1.0,
         duration_s=2.0,
-        weighting="imm",
         notes=("only a test",),
     )
+
+
+def assert_places(latitude_deg: np.ndarray, longitude_deg: np.ndarray, origin: tuple[float, float] = ORIGIN) -> None:
+    """Check the origin and the positions of the small track."""
+    assert (latitude_deg[0], longitude_deg[0]) == origin
+    east, north, _ = pymap3d.geodetic2enu(latitude_deg[1:], longitude_deg[1:], 0, *origin, 0)
+    np.testing.assert_allclose(np.column_stack([east, north]), small_track().position_m, atol=1e-3)
 
 
 WRITERS: dict[str, Callable[[Track, Path], Path]] = {
@@ -83,18 +81,23 @@ def test_every_writer_makes_the_folder_and_returns_the_path(tmp_path: Path, kind
     assert path.read_text().endswith("\n")
 
 
+def test_a_file_of_a_track_without_steps_has_the_start_alone(tmp_path: Path) -> None:
+    text = {kind: write(small_track(0), tmp_path / f"t.{kind}").read_text() for kind, write in WRITERS.items()}
+    assert len(text["csv"].splitlines()) == 1
+    geometry = json.loads(text["geojson"])["features"][0]["geometry"]
+    assert geometry == {"type": "Point", "coordinates": [11.575, 48.137]}
+    placemarks = ElementTree.fromstring(text["kml"].encode()).findall("k:Document/k:Placemark", KML)
+    assert [placemark.findtext("k:name", "", KML) for placemark in placemarks] == ["start"]
+    (row,) = text["tum"].splitlines()
+    assert [float(field) for field in row.split()[:4]] == [1.0, 0, 0, 0]
+
+
 def test_the_methods_of_a_track_write_the_same_files(tmp_path: Path) -> None:
     track = small_track()
-    pairs = [
-        (track.to_csv(tmp_path / "a"), writers.write_csv(track, tmp_path / "b")),
-        (track.to_geojson(tmp_path / "c", ORIGIN), writers.write_geojson(track, tmp_path / "d", ORIGIN)),
-        (track.to_gpx(tmp_path / "e", ORIGIN), writers.write_gpx(track, tmp_path / "f", ORIGIN)),
-        (track.to_tum(tmp_path / "g"), writers.write_tum(track, tmp_path / "h")),
-        (track.to_kml(tmp_path / "i", ORIGIN), writers.write_kml(track, tmp_path / "j", ORIGIN)),
-        (track.to_csv(tmp_path / "k", ORIGIN), writers.write_csv(track, tmp_path / "l", ORIGIN)),
-        (track.to_local_geojson(tmp_path / "m"), writers.write_local_geojson(track, tmp_path / "n")),
-    ]
-    for ours, theirs in pairs:
+    for kind in ("csv", "geojson", "gpx", "kml", "local_geojson", "tum"):
+        options = [ORIGIN] if kind in ("geojson", "gpx", "kml") else []
+        ours = getattr(track, f"to_{kind}")(tmp_path / "ours", *options)
+        theirs = getattr(writers, f"write_{kind}")(track, tmp_path / "theirs", *options)
         assert ours.read_bytes() == theirs.read_bytes()
 
 
@@ -134,10 +137,6 @@ def test_csv_of_a_placed_track_says_where_each_step_was_on_earth(tmp_path: Path)
             rows = list(csv.DictReader(file))
         place = np.array([[float(row["latitude_deg"]), float(row["longitude_deg"])] for row in rows])
         np.testing.assert_allclose(place, np.column_stack([track.latitude_deg, track.longitude_deg]), atol=1e-9)
-
-
-def test_csv_of_a_track_without_steps_is_the_header(tmp_path: Path) -> None:
-    assert len(writers.write_csv(small_track(0), tmp_path / "t.csv").read_text().splitlines()) == 1
 
 
 @needs_parquet
@@ -232,9 +231,7 @@ def test_geojson_is_one_line_from_the_origin_through_all_steps(tmp_path: Path) -
     (feature,) = collection["features"]
     assert feature["geometry"]["type"] == "LineString"
     lon, lat = np.array(feature["geometry"]["coordinates"]).T
-    assert (lat[0], lon[0]) == ORIGIN
-    east, north, _ = pymap3d.geodetic2enu(lat[1:], lon[1:], 0, *ORIGIN, 0)
-    np.testing.assert_allclose(np.column_stack([east, north]), track.position_m, atol=1e-3)
+    assert_places(lat, lon)
     properties = feature["properties"]
     assert properties["coordTimes"] == [1.0, 1.5, 2.0, 2.5]
     assert properties["covariance_m2"] == [[0, 0, 0], [0.1, 0.02, 0.2], [0.2, 0.04, 0.4], [0.3, 0.06, 0.6]]
@@ -242,11 +239,6 @@ def test_geojson_is_one_line_from_the_origin_through_all_steps(tmp_path: Path) -
     assert (properties["frame"], properties["about"]) == ("start", track.placed(ORIGIN).about_frame)
     assert properties["end_std_m"] == pytest.approx(track.position_std_m[-1], abs=1e-3)
     assert properties["notes"] == ["only a test"]
-
-
-def test_geojson_of_a_track_without_steps_is_the_origin(tmp_path: Path) -> None:
-    text = writers.write_geojson(small_track(0), tmp_path / "t.geojson", ORIGIN).read_text()
-    assert json.loads(text)["features"][0]["geometry"] == {"type": "Point", "coordinates": [11.575, 48.137]}
 
 
 @pytest.mark.parametrize("origin", [(91.0, 0.0), (-90.1, 0.0), (0.0, 181.0), (0.0, -181.0), (float("nan"), 0.0)])
@@ -268,13 +260,9 @@ def test_a_track_without_a_place_is_drawn_in_the_open_sea_and_says_that_it_is_no
     assert (said["name"], said["frame"]) == ("small <walk> (local, not on Earth)", "local, not on Earth")
     assert said["about"].startswith(track.about_frame)
     lon, lat = np.array(feature["geometry"]["coordinates"]).T
-    east, north, _ = pymap3d.geodetic2enu(lat[1:], lon[1:], 0, 0.0, 0.0, 0)
-    np.testing.assert_allclose(np.column_stack([east, north]), track.position_m, atol=1e-3)
+    assert_places(lat, lon, (0.0, 0.0))
     with pytest.raises(ValueError, match="has a place on Earth"):
         track.placed(ORIGIN).to_local_geojson(tmp_path / "b.geojson")
-
-
-KML = {"k": "http://www.opengis.net/kml/2.2"}
 
 
 def test_kml_has_the_way_its_start_and_its_end_with_how_far_and_how_sure(tmp_path: Path) -> None:
@@ -292,15 +280,9 @@ def test_kml_has_the_way_its_start_and_its_end_with_how_far_and_how_sure(tmp_pat
         for placemark in root.findall("k:Document/k:Placemark", KML)
     }
     way = np.array(places["small <walk>"])
-    east, north, _ = pymap3d.geodetic2enu(way[1:, 1], way[1:, 0], 0, *ORIGIN, 0)
-    np.testing.assert_allclose(np.column_stack([east, north]), track.position_m, atol=1e-3)
+    assert_places(way[:, 1], way[:, 0])
     assert places["start"] == [list(way[0])] == [[ORIGIN[1], ORIGIN[0]]]
     assert places["end"] == [list(way[-1])]
-
-
-def test_kml_of_a_track_without_steps_is_its_start(tmp_path: Path) -> None:
-    root = ElementTree.parse(small_track(0).to_kml(tmp_path / "t.kml", ORIGIN)).getroot()
-    assert [p.findtext("k:name", "", KML) for p in root.findall("k:Document/k:Placemark", KML)] == ["start"]
 
 
 def test_gpx_has_a_point_with_time_for_the_start_and_each_step(tmp_path: Path) -> None:
@@ -313,9 +295,7 @@ def test_gpx_has_a_point_with_time_for_the_start_and_each_step(tmp_path: Path) -
     times = [point.findtext("g:time", namespaces=GPX) for point in points]
     assert times == [f"2023-11-14T22:13:{second}Z" for second in ("21.000", "21.500", "22.000", "22.500")]
     lat, lon = (np.array([float(point.get(name, "nan")) for point in points]) for name in ("lat", "lon"))
-    assert (lat[0], lon[0]) == ORIGIN
-    east, north, _ = pymap3d.geodetic2enu(lat[1:], lon[1:], 0, *ORIGIN, 0)
-    np.testing.assert_allclose(np.column_stack([east, north]), small_track().position_m, atol=1e-3)
+    assert_places(lat, lon)
 
 
 def test_gpx_and_kml_stay_readable_with_a_name_that_xml_cannot_hold(tmp_path: Path) -> None:
@@ -348,12 +328,6 @@ def test_tum_times_ascend_strictly_even_where_steps_share_one(tmp_path: Path) ->
     track = replace(small_track(), time_s=np.array([1.0, 1.6, 1.6000001]))
     text = writers.write_tum(track, tmp_path / "t.tum").read_text()
     assert [line.split()[0] for line in text.splitlines()] == ["1.000000", "1.600000"]
-
-
-def test_tum_of_a_track_without_steps_is_the_start(tmp_path: Path) -> None:
-    text = writers.write_tum(small_track(0), tmp_path / "t.tum").read_text()
-    assert [float(field) for field in text.split()[:4]] == [1.0, 0, 0, 0]
-    assert len(text.splitlines()) == 1
 
 
 def test_a_track_that_climbs_has_its_heights_as_third_coordinate_and_a_level_one_none(tmp_path: Path) -> None:

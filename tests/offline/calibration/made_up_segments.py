@@ -71,6 +71,30 @@ def flat(n_params: int, personal: int = 0) -> StepLengthPrior:
     return StepLengthPrior(FrequencyVarianceStepLength(), np.zeros(n_params), np.full(n_params, INF), between)
 
 
+def sums_of(
+    rows: np.ndarray,
+    distance_m: np.ndarray,
+    person: np.ndarray,
+    steps: np.ndarray,
+    recording: np.ndarray | None = None,
+    anchor_std_m: float = 1.0,
+) -> SegmentSums:
+    """Return sums of straight segments with summed regressors (N, P), of one recording for each person."""
+    n, recording = len(rows), person if recording is None else recording
+    return SegmentSums(
+        regressors=np.stack([rows, np.zeros_like(rows)], axis=1),
+        offset_m=np.zeros((n, 2)),
+        distance_m=distance_m,
+        anchor_std_m=np.full(n, anchor_std_m),
+        n_steps=steps,
+        context=np.full(n, WALKING),
+        subject=person,
+        recording=recording,
+        subjects=tuple(f"s{i}" for i in range(person.max() + 1)),
+        recordings=tuple(f"r{i}" for i in range(recording.max() + 1)),
+    )
+
+
 def design(rng: np.random.Generator, n_people: int = 15, per_person: int = 33) -> tuple[SegmentSums, np.ndarray]:
     """Return segments of eq. 14 with summed lengths, and their joint matrix H."""
     n = n_people * per_person
@@ -80,16 +104,4 @@ def design(rng: np.random.Generator, n_people: int = 15, per_person: int = 33) -
     full = np.zeros((n, n_people + 2))
     full[np.arange(n), person], full[:, n_people:] = rows[:, 0], rows[:, 1:]
     k = np.concatenate([rng.normal(0.4, 0.05, n_people), [0.2, 0.005]])
-    sums = SegmentSums(
-        regressors=np.stack([rows, np.zeros_like(rows)], axis=1),
-        offset_m=np.zeros((n, 2)),
-        distance_m=full @ k + rng.normal(0, 0.3, n),
-        anchor_std_m=np.ones(n),
-        n_steps=steps,
-        context=np.full(n, WALKING),
-        subject=person,
-        recording=person,
-        subjects=tuple(f"s{i}" for i in range(n_people)),
-        recordings=tuple(f"r{i}" for i in range(n_people)),
-    )
-    return sums, full
+    return sums_of(rows, full @ k + rng.normal(0, 0.3, n), person, steps), full

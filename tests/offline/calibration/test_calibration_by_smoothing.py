@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from own_parts import HeadingRule
+from true_positions import position_fixes, true_m
 
 import pdr_filter as pdr
 from pdr_filter.filter.step_length.calibration_result import slices_of
@@ -41,11 +42,7 @@ def errors_std(one: pdr.Calibration, true_m: float) -> float:
 
 def test_a_loop_closure_and_two_fixes_calibrate_a_walk_without_known_lengths() -> None:
     walk = rectangle()
-    at_s = np.asarray(walk.truth.position.time_s)
-    places = [
-        np.array([np.interp(t, at_s, walk.truth.position[axis]) for axis in ("east_m", "north_m")]) for t in (15, 32)
-    ]
-    fixes = [pdr.PositionFix(float(t), place, 0.3**2 * np.eye(2)) for t, place in zip((15, 32), places, strict=True)]
+    fixes = position_fixes([15.0, 32.0], true_m(walk, [15.0, 32.0]), 0.3)
     blind = replace(walk, truth=Truth())
     found = pdr.calibrate(blind, smooth=True, fixes=[fixes], loop_closures=[[LoopClosure(1.0, walk.duration_s - 1.0)]])
     assert abs(errors_std(found, 60.0)) < 2.0
@@ -111,11 +108,9 @@ def test_the_notes_of_a_calibration_name_rejected_fixes_and_ranges_to_one_anchor
 def straight_and_turn() -> tuple[Recording, Callable[..., pdr.PositionFix]]:
     """A walk of 22 m without truth, and a function that returns a fix at a time, with the true place times a factor."""
     walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=d, turn_rad=1.6) for d in (12.0, 10.0)])
-    true = walk.truth.position
 
     def fix(t: float, factor: float = 1.0, var_m2: float = 0.1) -> pdr.PositionFix:
-        place = [float(np.interp(t, true.time_s, true[axis])) for axis in ("east_m", "north_m")]
-        return pdr.PositionFix(t, factor * np.array(place), var_m2 * np.eye(2))
+        return pdr.PositionFix(t, factor * true_m(walk, t), var_m2 * np.eye(2))
 
     return replace(walk, truth=Truth()), fix
 

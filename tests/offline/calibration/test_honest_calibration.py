@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_up_segments import sums_of
 
 from pdr_filter.filter.step_length.models import TYPICAL_STEP, BounceStepLength
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
@@ -46,19 +47,7 @@ def walked(
     distance += rng.normal(size=n) * np.sqrt(ANCHOR_STD_M**2 + steps * STEP_STD_M**2)
     is_wrong = rng.random(n) < wrong
     distance[is_wrong] *= rng.choice([0.5, 2.0], is_wrong.sum())
-    sums = SegmentSums(
-        np.stack([row, np.zeros(n)], axis=1)[:, :, None],
-        np.zeros((n, 2)),
-        distance,
-        np.full(n, ANCHOR_STD_M),
-        steps,
-        np.full(n, WALKING),
-        person,
-        recording,
-        tuple(f"s{i}" for i in range(n_people)),
-        tuple(f"r{i}" for i in range(int(recording[-1]) + 1)),
-    )
-    return sums, k
+    return sums_of(row[:, None], distance, person, steps, recording, ANCHOR_STD_M), k
 
 
 def prior_of_k(relative_std: float = GROUP_RELATIVE_STD) -> Hierarchy:

@@ -251,13 +251,3 @@ def test_parameters_that_are_held_or_without_effect_have_no_spread_between_peopl
     assert weak_prior(TwoBranches(), step=quick).between_std.nonzero()[0] == [0]
     none = prior(StaticStepLength(1.0), [0.0], [np.inf], [0.0])
     assert with_relative_std(replace(none, mean=np.array([0.7])), 0.1).std[0] == pytest.approx(0.07)
-    with pytest.raises(ValueError, match="no parameter of Nothing changes the length of a typical step"):
-        with_relative_std(prior(Nothing(), [0.7], [1.0], [0.0]), 0.1)
-
-
-@dataclass(frozen=True)
-class Nothing:
-    n_params: int = 1
-
-    def regressors(self, step: Step) -> FloatArray:
-        return np.zeros(1)

@@ -7,7 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+import true_positions
 from scipy.stats import norm
+from true_positions import HERE, position_fixes, true_m
 
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing import smooth as smoothing
@@ -15,10 +17,9 @@ from pdr_filter.offline.smoothing.clock_shift import ClockShift, ShiftedWalk, Sh
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.solve import response, solve, sum_of_squares
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import HeadingFix, Origin, PositionFix, Samples
+from pdr_filter.values import HeadingFix, PositionFix, Samples
 from pdr_filter.values.recording import Truth
 
-HERE = Origin(48.137, 11.575)
 STD_M = 3.0
 R = np.pi / 2
 
@@ -30,23 +31,23 @@ def walk(*turns: float, leg_m: float = 45.0) -> pdr.Recording:
     return replace(simulate(legs, seed=7, name="walk"), magnetometer=None)
 
 
-def places(recording: pdr.Recording) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times and noisy positions of a walk, every 10 s."""
-    truth, time_s = recording.truth.position, np.arange(1.0, recording.duration_s - 1.0, 10.0)
-    assert truth is not None
-    true_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    return time_s, true_m + np.random.default_rng(5).normal(0.0, STD_M, true_m.shape)
+def times(recording: pdr.Recording) -> np.ndarray:
+    """Return every tenth second of a walk."""
+    return np.arange(1.0, recording.duration_s - 1.0, 10.0)
+
+
+def errors(recording: pdr.Recording) -> np.ndarray:
+    return np.random.default_rng(5).normal(0.0, STD_M, (len(times(recording)), 2))
 
 
 def located(recording: pdr.Recording, late_s: float) -> pdr.Recording:
-    time_s, place_m = places(recording)
-    latitude_deg, longitude_deg = HERE.latitude_longitude_deg(place_m)
-    values = np.column_stack([latitude_deg, longitude_deg, np.full((len(time_s), 2), [np.nan, 5.0])])
-    return replace(recording, location=Samples(time_s + late_s, values))
+    found = true_positions.located(recording, times(recording), off_m=errors(recording))
+    return replace(found, location=Samples(found.location.time_s + late_s, found.location.values))
 
 
-def fixes(recording: pdr.Recording, late_s: float) -> list[PositionFix | HeadingFix]:
-    return [PositionFix(t + late_s, p, STD_M**2 * np.eye(2)) for t, p in zip(*places(recording), strict=True)]
+def fixes(recording: pdr.Recording, late_s: float) -> list[PositionFix]:
+    place_m = true_m(recording, times(recording)) + errors(recording)
+    return position_fixes(times(recording) + late_s, place_m, STD_M)
 
 
 # --- posterior of a shift ---------------------------------------------------------------------------------------------
@@ -221,6 +222,5 @@ def test_a_rest_reveals_late_fixes_that_lie_outside_the_samples() -> None:
         at_s = np.arange(1.0, rested.duration_s - 0.5)
         place_m = np.column_stack([np.interp(at_s, track.time_s, axis) for axis in track.position_m.T])
         place_m += np.random.default_rng(seed).normal(size=place_m.shape)
-        late = [PositionFix(t + 18.0, p, np.eye(2)) for t, p in zip(at_s.tolist(), place_m, strict=True)]
-        found = pdr.smooth(replace(rested, truth=Truth()), late).track
+        found = pdr.smooth(replace(rested, truth=Truth()), position_fixes(at_s + 18.0, place_m, 1.0)).track
         assert np.linalg.norm(found.position_m - track.position_m, axis=1).max() < 3.0

@@ -11,6 +11,7 @@ from handling import HANDLED_S, handled_walk
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
+from true_positions import errors_m, true_m
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, SensorErrors, simulate
@@ -54,11 +55,7 @@ def test_errors_of_the_smoothed_track_of_a_handled_phone_agree_with_its_covarian
     for seed in range(4):
         walk = handled_walk(seed + 50, bias_std_radps=bias)
         smoothed = pdr.smooth(walk).track
-        truth = walk.truth.position
-        begin = int(np.searchsorted(smoothed.time_s, HANDLED_S + 11.0))
-        true = np.column_stack(
-            [np.interp(smoothed.time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")]
-        )
+        begin, true = int(np.searchsorted(smoothed.time_s, HANDLED_S + 11.0)), true_m(walk, smoothed.time_s)
         ours, true = smoothed.position_m[begin:] - smoothed.position_m[begin], true[begin:] - true[begin]
         first = slice(3, 12)
         turn = np.angle(np.sum((true[first] @ [1, 1j]) * np.conj(ours[first] @ [1, 1j])))
@@ -91,9 +88,8 @@ def test_a_correction_for_a_bias_detected_late_reduces_the_error() -> None:
             for _ in range(7)
         ]
         walk = replace(simulate(legs, carrying_mode="pocket", seed=seed, errors=errors), magnetometer=None)
-        track, truth = pdr.track(walk), walk.truth.position
-        true = np.column_stack([np.interp(track.time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")])
-        error_m = np.linalg.norm(track.position_m - true, axis=1)
+        track = pdr.track(walk)
+        error_m = errors_m(track, walk)
         moved_m = np.linalg.norm(np.diff(track.position_m, axis=0), axis=1)
         gained_m += (error_m[:-1] - error_m[1:])[moved_m > 3.0].tolist()
         if len(jumps_m(track)):

@@ -10,8 +10,10 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+import true_positions
 from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
+from true_positions import HERE
 
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing.linear_graph import Rows, graph_of, joint_covariances
@@ -27,9 +29,8 @@ from pdr_filter.offline.smoothing.problem import ObservedStates, Problem, pose_p
 from pdr_filter.offline.smoothing.solve import linear_equations, solve
 from pdr_filter.offline.smoothing.storeys import with_named_floors
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import FloorPassage, HeadingFix, Origin, PositionFix, Samples, SpeedFix, Standstill
+from pdr_filter.values import FloorPassage, HeadingFix, PositionFix, Samples, SpeedFix, Standstill
 
-HERE = Origin(48.137, 11.575)
 TURN_RAD = 2.1
 
 
@@ -48,11 +49,8 @@ def smoothed_bare() -> pdr.Smoothed:
 
 def truth_m(walk: pdr.Recording, times_s: np.ndarray) -> np.ndarray:
     """Return the true positions in metres from `HERE`."""
-    truth = walk.truth.position
-    assert truth is not None
-    place = np.column_stack([np.interp(times_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
     c, s = np.cos(TURN_RAD), np.sin(TURN_RAD)
-    return place @ np.array([[c, s], [-s, c]]).T + [40.0, -25.0]
+    return true_positions.true_m(walk, times_s) @ np.array([[c, s], [-s, c]]).T + [40.0, -25.0]
 
 
 def located(off_m: np.ndarray | tuple[float, float] = (0.0, 0.0), accuracy_m: float = 8.0) -> pdr.Recording:

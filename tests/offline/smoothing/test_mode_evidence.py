@@ -8,6 +8,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 from simulated_steps import simulated_walk
+from true_positions import position_fixes, true_m
 
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing.mode_evidence import Observed, SwitchingWalk, step_log_evidence, switching_walk
@@ -123,16 +124,13 @@ def test_the_evidence_of_steps_gives_their_filtered_probabilities() -> None:
 def test_fixes_tell_modes_of_one_context_apart_and_leave_equal_modes_as_they_are() -> None:
     """Rivals of walking: the same length under another name, and 1.2 m."""
     walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=30.0)], seed=3)
-    path, config = walk.truth.position, pdr.recipes.default(walk.subject)
+    config = pdr.recipes.default(walk.subject)
     walking = next(mode for mode in config.model.modes if mode.name == "walking")
     same = replace(walking, name="same")
     absurd = pdr.Mode("absurd", context="walking", step_length=pdr.known_length(1.2, 0.05))
     others = [mode for mode in config.model.modes if mode.name != "walking"]
     ends_s = np.linspace(3.0, walk.duration_s - 3.0, 4)
-    fixes = [
-        pdr.PositionFix(t, [np.interp(t, path.time_s, path[axis]) for axis in ("east_m", "north_m")], 0.25 * np.eye(2))
-        for t in ends_s.tolist()
-    ]
+    fixes = position_fixes(ends_s, true_m(walk, ends_s), 0.5)
     rivals, memory = config.with_modes([*others, walking, same, absurd]), SmoothingMemory()
     before = pdr.smooth(walk, config=rivals, memory=memory).track.mode_prob.mean(axis=0)
     after = pdr.smooth(walk, fixes, config=rivals, memory=memory).track.mode_prob.mean(axis=0)

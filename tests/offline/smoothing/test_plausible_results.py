@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from true_positions import position_fixes, true_m
 
 import pdr_filter as pdr
 from pdr_filter.filter.imm.motion_model import stepless_var_m2
@@ -24,7 +25,6 @@ FOLDERS = (
 
 def without_gyroscope(walk: pdr.Recording, begin_s: float, end_s: float) -> pdr.Recording:
     gyroscope = walk.gyroscope
-    assert gyroscope is not None
     has = (gyroscope.time_s < begin_s) | (gyroscope.time_s > end_s)
     samples = pdr.Samples(gyroscope.time_s[has], gyroscope.values[has]) if has.any() else None
     return replace(walk, gyroscope=samples)
@@ -69,10 +69,9 @@ def test_without_fixes_smoothing_keeps_the_distance_and_no_position_is_less_cert
 
 @pytest.mark.parametrize("missing", ["all", "middle"])
 def test_with_fixes_no_position_is_less_certain_than_the_way_from_the_last_fix(missing: str) -> None:
-    walk, truth = without_gyroscope(WALK, *LESS[missing]), WALK.truth.position
-    time_s = np.arange(4.0, float(truth.time_s[-1]), 12.0)
-    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")])
-    fixes = [pdr.PositionFix(float(t), p, np.eye(2)) for t, p in zip(time_s, place_m, strict=True)]
+    walk = without_gyroscope(WALK, *LESS[missing])
+    time_s = np.arange(4.0, float(WALK.truth.position.time_s[-1]), 12.0)
+    fixes = position_fixes(time_s, true_m(WALK, time_s), 1.0)
     result, online = pdr.smooth(walk, fixes), pdr.track(walk, fixes=fixes)
     assert len(result.rejected) == 0 and not [note for note in result.notes if "did not converge" in note]
     assert result.track.distance_m == pytest.approx(online.distance_m, rel=0.05)
@@ -105,15 +104,14 @@ def test_recordings_of_all_kinds_are_smoothed_to_possible_walks(data_dir: Path, 
 
 @pytest.mark.parametrize("missing", ["all", "middle"])
 def test_the_present_position_is_not_less_certain_than_the_way_since_the_last_used_fix(missing: str) -> None:
-    walk, truth = without_gyroscope(WALK, *LESS[missing]), WALK.truth.position
+    walk = without_gyroscope(WALK, *LESS[missing])
     samples, online = pdr.merge_streams(walk), pdr.OnlineFilter(pdr.recipes.default(walk.subject))
     used, distance_m = list[float](), 0.0
     parts = np.searchsorted(samples.time_s, np.arange(0.0, walk.duration_s, 0.5)).tolist()
     for first, end in itertools.pairwise(parts):
         time_s, rate_radps = float(samples.time_s[first]), samples.angular_rate_radps
         if int(time_s * 2) % 24 == 8:
-            place_m = [np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")]
-            online.add_fix(pdr.PositionFix(time_s, place_m, np.eye(2)))
+            online.add_fix(pdr.PositionFix(time_s, true_m(WALK, time_s), np.eye(2)))
         online.push(samples.time_s[first:end], samples.specific_force_mps2[first:end], rate_radps[first:end])
         now = online.now()
         if len(used) < sum(fix.accepted for fix in now.fixes):

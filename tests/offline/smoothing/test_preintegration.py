@@ -154,11 +154,6 @@ def test_a_gap_before_a_step_adds_the_same_variance_as_in_the_filter() -> None:
     np.testing.assert_allclose([found.gap_var_m2[0], found.jump_var_rad2[0]], [grown[0, 0], grown[2, 2]])
 
 
-def test_anchors_that_do_not_increase_are_refused() -> None:
-    with pytest.raises(ValueError, match="anchors must increase"):
-        preintegrate(WALK.steps, np.array([0, 30, 30, 60]))
-
-
 def test_motion_without_steps_is_a_gap_of_the_position_alone() -> None:
     model = pdr.recipes.default().model
     prob = np.full((1, len(model.modes)), 1 / len(model.modes))

@@ -25,7 +25,7 @@ from pdr_filter.offline.training.transition_training import contexts_at
 from pdr_filter.recipes import context_transitions
 from pdr_filter.sensing.features.feature_windows import N_SIGNALS
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.values import WINDOW_SIGNALS, Context, FunctionFeatures, JoinedFeatures, table
+from pdr_filter.values import WINDOW_SIGNALS, Context, table
 
 NAMES = {"stationary": "resting", "walking": "level", "running": "jog"}
 PEOPLE = ["anna", "ben", "carla"]
@@ -38,7 +38,6 @@ MODES = [
 
 def with_labels(recording: pdr.Recording, names: Mapping[str, str], carrying: str | None = None) -> pdr.Recording:
     labels = recording.truth.labels
-    assert labels is not None
     columns: dict[str, Any] = {"start_s": labels.start_s, "end_s": labels.end_s}
     columns["context"] = np.array([names.get(c, "") for c in labels.context])
     columns["carrying_mode"] = labels.carrying_mode if carrying is None else np.full(len(labels), carrying)
@@ -134,7 +133,6 @@ class Recorded(ClassifierMixin, BaseEstimator):
         return Recorded(self.kept)
 
     def fit(self, X: np.ndarray, y: np.ndarray) -> Recorded:  # noqa: N803
-        assert self.kept is not None
         self.kept.append(y)
         self.classes_ = np.unique(y)
         return self
@@ -246,12 +244,6 @@ def test_a_feature_function_receives_every_signal_by_its_name(walks: list[pdr.Re
     np.testing.assert_allclose(signals["rate_radps"], rate, rtol=1e-9)
     up = sum(signals[f"force_{axis}_mps2"] * signals[f"up_{axis}"] for axis in "xyz")
     np.testing.assert_allclose(signals["vertical_mps2"], up - 9.80665, atol=0.05)
-
-
-def test_feature_sets_used_together_must_have_different_names() -> None:
-    one = FunctionFeatures.of(few)
-    with pytest.raises(ValueError, match="must have different names"):
-        JoinedFeatures((one, one))
 
 
 def test_transitions_are_counted_at_the_steps_of_the_recordings_and_used_by_the_filter(

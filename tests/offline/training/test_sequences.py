@@ -19,7 +19,6 @@ from pdr_filter.offline.training.context_sequences import (
     filter_windows,
     fit_tempering,
     log_loss_by_person,
-    sequence_starts,
 )
 from pdr_filter.recipes import context_transitions
 from pdr_filter.values import CONTEXTS
@@ -202,48 +201,6 @@ def test_filtered_probabilities_are_valid_for_classifier_probabilities_of_zero(s
     result = filter_windows(windows, np.eye(3), 1.5, 1.5, 1e-12)
     assert np.isfinite(result).all()
     np.testing.assert_allclose(result.sum(axis=1), 1.0)
-
-
-# --- Bad input
-
-
-def test_invalid_sequences_and_labels_are_refused() -> None:
-    names = np.array(["a", "b", "a"])
-    with pytest.raises(ValueError, match="must be contiguous"):
-        sequence_starts(names)
-    with pytest.raises(ValueError, match="labels must be from -1 to 1"):
-        count_transitions(np.array([0, 2]), names[:2], 2)
-    with pytest.raises(ValueError, match="must have the same length"):
-        count_transitions(np.array([0, 1]), names[:1], 2)
-    with pytest.raises(ValueError, match="steps must be 0 or more"):
-        count_transitions(np.array([0, 1]), names[:2], 2, steps=np.array([1.0, np.nan]))
-
-
-def test_an_invalid_prior_of_transitions_is_refused() -> None:
-    with pytest.raises(ValueError, match="transpose"):
-        estimate_transitions(np.zeros((6, 6)), context_transitions().T)
-    with pytest.raises(ValueError, match="prior_steps"):
-        estimate_transitions(np.zeros((6, 6)), context_transitions(), 0.0)
-    with pytest.raises(ValueError, match="both be"):
-        estimate_transitions(np.zeros((3, 3)), context_transitions())
-    with pytest.raises(ValueError, match="counts must be 0 or more and finite"):
-        estimate_transitions(np.full((6, 6), np.nan), context_transitions())
-
-
-def test_invalid_labelled_probabilities_are_refused() -> None:
-    windows = drawn_windows(1, 5)
-    with pytest.raises(ValueError, match="label must have 5 rows"):
-        replace(windows, label=windows.label[:4])
-    with pytest.raises(ValueError, match="prob must be 0 or more"):
-        replace(windows, prob=np.full((5, 3), np.nan))
-    with pytest.raises(ValueError, match="must both be"):
-        replace(windows, training_prior=windows.training_prior[0])
-    with pytest.raises(ValueError, match="no window has a known context"):
-        fit_tempering(replace(windows, label=np.full(5, UNKNOWN)), CHAIN)
-    with pytest.raises(ValueError, match="transition_prob"):
-        filter_windows(windows, CHAIN.T, 0.5, 0.25, 0.01)
-    with pytest.raises(ValueError, match="floor"):
-        filter_windows(windows, CHAIN, 0.5, 0.25, 0.0)
 
 
 def test_one_person_has_no_held_out_loss() -> None:

@@ -46,7 +46,7 @@ from pdr_filter.offline.training.transition_training import (
     shipped_model_without,
     train_evidence,
 )
-from pdr_filter.recipes import context_modes, context_transitions, default, with_transitions
+from pdr_filter.recipes import context_transitions, default, with_transitions
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CONTEXTS, Samples, table
 from pdr_filter.values.recording import Recording
@@ -116,7 +116,6 @@ def test_a_time_has_the_context_of_its_label_and_none_outside_every_label(walks:
 
 def test_only_recordings_with_gyroscope_whose_context_changes_are_used(walks: list[Recording], tmp_path: Path) -> None:
     walk = as_of(walks[0], "mine", "anna")
-    assert walk.truth.labels is not None
     columns = {name: walk.truth.labels[name] for name in ("start_s", "end_s", "carrying_mode")}
     same = table({**columns, "context": np.full(7, "walking")})
     one_context = replace(walk, name="same", truth=replace(walk.truth, labels=same))
@@ -146,7 +145,6 @@ def test_windows_are_those_of_the_filter_with_the_context_at_their_middle(mine: 
     sequences = labelled_sequences({path: "mine/p0"}, pdr.read, shipped_model_without)
     walk = pdr.read(path)
     seen = pdr.classify(walk)
-    assert sequences is not None
     np.testing.assert_array_equal(sequences.windows.prob, seen.context_prob)
     np.testing.assert_array_equal(sequences.windows.label, contexts_at(walk, seen.time_s - 1.0))
     np.testing.assert_array_equal(sequences.windows.training_prior[0], load_model("context").training_prior)
@@ -165,7 +163,6 @@ def test_no_transition_is_counted_across_a_gap(walks: list[Recording], tmp_path:
     with_gap = replace(walk, accelerometer=cut(walk.accelerometer), gyroscope=cut(walk.gyroscope), magnetometer=None)
     path = written([with_gap], tmp_path)[0]
     sequences = labelled_sequences({path: "mine/p0"}, pdr.read, shipped_model_without)
-    assert sequences is not None
     assert len(np.unique(sequences.step_sequence)) == len(np.unique(sequences.windows.sequence)) == 2
     joined = count_transitions(sequences.step_label, np.full(len(sequences.step_label), "a"), len(CONTEXTS))
     assert joined.sum() == sequences.counts().sum() + 1
@@ -212,12 +209,6 @@ def test_every_persons_windows_come_from_a_model_without_them(mine: Path) -> Non
     changing = changing_recordings(sorted(mine.glob("*.zip")), pdr.read)
     labelled_sequences(changing, pdr.read, recorded)
     assert sorted(person for fold in asked for person in fold) == sorted(changing.values()) and len(asked) == 3
-
-
-def test_the_shipped_model_is_refused_for_people_of_its_training_data() -> None:
-    assert shipped_model_without(["mine/p0"]).name == "context"
-    with pytest.raises(ValueError, match=r"motionsense/s03.*train the models again without them"):
-        shipped_model_without(["mine/p0", "motionsense/s03"])
 
 
 def test_groups_hold_out_each_scored_person_once_and_whole_sites() -> None:
@@ -296,24 +287,17 @@ def test_without_sequences_the_default_is_kept_and_the_file_states_the_reason(tm
 
 def test_with_too_few_changes_the_default_is_kept() -> None:
     sequences = drawn(5, 400, stay=0.9)
-    end = np.flatnonzero(np.diff(sequences.step_label))[MIN_CHANGES - 1] + 1  # the step before one change too many
-    few = replace(
-        sequences,
-        step_label=sequences.step_label[:end],
-        step_person=sequences.step_person[:end],
-        step_sequence=sequences.step_sequence[:end],
-    )
-    found = estimate(few, DEFAULT)
+    end = int(np.flatnonzero(np.diff(sequences.step_label))[MIN_CHANGES - 1]) + 1  # before one change too many
+
+    def first_steps(n: int) -> LabelledSequences:
+        names = ("step_label", "step_person", "step_sequence")
+        return replace(sequences, **{name: getattr(sequences, name)[:n] for name in names})
+
+    found = estimate(first_steps(end), DEFAULT)
     assert is_default(found)
     assert found.card["transition_prob"].startswith(f"default: {MIN_CHANGES - 1} changes")
     assert found.counts.sum() == end - 1  # the counts are in the file although the default is kept
-    one_more = replace(
-        sequences,
-        step_label=sequences.step_label[: end + 1],
-        step_person=sequences.step_person[: end + 1],
-        step_sequence=sequences.step_sequence[: end + 1],
-    )
-    assert estimate(one_more, DEFAULT).card["transition_prob"] == "estimated"
+    assert estimate(first_steps(end + 1), DEFAULT).card["transition_prob"] == "estimated"
 
 
 def test_with_few_people_the_matrix_is_estimated_but_not_the_exponents() -> None:
@@ -425,10 +409,7 @@ def test_transitions_follow_the_order_of_the_modes() -> None:
     matrix = estimate_transitions(np.arange(36.0).reshape(6, 6), context_transitions())
     config = config.with_model(modes=modes, transition_prob=context_transitions()[np.ix_(order, order)])
     changed = with_transitions(config, some(transition_prob=matrix)).model
-    for i, before in enumerate(modes):
-        for j, after in enumerate(modes):
-            expected = matrix[CONTEXTS.index(before.context), CONTEXTS.index(after.context)]
-            assert changed.transition_prob[i, j] == expected
+    np.testing.assert_array_equal(changed.transition_prob, matrix[np.ix_(order, order)])
 
 
 def test_transitions_between_other_contexts_are_saved_and_given_to_their_modes(tmp_path: Path) -> None:
@@ -444,28 +425,6 @@ def test_transitions_between_other_contexts_are_saved_and_given_to_their_modes(t
         with_transitions(config, some())
 
 
-def test_modes_that_do_not_match_the_contexts_one_to_one_are_refused() -> None:
-    config = default()
-    two = config.with_model(modes=context_modes(DEFAULT.modes[1].step_length)[:2], transition_prob=np.eye(2))
-    with pytest.raises(ValueError, match=r"'default' has modes of \['stationary', 'walking'\]"):
-        with_transitions(two, some())
-
-
-def test_default_transitions_keep_the_track_and_others_change_its_contexts(
-    walks: list[Recording], tmp_path: Path
-) -> None:
-    train_evidence({}, pdr.read, tmp_path, shipped_model_without)
-    walk, config = walks[0], default(walks[0].subject)
-    plain = pdr.track(walk, config)
-    same = pdr.track(walk, with_transitions(config, tmp_path / "transitions.json"))
-    np.testing.assert_array_equal(same.position_m, plain.position_m)
-    np.testing.assert_array_equal(same.mode_prob, plain.mode_prob)
-    uniform = some(transition_prob=np.full((6, 6), 1 / 6))
-    other = pdr.track(walk, with_transitions(config, uniform))
-    assert np.abs(other.mode_prob - plain.mode_prob).max() > 0.01
-    assert other.n_steps == plain.n_steps
-
-
 # --- The whole command
 
 
@@ -474,14 +433,8 @@ def small_training(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = replace(PLANS[0], machine_fit=fit_softmax, parts={}, datasets=("motionsense",))
     monkeypatch.setattr(training, "PLANS", (plan,))
 
-    def carrying(paths: Any, out_dir: Any, progress: Any) -> list[dict[str, Any]]:
-        return [{"name": "carrying"}]
-
-    def pose(paths: Any, out_dir: Any, progress: Any) -> dict[str, Any]:
-        return {"name": "guo_pose"}
-
-    monkeypatch.setattr(train_carrying, "train_carrying", carrying)
-    monkeypatch.setattr(train_guo, "train_guo", pose)
+    monkeypatch.setattr(train_carrying, "train_carrying", lambda *_: [{"name": "carrying"}])
+    monkeypatch.setattr(train_guo, "train_guo", lambda *_: {"name": "guo_pose"})
 
 
 def test_train_estimates_transitions_with_models_trained_without_the_people(
@@ -503,27 +456,14 @@ def test_train_estimates_transitions_with_models_trained_without_the_people(
     assert sorted(without) == [f"motionsense/s{i}" for i in range(4)]
     found = load_transitions(tmp_path / "models" / "transitions.json")
     assert found.card["data"] == ["motionsense"] and found.card["n_people"] == 4
-    assert found.card["transition_prob"] == "estimated" and not np.array_equal(
-        found.transition_prob, context_transitions()
-    )
+    assert found.card["transition_prob"] == "estimated" and not is_default(found)
     assert set(found.card["log_loss"]) == {"default", "held_out_default_exponents", "held_out"}
     assert told == sorted(told) and told[-1] == pytest.approx(1.0)
-
-
-def test_a_folder_without_the_data_sets_is_refused_with_their_names(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"has none of the data sets \['difronzo', .*give the folder"):
-        train(tmp_path, tmp_path)
-
-
-def test_the_command_refuses_a_folder_without_sequences(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["train", "--sequences", str(tmp_path), "--out", str(tmp_path)])
-    assert result.exit_code == 2 and "no recordings in this folder" in " ".join(result.stderr.split())
 
 
 def test_the_command_estimates_from_own_recordings_and_track_uses_the_file(mine: Path, tmp_path: Path) -> None:
     run = partial(CliRunner().invoke, app)
     result = run(["train", "--sequences", str(mine), "--out", str(tmp_path)])
-    assert result.exit_code == 0, result.stderr
     path = Path(result.stdout.strip())
     assert path == tmp_path / "transitions.json"
     assert "transition_prob: estimated" in result.stderr and "exponents: " in result.stderr
@@ -539,18 +479,6 @@ def test_the_command_estimates_from_own_recordings_and_track_uses_the_file(mine:
     assert expected.distance_m != pdr.track(recording).distance_m
 
 
-def test_a_bad_transitions_file_gives_one_line_and_exit_code_2(mine: Path, tmp_path: Path) -> None:
-    path = some().save(tmp_path)
-    path.write_text(path.read_text().replace('"evidence_exponent": 0.7', '"evidence_exponent": NaN'))
-    run = partial(CliRunner().invoke, app)
-    result = run(["track", str(sorted(mine.glob("*.zip"))[0]), "--transitions", str(path)])
-    assert result.exit_code == 2
-    assert "evidence_exponent must be 0 or more and finite" in " ".join(result.stderr.split())
-    into = ["--jobs", "2", "--out", str(tmp_path / "out")]
-    many = run(["track", str(mine), *into, "--transitions", str(some().save(tmp_path))])
-    assert many.exit_code == 2 and "--transitions" in many.stderr
-
-
 @pytest.mark.recordings
 def test_no_public_data_set_has_a_labelled_change_of_context_so_the_default_is_kept(
     data_dir: Path, tmp_path: Path
@@ -560,7 +488,6 @@ def test_no_public_data_set_has_a_labelled_change_of_context_so_the_default_is_k
     # several activities in one recording, but the times between their labels are unlabelled
     assert len(paths) > 20 and {person.split("/")[0] for person in changing.values()} == {"difronzo"}
     sequences = labelled_sequences(changing, pdr.read, lambda people: load_model("context"))
-    assert sequences is not None
     counts = sequences.counts()
     assert counts.sum() > 100 and counts.sum() == np.trace(counts)
     train_evidence({}, pdr.read, tmp_path, shipped_model_without)

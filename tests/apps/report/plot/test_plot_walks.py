@@ -11,52 +11,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import windows_of
+from made_tracks import make_track
 from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.stats import chi2
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.report import plot
 from pdr_filter.apps.report.palette import context_colours
-from pdr_filter.tracking.track import Track
-from pdr_filter.values import CONTEXTS, FixOutcome, FixResult, RangeFix, Step, step_table
+from pdr_filter.values import CONTEXTS, FixOutcome, FixResult, RangeFix
 
 PNG = b"\x89PNG"
-
-
-def make_track(n_steps: int, n_windows: int, notes: tuple[str, ...] = ()) -> Track:
-    """Return a track to the north-east with alternating contexts and a growing covariance."""
-    number = np.arange(1, n_steps + 1)
-    step = Step(0.5, 1.0, 0.5, 2.0, 3.0, 4.0, -3.0, 14.0, 6.0, 2.0, 0.0, 0.0)
-    prob = np.eye(len(CONTEXTS))
-    return Track(
-        name="made_up",
-        time_s=0.5 * number,
-        position_m=np.outer(number, [0.5, 0.5]),
-        position_cov_m2=number[:, None, None] * np.array([[0.04, 0.01], [0.01, 0.02]]),
-        step_length_m=np.full(n_steps, 0.5**0.5),
-        walked_m=0.5**0.5 * number,
-        walking_heading_rad=np.full(n_steps, np.pi / 4),
-        step_speed_mps=np.full(n_steps, 2**0.5),
-        step_speed_std_mps=np.full(n_steps, 0.2),
-        smoothed_speed_mps=np.full(n_steps, 2**0.5),
-        smoothed_speed_std_mps=np.full(n_steps, 0.1),
-        context_prob=prob[number % 6],
-        contexts=CONTEXTS,
-        mode_prob=prob[number % 6],
-        modes=CONTEXTS,
-        mode_contexts=CONTEXTS,
-        gap_before_s=np.zeros(n_steps),
-        height_m=np.zeros(n_steps),
-        height_std_m=np.zeros(n_steps),
-        floor=np.zeros(n_steps, dtype=np.int64),
-        steps=step_table([replace(step, time_s=0.5 * float(k)) for k in number]),
-        windows=windows_of(1.0 + np.arange(1, n_windows + 1), prob[np.arange(n_windows) % 6]),
-        start_time_s=0.0,
-        duration_s=max(0.5 * n_steps, n_windows + 1.0),
-        weighting="imm",
-        notes=notes,
-    )
 
 
 def texts(figure) -> str:
@@ -73,18 +37,6 @@ def test_any_number_of_steps_and_windows_can_be_drawn(tmp_path: Path, n_steps: i
     plot.track(make_track(n_steps, n_windows), path)
     assert path.read_bytes().startswith(PNG)
     assert path.stat().st_size < 1_000_000
-
-
-def test_the_suffix_gives_the_format(tmp_path: Path) -> None:
-    plot.track(make_track(3, 2), tmp_path / "track.svg")
-    assert "<svg" in (tmp_path / "track.svg").read_text()
-
-
-def test_a_pdf_has_the_fonts_that_journals_take(tmp_path: Path) -> None:
-    plot.track(make_track(3, 2), tmp_path / "track.pdf")
-    content = (tmp_path / "track.pdf").read_bytes()
-    assert b"/FontFile2" in content
-    assert b"/Type3" not in content
 
 
 def test_drawing_opens_no_window_and_leaves_no_figure_behind() -> None:
@@ -111,7 +63,7 @@ def test_a_single_step_is_not_called_steps() -> None:
 def test_notes_are_shown_and_many_are_counted() -> None:
     assert texts(plot.track(make_track(5, 5))).endswith("\n")  # no note, nothing written
     notes = tuple(f"remark number {i}" for i in range(5))
-    written = texts(plot.track(make_track(5, 5, notes)))
+    written = texts(plot.track(make_track(5, 5, notes=notes)))
     assert "remark number 0" in written
     assert "remark number 4" not in written
     assert "2 more" in written
