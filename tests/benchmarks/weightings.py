@@ -49,6 +49,7 @@ from pdr_filter.values import (
     CONTEXTS,
     BoolArray,
     FloatArray,
+    ImuBlock,
     IntArray,
     Samples,
     Step,
