@@ -1,7 +1,7 @@
 """The pictures of the documentation that are not figures of a benchmark: the data flow, tracks, and the gallery.
 
 usage: .venv/bin/python -m docs.images.make [NAME...]
-NAME is data_flow, demo_track, online_or_smoothed, real_track or gallery; all without NAME.
+NAME is data_flow, carrying_change, demo_track, online_or_smoothed, real_track or gallery; all without NAME.
 
 The gallery is the code of docs/gallery.md, run in this folder.
 
@@ -161,8 +161,30 @@ def online_or_smoothed() -> Figure:
     return figure
 
 
+def carrying_change() -> Figure:
+    """Return a figure of a walk in which the phone goes from the hand to a pocket, back, and into the swinging hand."""
+    right = np.pi / 2
+    change = {"context": "stationary", "duration_s": 4.0}
+    legs = [
+        {"context": "stationary", "duration_s": 3.0},
+        {"context": "walking", "distance_m": 35.0},
+        {"context": "walking", "distance_m": 25.0, "turn_rad": right},
+        {**change, "carrying_mode": "pocket"},
+        {"context": "walking", "distance_m": 35.0, "turn_rad": right},
+        {"context": "walking", "distance_m": 15.0, "turn_rad": right},
+        {**change, "carrying_mode": "texting"},
+        {"context": "walking", "distance_m": 20.0, "turn_rad": -right},
+        {**change, "carrying_mode": "swinging"},
+        {"context": "walking", "distance_m": 30.0, "turn_rad": -right},
+    ]
+    walk = pdr.simulate.simulate([pdr.simulate.Leg(**leg) for leg in legs], seed=1)
+    truth = walk.truth.position
+    return pdr.plot.track(pdr.track(walk), None, np.column_stack([truth.east_m, truth.north_m]))
+
+
 PICTURES: dict[str, Callable[[], Figure | None]] = {
     "data_flow.svg": data_flow,
+    "carrying_change.svg": carrying_change,
     "demo_track.svg": demo_track,
     "online_or_smoothed.svg": online_or_smoothed,
     "real_track.png": real_track,

@@ -1,9 +1,7 @@
 """Calibration on walks that it has not seen, and coverage of its intervals: docs/benchmarks.md.
 
-usage: python -m tests.benchmarks.calibration [halves] [left_out] [smoothed] [coverage] [--data ../shared/data]
+usage: python -m tests.benchmarks.calibration [left_out] [smoothed] [coverage] [--data ../shared/data]
 
-halves    parameters from half of each person's segments, error on the other half: against no calibration, one scale for
-          everybody, and the population. The surveyors of ms_indoor are unknown, so that each recording is a person.
 left_out  whole walks of five sites. humolire: straight legs between landmarks; ms_indoor: between waypoints; oxiod and
           tyrex: walked lengths of stretches of 20 s along the path of a tracking system, lengths summed. Running,
           trolleys and a phone that is pointed around are left out.
@@ -22,17 +20,14 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
-from pdr_filter.filter.step_length.models import KimStepLength, WeinbergStepLength
+from pdr_filter import evaluate
 from pdr_filter.offline.calibration.assembly import scale_std_of
-from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
+from pdr_filter.offline.calibration.estimation import Hierarchy, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate_segments
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, estimate_jointly
-from pdr_filter.offline.calibration.model_forms import estimate_sums, forms_of, hierarchy_of, prior_means
-from pdr_filter.offline.calibration.model_forms import lengths as lengths_of_people
-from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, weak_prior
+from pdr_filter.offline.calibration.model_forms import forms_of, lengths, prior_means
 from pdr_filter.offline.calibration.segments import (
     WAYPOINT_STD_M,
     Segment,
@@ -47,133 +42,55 @@ from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS, table
 from pdr_filter.values.recording import Recording, Truth
-from tests.benchmarks.common import Tables, bias_spread_rms, recordings, run
+from tests.benchmarks.common import Tables, bias_spread_rms, recordings, run, way_of
 
 FloatArray = NDArray[np.float64]
-N_SPLITS = 20
 
 
 # --- real walks -----------------------------------------------------------------------------------------------------
 
 
-def walks(data: Path, site: str) -> list[tuple[Recording, Track]]:
+def tracked(data: Path, site: str, pattern: str = "*.zip") -> list[tuple[Recording, Track]]:
     """Recordings of a site with their tracks."""
-    return [(r, pdr.track(r)) for r in recordings(data, site)]
-
-
-def cut(found: list[tuple[Recording, Track]]) -> list[Segment]:
-    """All segments; each recording of ms_indoor, whose surveyors have no names, is of a person of its own."""
-    return [s for r, t in found for s in segments_of(r, t, subject=r.name)[0]]
-
-
-def lengths(sums: SegmentSums, theta: FloatArray) -> FloatArray:
-    """Predicted lengths (N,) for theta (P,) or (N, P)."""
-    vector = np.einsum("ndp,np->nd", sums.regressors, np.broadcast_to(theta, (len(sums), theta.shape[-1])))
-    return np.hypot(*(vector + sums.offset_m).T)
-
-
-def percent(predicted: FloatArray, true: FloatArray) -> str:
-    """Bias, spread, RMS of relative errors in %."""
-    return bias_spread_rms(100 * (predicted / true - 1))
-
-
-def fitted(sums: SegmentSums, priors: dict[str, StepLengthPrior]) -> ParameterEstimate:
-    models = {name: p.model for name, p in priors.items()}
-    return estimate_sums(sums, hierarchy_of(priors), models)
-
-
-def with_model(**chosen: StepLengthPrior) -> dict[str, StepLengthPrior]:
-    return {**DEFAULT_PRIORS, **chosen}
-
-
-MODELS = {
-    "bounce (default)": with_model(),
-    "k0 + k1 f + k2 var (eq. 12)": eq12_priors(),
-    "Weinberg": with_model(walking=weak_prior(WeinbergStepLength())),
-    "Kim": with_model(walking=weak_prior(KimStepLength())),
-}
-
-
-def halves(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Half of each person's segments against the other half."""
-    sites = {site: cut(walks(arguments.data, site)) for site in ("humolire", "ms_indoor")}
-    segments = [s for site in sites.values() for s in site]
-    place = np.array([name for name, own in sites.items() for _ in own])
-    rows = []
-    for name, priors in MODELS.items():
-        models = {n: p.model for n, p in priors.items()}
-        sums = integrate(segments, models, {n: p.mean for n, p in priors.items()})
-        start = np.concatenate([p.mean for p in priors.values()])
-        uncalibrated = lengths(sums, start)
-        kept: dict[str, list[tuple[FloatArray, ...]]] = {site: [] for site in sites}
-        totals: dict[str, list[tuple[FloatArray, ...]]] = {site: [] for site in sites}
-        rng = np.random.default_rng(1)
-        enough = np.bincount(sums.subject)[sums.subject] > 1
-        for _ in range(N_SPLITS):
-            training = np.zeros(len(sums), dtype=bool)
-            for person in range(len(sums.subjects)):
-                own = rng.permutation(np.flatnonzero(sums.subject == person))
-                training[own[: len(own) // 2]] = True
-            found = fitted(sums.rows(training), priors)
-            scale = np.median(sums.distance_m[training] / uncalibrated[training])
-            by = (uncalibrated, scale * uncalibrated, lengths(sums, found.population))
-            by += (lengths(sums, found.people[sums.subject]),)
-            for site, results in kept.items():
-                test = ~training & enough & (place == site)
-                results.append((sums.distance_m[test], *(b[test] for b in by)))
-                each = [np.bincount(sums.recording[test], b[test]) for b in (sums.distance_m, *by)]
-                totals[site].append(tuple(e[each[0] > 0] for e in each))
-        for site in sites:
-            people = len({s.subject for s in sites[site]})
-            for what, results in (("segments", kept[site]), ("totals of walks", totals[site])):
-                true, *predicted = (np.concatenate([r[k] for r in results]) for k in range(5))
-                cells = [percent(p, true) for p in predicted]
-                rows.append([name, f"{site}, {what}", f"{people}, {len(sites[site])}", *cells])
-    columns = ["model", "site", "people, segments", "no calibration", "one scale for all", "population", "own k"]
-    about = f"{N_SPLITS} random halves of the segments of each person; bias, spread, RMS in % of those not used."
-    tables.write("calibration_halves", columns, rows, about)
+    return [(r, pdr.track(r)) for r in recordings(data, site, pattern)]
 
 
 # --- simulated ------------------------------------------------------------------------------------------------------
 
+# Parameters of eq. 12, their spread of the prior and of people, and a typical step.
+MEAN, STD, BETWEEN = np.array([0.42, 0.18, 0.004]), np.array([0.1, 0.05, 0.005]), np.array([0.04, 0.0, 0.0])
+TYPICAL = np.array([1.0, 1.9, 4.0])
+
 
 def simulated(
-    rng: np.random.Generator, n_people: int, per_person: int, outliers: float = 0.0, contexts: int = 1
+    rng: np.random.Generator, n_people: int, per_person: int, outliers: float
 ) -> tuple[SegmentSums, Hierarchy, FloatArray, FloatArray]:
     """Sums of eq. 12 for people drawn from the prior; with the prior, the population's and the people's truth."""
-    mean = np.tile([0.42, 0.18, 0.004], contexts)
-    std = np.tile([0.1, 0.05, 0.005], contexts)
-    between = np.tile([0.04, 0.0, 0.0], contexts)
-    prior = Hierarchy(mean, std, between, np.full(len(CONTEXTS), 0.08), 0.02)
-    population = rng.normal(mean, std)
-    people = population + rng.normal(size=(n_people, 3 * contexts)) * between
-    n = n_people * per_person * contexts
-    person = np.repeat(np.arange(n_people), per_person * contexts)
-    context = np.tile(np.arange(contexts), n_people * per_person)
-    recording = np.arange(n) // max(per_person * contexts // 3, 1)
+    population = rng.normal(MEAN, STD)
+    people = population + rng.normal(size=(n_people, 3)) * BETWEEN
+    n = n_people * per_person
+    person = np.repeat(np.arange(n_people), per_person)
+    recording = np.arange(n) // max(per_person // 3, 1)
     n_steps = rng.integers(12, 20, n).astype(float)
     each = np.stack([np.ones(n), rng.normal(1.9, 0.15, n), rng.normal(4.0, 0.8, n)], axis=1) * n_steps[:, None]
-    regressors = np.zeros((n, 2, 3 * contexts))
-    for c in range(contexts):
-        regressors[context == c, 0, 3 * c : 3 * c + 3] = each[context == c]
     scale = 1 + rng.normal(0, 0.02, recording.max() + 1)
     error = rng.normal(size=n) * np.sqrt(0.35**2 + n_steps * 0.08**2)
-    distance = np.einsum("np,np->n", regressors[:, 0], people[person]) * scale[recording] + error
+    distance = (each * people[person]).sum(axis=1) * scale[recording] + error
     wrong = rng.random(n) < outliers
     distance[wrong] *= rng.choice([0.5, 2.0], wrong.sum())
     sums = SegmentSums(
-        regressors=regressors,
+        regressors=np.stack([each, np.zeros_like(each)], axis=1),
         offset_m=np.zeros((n, 2)),
         distance_m=np.maximum(distance, 0.1),
         anchor_std_m=np.full(n, 0.35),
         n_steps=n_steps,
-        context=context + 1 if contexts == 1 else context,
+        context=np.ones(n, dtype=int),
         subject=person,
         recording=recording,
         subjects=tuple(f"s{i}" for i in range(n_people)),
         recordings=tuple(f"r{i}" for i in range(int(recording.max()) + 1)),
     )
-    return sums, prior, population, people
+    return sums, Hierarchy(MEAN, STD, BETWEEN, np.full(len(CONTEXTS), 0.08), 0.02), population, people
 
 
 def coverage(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -196,17 +113,17 @@ def coverage(tables: Tables, arguments: argparse.Namespace) -> None:
             std = np.sqrt(np.diagonal(e.people_cov, axis1=1, axis2=2))
             own.append(np.abs(e.people - people)[:, 0] < 1.96 * std[:, 0])
             shared.append(np.abs(e.population - population) < 1.96 * np.sqrt(np.diagonal(e.population_cov)))
-            typical = np.array([1.0, 1.9, 4.0])
-            errors = [(e.people - people) @ typical, (e.population - people) @ typical]
+            errors = [(e.people - people) @ TYPICAL, (e.population - people) @ TYPICAL]
             square.append([np.square(x).mean() for x in errors])
         k = np.mean(shared, axis=0)
         rms = 100 * np.sqrt(np.mean(square, axis=0))
         shares = [f"{100 * share:.1f} %" for share in (np.mean(own), *k)]
         figures = [f"{100 * outliers:.0f} %", loss, *shares, *(f"{v:.2f}" for v in rms)]
         rows.append([f"{n_people} x {per_person}", *figures])
-    columns = ["people x segments", "wrong", "loss", "k0 of people", "k0", "k1", "k2", "a person's step, cm"]
+    columns = "people x segments | wrong | loss | k0 of people | k0 | k1 | k2 | a person's step, cm | "
+    columns += "the population's step, cm"
     about = f"{n_runs} simulated calibrations: share of 95 % intervals with the truth; RMS error of a typical step."
-    tables.write("calibration_coverage", [*columns, "the population's step, cm"], rows, about)
+    tables.write("calibration_coverage", columns, rows, about)
 
 
 def along_the_path(recording: Recording, track: Track) -> Recording:
@@ -217,10 +134,8 @@ def along_the_path(recording: Recording, track: Track) -> Recording:
     """
     path = recording.truth.position
     assert path is not None
-    grid_s = np.arange(path.time_s[0], path.time_s[-1], 0.02)
-    places = np.column_stack([np.interp(grid_s, path.time_s, path[name]) for name in ("east_m", "north_m")])
-    smooth = sosfiltfilt(butter(2, 0.7 / 25, output="sos"), places, axis=0)
-    length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
+    grid_s, way_m = way_of(recording, below_hz=0.7)
+    length_m = evaluate.path_m(way_m)
     edges_s = np.arange(max(path.time_s[0], track.time_s[0] - 0.5), min(path.time_s[-1], track.time_s[-1]), 20.0)
     walked = np.diff(np.interp(edges_s, grid_s, length_m))
     holes_s = path.time_s[1:][np.diff(path.time_s) > 1.5]
@@ -232,14 +147,20 @@ def along_the_path(recording: Recording, track: Track) -> Recording:
 
 
 def five_sites(data: Path) -> dict[str, list[Segment]]:
-    """Walking of one person each in four of them, and of 95 in a mall."""
-    sites = {site: cut(walks(data, site)) for site in ("humolire", "ms_indoor")}
+    """Walking of one person each in four of them, and of 95 in a mall.
+
+    The surveyors of ms_indoor have no names: each recording is of a person of its own.
+    """
+    sites = {
+        site: [s for r, t in tracked(data, site) for s in segments_of(r, t, subject=r.name)[0]]
+        for site in ("humolire", "ms_indoor")
+    }
     for name, site, pattern in (
         ("oxiod, over a floor", "oxiod", "*floor1*.zip"),
         ("oxiod, in a room", "oxiod", "*room_[hp]*.zip"),
         ("tyrex", "tyrex", "*dist_[bfpst]*.zip"),
     ):
-        found = [(r, pdr.track(r)) for r in recordings(data, site, pattern)]
+        found = tracked(data, site, pattern)
         cut_out = [s for r, t in found for s in segments_of(along_the_path(r, t), t, measure="length")[0]]
         sites[name] = [replace(s, subject="one") for s in cut_out]
     return sites
@@ -263,14 +184,14 @@ def left_out(tables: Tables, arguments: argparse.Namespace) -> None:
             test = np.flatnonzero(walk % 10 == k)
             found = calibrate_segments([segments[i] for i in np.flatnonzero(walk % 10 != k)], priors)
             own = integrate([segments[i] for i in test], found.models, prior_means(priors))
-            after_m[test] = lengths_of_people(own, theta_of(found, own.subjects))
-            before_m[test] = lengths_of_people(own, np.tile(start, (len(own.subjects), 1)))
+            after_m[test] = lengths(own, theta_of(found, own.subjects))
+            before_m[test] = lengths(own, np.tile(start, (len(own.subjects), 1)))
         true_m = np.bincount(walk, [s.distance_m for s in segments])
         before, after = (100 * (np.bincount(walk, m) / true_m - 1) for m in (before_m, after_m))
         rows.append([site, len(names), bias_spread_rms(before), bias_spread_rms(after), f"{np.abs(after).max():.1f}"])
     about = "Totals of held-out walks, default form: bias, spread, RMS in %. In ms_indoor the other walks are those of "
     about += "other people."
-    columns = ["site", "walks", "no calibration", "from the other walks", "largest error"]
+    columns = "site | walks | no calibration | from the other walks | largest error"
     tables.write("calibration_left_out", columns, rows, about)
 
 
@@ -309,11 +230,17 @@ def smoothed(tables: Tables, arguments: argparse.Namespace) -> None:
                 for i in np.flatnonzero(group == held_out).tolist():
                     sums = integrate(own[i], models, prior_means(priors))
                     theta = start if what == "none" else of_people.get(own[i][0].subject, population)
-                    error.setdefault(what, []).append(100 * (lengths(sums, theta).sum() / sums.distance_m.sum() - 1))
+                    error.setdefault(what, []).append(
+                        100 * (lengths(sums, theta[None]).sum() / sums.distance_m.sum() - 1)
+                    )
         # errors in the order of the groups
         rows.append(smoothed_row(site, {name: np.array(e) for name, e in error.items()}, np.sort(group)))
         print(rows[-1], flush=True)
-    write_smoothed(tables, rows)
+    about = "Totals of held-out walks: bias, spread, RMS in %, and 95 % interval over walks of the RMS minus that "
+    about += "without calibration. Mean of the others: each walk less the mean error of the other groups. Default "
+    about += "form, every third recording of ms_indoor."
+    columns = "site | walks, groups | no calibration | segments | smooth, waypoints | smooth, every third | "
+    tables.write("calibration_smoothed", columns + "mean of the others", rows, about)
 
 
 def smoothed_row(site: str, error: dict[str, FloatArray], group: NDArray[np.str_]) -> list[str]:
@@ -332,14 +259,5 @@ def smoothed_row(site: str, error: dict[str, FloatArray], group: NDArray[np.str_
     return [site, f"{len(none)}, {len(set(group))}", *cells, bias_spread_rms(others)]
 
 
-def write_smoothed(tables: Tables, rows: list[list[str]]) -> None:
-    """Write the table of `smoothed`."""
-    about = "Totals of held-out walks: bias, spread, RMS in %, and 95 % interval over walks of the RMS minus that "
-    about += "without calibration. Mean of the others: each walk less the mean error of the other groups. Default "
-    about += "form, every third recording of ms_indoor."
-    columns = ["site", "walks, groups", "no calibration", "segments", "smooth, waypoints", "smooth, every third"]
-    tables.write("calibration_smoothed", [*columns, "mean of the others"], rows, about)
-
-
 if __name__ == "__main__":
-    run(__doc__, halves, left_out, smoothed, coverage)
+    run(__doc__, left_out, smoothed, coverage)

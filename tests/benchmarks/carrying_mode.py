@@ -1,12 +1,9 @@
-"""Carrying modes against truth: people and sites left out, and a data set that no model is trained on.
+"""Carrying modes on a data set that no model is trained on, by the placement of the phone.
 
 usage: python -m tests.benchmarks.carrying_mode [--data ../shared/data] [--models FOLDER]
 
-Left out: recall of each carrying mode, window by window and followed through the recording, on windows of moving people
-that the machine has not seen, nor anything made of them (motionsense: one of twelve people at a time; else the whole
-site, which is one person or, ms_indoor, unknown surveyors). ubicomp13: what the windows inside the walk interval are
-taken for, by placement; there is no bag among the classes, and how the hand that does not use the phone moves is not
-published. The shipped models, or those of the folder.
+Classes of the windows of ubicomp13 inside the walk interval. There is no bag among the classes, and how the hand that
+does not use the phone moves is not published. The shipped models, or those of the folder.
 """
 
 from __future__ import annotations
@@ -15,7 +12,6 @@ import argparse
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,22 +22,6 @@ from pdr_filter.sensing.features import invariant
 from pdr_filter.sensing.features.feature_windows import FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from tests.benchmarks.common import ROOT, Tables, recordings, run
-
-
-def left_out(card: dict[str, Any]) -> list[list[str]]:
-    """One row for each site: recall and number of windows of each mode, and how good the probabilities are."""
-    result = []
-    rows = {"motionsense, one person": card["leave_one_subject_out"], **card["site_left_out"]}
-    for name, scores in rows.items():
-        recall = [
-            f"{scores['recall'][m]:.3f}, {scores['followed_recall'][m]:.3f} ({scores['n'][m]})"
-            if m in scores["n"]
-            else "-"
-            for m in MODES
-        ]
-        numbers = [scores[key] for key in ("worst_person_accuracy", "log_loss", "expected_calibration_error")]
-        result.append([card["name"], name, *recall, *(f"{x:.3f}" for x in numbers)])
-    return result
 
 
 def features_while_walking(recording: pdr.Recording) -> np.ndarray:
@@ -77,17 +57,12 @@ def placements(data: Path, model: ContextModel, has_gyroscope: bool) -> list[lis
 
 
 def modes(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Both tables."""
-    recalls, places = [], []
+    """Carrying modes by placement, with the models of both plans."""
+    rows = []
     for plan in PLANS:
-        model = load_model(arguments.models / f"{plan.name}.npz")
-        recalls += left_out(model.card)
-        places += placements(arguments.data, model, plan.has_gyroscope)
-    columns = ["model", "held out", *MODES, "worst person", "log loss", "calibration error"]
-    about = "Recall of each window, recall as followed through the recording (windows)."
-    tables.write("carrying_mode", columns, recalls, about)
+        rows += placements(arguments.data, load_model(arguments.models / f"{plan.name}.npz"), plan.has_gyroscope)
     columns = ["model", "placement", "windows", *(f"{m} %" for m in MODES), "unknown"]
-    tables.write("carrying_mode_placements", columns, places, "Classes of the windows of ubicomp13.")
+    tables.write("carrying_mode_placements", columns, rows, "Classes of the windows of ubicomp13.")
 
 
 if __name__ == "__main__":

@@ -14,16 +14,18 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.signal import butter, sosfiltfilt
 from threadpoolctl import threadpool_limits
 
 import pdr_filter as pdr
+from pdr_filter.values import BoolArray, FloatArray, ImuBlock, interpolated_rows
 from tests.data_folder import DATA
 
 # Sums of several threads may differ in the last bit from run to run, and times are those of one core: here, where a
@@ -88,6 +90,26 @@ def recordings(data: Path, site: str, pattern: str = "*.zip") -> Iterator[pdr.Re
     return map(pdr.read, paths(data, site, pattern))
 
 
+def places_of(rows: Any) -> FloatArray:
+    """East and north (N, 2) of the rows of a table of the truth."""
+    return np.column_stack([rows.east_m, rows.north_m])
+
+
+def way_of(recording: pdr.Recording, every_s: float = 0.02, below_hz: float = 0.5) -> tuple[FloatArray, FloatArray]:
+    """Even times (N,) and places (N, 2) of the continuous reference, low-passed: by default below the sway of steps."""
+    truth = recording.truth.position
+    if truth is None:
+        raise ValueError(f"{recording.name}: no truth_position.csv")
+    time_s = np.arange(truth.time_s[0], truth.time_s[-1], every_s)
+    place_m = interpolated_rows(time_s, truth.time_s, places_of(truth))
+    return time_s, sosfiltfilt(butter(2, below_hz, fs=1 / every_s, output="sos"), place_m, axis=0)
+
+
+def part_of(block: ImuBlock, use: slice | BoolArray) -> ImuBlock:
+    """Some of the samples of a block."""
+    return ImuBlock(*(getattr(block, field.name)[use] for field in fields(block)))
+
+
 # --- figures ---------------------------------------------------------------------------------------------------------
 
 
@@ -136,12 +158,20 @@ class Tables:
     folder: Path | None = FOLDER
 
     def write(
-        self, name: str, columns: Sequence[object], rows: Sequence[Sequence[object]], about: str = "", day: str = ""
+        self,
+        name: str,
+        columns: str | Sequence[object],
+        rows: Sequence[Sequence[object]],
+        about: str = "",
+        day: str = "",
     ) -> None:
         """Print a table, and write it to NAME.md with the command, the day (today) and what it is about.
 
-        A file that differs in the day alone is left as it is: the same numbers have the same bytes.
+        Columns are a list of headings, or a text such as "site | walks | error". A file that differs in the day alone
+        is left as it is: the same numbers have the same bytes.
         """
+        if isinstance(columns, str):
+            columns = columns.split(" | ")
         caption = f"*{about + ' ' if about else ''}`{self.command}`, {day or date.today()}.*"
         text = f"{markdown_table(columns, rows)}\n{caption}\n"
         print(f"\n{name}\n\n{text}", flush=True)

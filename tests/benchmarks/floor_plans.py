@@ -1,6 +1,6 @@
-"""Walks with a floor plan: how near to the waypoints, how sure, and what a wrong plan does.
+"""Walks with a floor plan: errors at the waypoints, covariances, and effects of a wrong start or plan.
 
-usage: python -m tests.benchmarks.floor_plans [whole] [wrong] [contradicted] [start] [radio] [--data ../shared/data]
+usage: python -m tests.benchmarks.floor_plans [whole] [contradicted] [start] [--data ../shared/data]
 
 The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
 plan, not aligned. What staying in a room costs (`apps.maps.crossing_costs`) and the smallest odds of a wrong start were
@@ -26,13 +26,14 @@ from typing import Any
 import numpy as np
 import shapely
 from scipy.stats import chi2
-from shapely.affinity import rotate, scale, translate
+from shapely.affinity import scale
 
 import pdr_filter as pdr
+from pdr_filter import evaluate
 from pdr_filter.apps.maps.storey import LIFT
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import FloatArray
-from tests.benchmarks.common import Tables, median_and, paths, run
+from pdr_filter.values import FloatArray, interpolated_rows
+from tests.benchmarks.common import Tables, median_and, paths, places_of, run
 from tests.benchmarks.radio import known_walks, left_out, map_of
 
 GROUPS = {
@@ -65,8 +66,8 @@ class Walk:
 
     def away(self, track: Track) -> FloatArray:
         """From the waypoints that were not given, (N, 2)."""
-        at = [np.interp(self.time_s[self.n_given :], track.time_s, track.position_m[:, k]) for k in (0, 1)]
-        return np.column_stack(at) - self.place_m[self.n_given :]
+        at_m = interpolated_rows(self.time_s[self.n_given :], track.time_s, track.position_m)
+        return at_m - self.place_m[self.n_given :]
 
     def rmse_m(self, track: Track) -> float:
         return float(np.sqrt((self.away(track) ** 2).sum(axis=1).mean()))
@@ -75,7 +76,7 @@ class Walk:
         """Squared errors over their covariances."""
         at = np.minimum(np.searchsorted(track.time_s, self.time_s[self.n_given :]), track.n_steps - 1)
         away, cov = self.away(track), track.position_cov_m2[at] + WAYPOINT_VAR_M2 * np.eye(2)
-        return np.einsum("ni,nij,nj->n", away, np.linalg.inv(cov), away)
+        return evaluate.nees(away, cov)
 
 
 def walks(data: Path, pattern: str = "") -> Iterator[Walk]:
@@ -88,8 +89,8 @@ def walks(data: Path, pattern: str = "") -> Iterator[Walk]:
         recording = pdr.read(path)
         truth = recording.truth.waypoints
         assert truth is not None
-        place = np.column_stack([truth.east_m, truth.north_m])
-        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
+        place = places_of(truth)
+        along = evaluate.path_m(place)
         n_given = max(2, int((along <= 0.2 * along[-1]).sum()))
         if len(place) >= n_given + 2:
             yield Walk(recording, np.asarray(truth.time_s), place, n_given, data / "maps" / f"{name}.geojson")
@@ -136,57 +137,23 @@ def whole(tables: Tables, arguments: argparse.Namespace) -> None:
         ]
         figures = (median_and(e, 90) for e in (alone, kept, later))
         rows.append([group, len(alone), *figures, *worse, *map(_coverage, nees)])
-    columns = ["walks", "n", "dead reckoning", "with the plan", "smoothed", "worse", "worse smoothed"]
-    columns += ["covered alone", "with the plan", "smoothed"]
+    columns = "walks | n | dead reckoning | with the plan | smoothed | worse | worse smoothed | covered alone | "
+    columns += "with the plan | smoothed"
     about = "RMSE in m: median, 90 % of walks. Worse: share of walks with more than 1.1 times the error of dead "
     about += "reckoning (expected at the end of walks that were good without by chance, from the two covariances), and "
     about += "the largest ratio. Covered: % of waypoints in the 50 and 95 % ellipses."
     tables.write("floor_plans", columns, rows, about)
 
 
-def _changed(plan: Path, how: str, walk: Walk, folder: Path) -> pdr.FloorPlan:
-    """A plan that is wrong."""
-    content: dict[str, Any] = json.loads(plan.read_text("utf-8"))
-    middle = tuple(walk.place_m.mean(axis=0))
+def _mirrored(walk: Walk, folder: Path) -> pdr.FloorPlan:
+    """The plan of a walk, mirrored at the north axis through the start."""
+    content: dict[str, Any] = json.loads(walk.plan.read_text("utf-8"))
     for feature in content["features"]:
-        shape = shapely.geometry.shape(feature["geometry"])
-        if how == "shifted by 2 m":
-            shape = translate(shape, 1.4, 1.4)
-        elif how == "turned by 5 degrees":
-            shape = rotate(shape, 5.0, origin=middle)
-        elif how == "mirrored":
-            shape = scale(shape, -1.0, 1.0, origin=tuple(walk.place_m[0]))
+        shape = scale(shapely.geometry.shape(feature["geometry"]), -1.0, 1.0, origin=tuple(walk.place_m[0]))
         feature["geometry"] = shapely.geometry.mapping(shape)
-    if how == "a door is missing":
-        i = (walk.n_given + len(walk.time_s)) // 2 - 1
-        a, b = walk.place_m[i], walk.place_m[i + 1]
-        across = np.array([a[1] - b[1], b[0] - a[0]]) / max(float(np.linalg.norm(b - a)), 1e-6)
-        ends = [(0.5 * (a + b) + k * 6.0 * across).tolist() for k in (-1, 1)]
-        wall = {"type": "LineString", "coordinates": ends}
-        content["features"].append({"type": "Feature", "properties": {"type": "wall"}, "geometry": wall})
     path = folder / "plan.geojson"
     path.write_text(json.dumps(content), encoding="utf-8")
     return pdr.FloorPlan.read(path)
-
-
-def wrong(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Plans that are off."""
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        for how in ("as drawn", "shifted by 2 m", "turned by 5 degrees", "a door is missing"):
-            row: list[object] = [how]
-            for pattern in ("_f2_", "humolire"):
-                errors, n_said = [], 0
-                for walk in walks(arguments.data, pattern):
-                    plan = _changed(walk.plan, how, walk, Path(folder))
-                    track = pdr.track(walk.recording, walk.config, fixes=walk.fixes, plan=plan)
-                    errors.append(walk.rmse_m(track))
-                    n_said += any(note.startswith("about ") for note in track.notes)
-                row += [median_and(errors, 90), f"{n_said} of {len(errors)}"]
-            rows.append(row)
-    columns = ["the plan is", "ms_indoor, F2", "contradiction noted", "humolire", "contradiction noted"]
-    about = "RMSE in m: median, 90 % of walks. Missing: a wall of 12 m across the way in its middle."
-    tables.write("floor_plans_wrong", columns, rows, about)
 
 
 def _walkable_m(plan: pdr.FloorPlan, walk: Walk, away_m: float, rng: np.random.Generator) -> FloatArray:
@@ -230,7 +197,7 @@ def contradicted(tables: Tables, arguments: argparse.Namespace) -> None:
                     if case.startswith("another"):
                         used = pdr.FloorPlan.read(walk.plan.with_name(f"{other}.geojson"))
                     elif case == "plan mirrored":
-                        used = _changed(walk.plan, "mirrored", walk, Path(folder))
+                        used = _mirrored(walk, Path(folder))
                     begun = "anywhere" if case.endswith("anywhere") else first
                     if (off := re.search(r"(\d+) m off", case)) is not None:
                         begun = replace(first, position_m=_walkable_m(plan, walk, float(off[1]), rng))
@@ -247,18 +214,16 @@ def contradicted(tables: Tables, arguments: argparse.Namespace) -> None:
                 error, std, *counts = zip(*values, strict=True)
                 rows[case].append(f"{np.median(error):.1f}, {np.median(std):.1f}")
                 rows[case] += [f"{sum(of)} of {len(of)}" for of in counts]
-    columns = ["the start or the plan"]
+    columns = "the start or the plan"
     for group in ("ms_indoor, F1 (chosen on)", "other storeys, and humolire"):
-        columns += [group, "noted", "beyond 3 deviations of the particles", "of the track"]
-    about = "Walks whose start (0.5 m) is given and whose direction is unknown, or, with right fixes, the waypoints of "
-    about += "the first fifth. Right ones of all walks, wrong ones of those of more than a minute, anywhere of every "
-    about += (
-        "second of these. Error of the end and stated deviation in m, medians; walks with a note that the start or "
+        columns += f" | {group} | noted | beyond 3 deviations of the particles | of the track"
+    about = (
+        "Walks whose start (0.5 m) is given and whose direction is unknown, or, with right fixes, the waypoints of the "
+        "first fifth. Right ones of all walks, wrong ones of those of more than a minute, anywhere of every second of "
+        "these. Error of the end and stated deviation in m, medians; walks with a note that the start or the plan is "
+        "contradicted; ends farther off than three deviations. The error in another building is that in its "
+        "coordinates."
     )
-    about += (
-        "the plan is contradicted; ends farther off than three deviations. The error in another building is that in "
-    )
-    about += "its coordinates."
     tables.write("floor_plans_contradicted", columns, list(rows.values()), about)
 
 
@@ -306,52 +271,13 @@ def start(tables: Tables, arguments: argparse.Namespace) -> None:
                 median, near, false = np.median(of_time[:, 0]), *of_time[:, 1:].mean(axis=0)
                 row += [len(of_time), f"{median:.1f}", f"{100 * near:.0f} %", f"{100 * false:.0f} %"]
             rows.append(row)
-    columns = ["walks", "given start", "n", "error after 60 s", "within 3 m", "wrong with confidence"]
-    columns += ["n", "error after 120 s", "within 3 m", "wrong with confidence"]
+    columns = "walks | given start"
+    for at_s in (60, 120):
+        columns += f" | n | error after {at_s} s | within 3 m | wrong with confidence"
     about = "Errors are medians in m, at the first waypoint after that time. Wrong with confidence: one place has 95 % "
     about += "of the particles, or there is no plan, and the truth is outside of the 95 % ellipse."
     tables.write("floor_plans_start", columns, rows, about)
 
 
-def radio(tables: Tables, arguments: argparse.Namespace) -> None:
-    """The first waypoint and the direction of the first leg: what the plan adds, and what a map of Wi-Fi.
-
-    The map is that of all other walks of the storey.
-    """
-    known = known_walks(arguments.data)
-    mapped = {walk.recording.name: map_of(others) for walk, others in left_out(known)}
-    rows = []
-    for group, pattern in GROUPS.items():
-        errors: list[list[float]] = []
-        for recorded in walks(arguments.data, pattern):
-            if recorded.recording.name not in mapped:
-                continue
-            wifi = mapped[recorded.recording.name].fixes(recorded.recording)
-            grids = mapped[recorded.recording.name].grids(recorded.recording)
-            walk = replace(recorded, n_given=1)
-            first, way = walk.fixes[0], walk.place_m[1] - walk.place_m[0]
-            given = [first, pdr.HeadingFix(first.time_s + 2.0, float(np.arctan2(*way)), 0.1)]
-            plan, recording, config = pdr.FloorPlan.read(walk.plan), walk.recording, walk.config
-            tracks = (
-                pdr.track(recording, config, fixes=given),
-                pdr.track(recording, config, fixes=given, plan=plan),
-                pdr.track(recording, config, fixes=[*given, *wifi]),
-                pdr.track(recording, config, fixes=[*given, *wifi, *grids], plan=plan),
-                pdr.smooth(recording, [*given, *wifi, *grids], config=config, plan=plan).track,
-            )
-            errors.append([walk.rmse_m(track) for track in tracks])
-        if errors:
-            alone = np.array(errors)[:, 0]
-            row: list[object] = [group, len(alone), median_and(alone, 90)]
-            for e in np.array(errors).T[1:]:
-                worse = f"{100 * np.mean(e > 1.1 * alone):.0f} %, {np.max(e / alone):.1f}"
-                row.append(f"{median_and(e, 90)} ({worse})")
-            rows.append(row)
-    names = ["dead reckoning", "+ plan", "+ radio map", "+ both", "+ both, smoothed"]
-    about = "RMSE in m at the waypoints after the first; given are the first one and the direction of the first leg."
-    more = " Median, 90 % of walks (share worse than 1.1 times dead reckoning, largest ratio)."
-    tables.write("floor_plans_radio", ["walks", "n", *names], rows, about + more)
-
-
 if __name__ == "__main__":
-    run(__doc__, whole, wrong, contradicted, start, radio)
+    run(__doc__, whole, contradicted, start)

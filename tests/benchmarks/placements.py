@@ -1,6 +1,6 @@
-"""Tracks on people, phones and placements that no model was trained on: recipes, axes, trust, speed.
+"""Tracks on people, phones and placements that no model was trained on: recipes, axes, trust.
 
-usage: python -m tests.benchmarks.placements [expected] [recipes] [corridors] [trust] [phone] [speed]
+usage: python -m tests.benchmarks.placements [expected] [recipes] [corridors] [trust] [phone]
            [--data ../shared/data]
 
 Three scalars were seen on oxiod: the step length's k is fitted to five sites of which it is one, and the limits of soft
@@ -33,13 +33,6 @@ phone: the same positions and ellipses without and with the device of another wa
 device is from the online track of that walk, or from its smoothed track with a fix of 0.5 m every twenty seconds
 (humolire: every fourth waypoint). The last column also uses the person of the smoothed track. No number was chosen on
 these walks.
-
-speed: mean smoothed speed of each leg of humolire against its length over its time (133 legs, one person). tyrex:
-smoothed speed at each step against the speed of the phone, its path low-passed at 0.5 Hz (one person; walking
-scenarios). oxiod: the same against visual odometry over a floor and motion capture in a room. The share of the scatter
-that counts as lasting was chosen on tyrex, with oxiod in view. Inside: share of the errors within one and two of the
-standard deviations that the filter gives, 0.68 and 0.95 if these are right. Those have the spread of people, of whom
-each row has one.
 """
 
 from __future__ import annotations
@@ -51,7 +44,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 from scipy.stats import chi2
 
 import pdr_filter as pdr
@@ -59,8 +51,8 @@ from pdr_filter import evaluate
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.tracking import trust_report as report
 from pdr_filter.tracking.step_statistics import is_handled, is_on_the_spot, is_unfamiliar
-from pdr_filter.values import BoolArray, FloatArray
-from tests.benchmarks.common import Tables, paths, recordings, run
+from pdr_filter.values import BoolArray, FloatArray, interpolated_rows
+from tests.benchmarks.common import Tables, places_of, recordings, run
 
 RECIPES = ("default", "guo2018", "martinelli2018", "susi2013", "tian2016", "zhou2019")
 REFERENCE_STD_M = {"humolire": 0.7, "ms_indoor": 1.0, "oxiod": 0.3, "tyrex": 0.3}
@@ -89,7 +81,7 @@ def walks(data: Path, sites: tuple[str, ...] = ("oxiod", "humolire", "ms_indoor"
             truth = recording.truth.position if site in ("oxiod", "tyrex") else recording.truth.waypoints
             if truth is None or len(truth) < 3:
                 continue
-            yield Walk(group, recording, truth.time_s, np.column_stack([truth.east_m, truth.north_m]))
+            yield Walk(group, recording, truth.time_s, places_of(truth))
 
 
 def places(walk: Walk, track: pdr.Track) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -98,8 +90,7 @@ def places(walk: Walk, track: pdr.Track) -> tuple[FloatArray, FloatArray, FloatA
     if len(when) > 300:
         inside = (track.time_s >= when[0]) & (track.time_s <= when[-1])
         times = track.time_s[inside] if inside.sum() >= 10 else np.arange(when[0], when[-1])
-        true_m = np.column_stack([np.interp(times, when, true_m[:, k]) for k in (0, 1)])
-        when = times
+        when, true_m = times, interpolated_rows(times, when, true_m)
     return when, true_m, evaluate.positions_at(track.time_s, track.position_m, when)
 
 
@@ -130,19 +121,18 @@ def distance_error(walk: Walk, track: pdr.Track) -> float:
     """Relative error of the walked distance: over straight legs, else along the continuous reference."""
     segments = walk.recording.truth.segments
     if segments is not None:
-        at_m = [evaluate.positions_at(track.time_s, track.position_m, t) for t in (segments.start_s, segments.end_s)]
-        return float(np.linalg.norm(at_m[1] - at_m[0], axis=1).sum() / segments.distance_m.sum() - 1)
+        moved_m = evaluate.moved_m(track.time_s, track.position_m, segments.start_s, segments.end_s)
+        return float(moved_m.sum() / segments.distance_m.sum() - 1)
     inside = (track.time_s >= walk.time_s[0]) & (track.time_s <= walk.time_s[-1])
     grid_s = np.arange(track.time_s[inside][0], track.time_s[inside][-1], 1.0)
-    true_m = np.column_stack([np.interp(grid_s, walk.time_s, walk.position_m[:, k]) for k in (0, 1)])
-    return float(track.step_length_m[inside].sum() / np.linalg.norm(np.diff(true_m, axis=0), axis=1).sum() - 1)
+    true_m = interpolated_rows(grid_s, walk.time_s, walk.position_m)
+    return float(track.step_length_m[inside].sum() / evaluate.path_m(true_m)[-1] - 1)
 
 
 def position_error_m(walk: Walk, track: pdr.Track) -> tuple[float, float]:
     """RMSE after alignment on the first 20 % of the path, and the length of the path."""
     _, true_m, at_m = places(walk, track)
-    path_m = float(np.linalg.norm(np.diff(true_m, axis=0), axis=1).sum())
-    return evaluate.position_rmse_m(at_m, true_m, "first"), path_m
+    return evaluate.position_rmse_m(at_m, true_m, "first"), float(evaluate.path_m(true_m)[-1])
 
 
 def expected(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -175,8 +165,8 @@ def expected(tables: Tables, arguments: argparse.Namespace) -> None:
                 len(distance),
             ]
         )
-    columns = ["phone", "steps %: mean, 90 %", "walks, people", "distance %: mean, largest"]
-    columns += ["position m: median, largest", "path m", "walks"]
+    columns = "phone | steps %: mean, 90 % | walks, people | distance %: mean, largest | position m: median, largest | "
+    columns += "path m | walks"
     tables.write("expected_accuracy", columns, lines, "Absolute errors of the default recipe.")
 
 
@@ -211,7 +201,7 @@ def corridors(tables: Tables, arguments: argparse.Namespace) -> None:
         [g, len(v), *(f"{np.median(v[:, k]):.2f}, {v[:, k].mean():.2f}" for k in range(3)), int(v[:, 3].sum())]
         for g, v in grouped(rows).items()
     ]
-    columns = ["walks of", "n", "without axes", "with", "smoothed", "sure"]
+    columns = "walks of | n | without axes | with | smoothed | sure"
     tables.write("corridors", columns, lines, "RMSE in m: median, mean.")
 
 
@@ -275,7 +265,7 @@ def trust(tables: Tables, arguments: argparse.Namespace) -> None:
         every = np.ones(len(off), dtype=bool)
         shares = percent(off, every), percent(doubted, every), percent(off, doubted), percent(doubted, off)
         lines.append([group, len(off), *shares, percent(off & ~doubted, every)])
-    columns = ["walks of", "positions", "outside", "marked", "precision", "recall", "outside and not marked"]
+    columns = "walks of | positions | outside | marked | precision | recall | outside and not marked"
     tables.write("trust", columns, lines)
 
 
@@ -284,7 +274,7 @@ def with_fixes(walk: Walk) -> pdr.Track:
     when = walk.time_s[1::4]
     if len(walk.time_s) > 300:
         when = np.arange(walk.time_s[0] + 1.0, walk.time_s[-1], 20.0)
-    at_m = np.column_stack([np.interp(when, walk.time_s, walk.position_m[:, k]) for k in (0, 1)])
+    at_m = interpolated_rows(when, walk.time_s, walk.position_m)
     fixes = [pdr.PositionFix(float(t), p, 0.25 * np.eye(2)) for t, p in zip(when, at_m, strict=True)]
     return pdr.smooth(walk.recording, fixes).track
 
@@ -315,62 +305,10 @@ def phone(tables: Tables, arguments: argparse.Namespace) -> None:
             inside, said_m2, square_m2 = np.concatenate(rows).mean(axis=0)
             cells.append(f"{np.sqrt(said_m2 / square_m2):.2f}, {100 * inside:.0f} %, {np.sqrt(square_m2):.2f}")
         lines.append([group, len(several), sum(len(rows) for rows in found[0]), *cells])
-    columns = ["walks of", "n", "positions", "no device", "device, online", "device, smoothed", "and person"]
+    columns = "walks of | n | positions | no device | device, online | device, smoothed | and person"
     about = "Standard deviation over error (RMS), share inside the 95 % ellipse, RMS error in m."
     tables.write("known_phone", columns, lines, about)
 
 
-WALKING = ("texting", "phoning", "swinging", "frontpocket", "backpocket")
-OXIOD = ("floor1_handheld", "floor1_pocket", "floor1_handbag", "room_handheld", "room_pocket")
-
-
-def on_legs(path: Path) -> list[tuple[float, float, float]]:
-    """True speed, found speed and its standard deviation of each leg."""
-    recording = pdr.read(path)
-    track = pdr.track(recording)
-    rows = []
-    for leg in recording.truth.segments:
-        inside = (track.time_s >= leg["start_s"]) & (track.time_s <= leg["end_s"])
-        if inside.sum() >= 4:
-            true = leg["distance_m"] / (leg["end_s"] - leg["start_s"])
-            rows.append((true, track.smoothed_speed_mps[inside].mean(), track.smoothed_speed_std_mps[inside].mean()))
-    return rows
-
-
-def in_the_room(path: Path) -> list[tuple[float, float, float]]:
-    """The same at each step."""
-    recording = pdr.read(path)
-    track, truth, label = pdr.track(recording), recording.truth.position, recording.truth.labels[0]
-    grid_s = np.arange(truth.time_s[0], truth.time_s[-1], 0.02)
-    place = np.column_stack([np.interp(grid_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    smooth = sosfiltfilt(butter(2, 0.5, fs=50.0, output="sos"), place, axis=0)
-    speed = np.linalg.norm(np.gradient(smooth, 0.02, axis=0), axis=1)
-    inside = (track.time_s >= label["start_s"]) & (track.time_s <= label["end_s"])
-    true = np.interp(track.time_s[inside], grid_s, speed)
-    return list(zip(true, track.smoothed_speed_mps[inside], track.smoothed_speed_std_mps[inside], strict=True))
-
-
-def row(name: str, found: list[tuple[float, float, float]]) -> list[str]:
-    """One line of the table."""
-    true, speed, std = np.array(found).T
-    error = speed - true
-    within = [np.mean(np.abs(error) <= k * std) for k in (1, 2)]
-    figures = [f"{true.mean():.2f}", f"{error.mean():+.3f}", f"{error.std():.3f}", f"{np.abs(error).mean():.3f}"]
-    return [name, str(len(error)), *figures, f"{within[0]:.2f}, {within[1]:.2f}"]
-
-
-def speed(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Walking speed against legs and continuous references."""
-    rows = [row("humolire, legs", [r for p in paths(arguments.data, "humolire") for r in on_legs(p)])]
-    for scenario in WALKING:
-        of_steps = [r for p in paths(arguments.data, "tyrex", f"*_{scenario}.zip") for r in in_the_room(p)]
-        rows.append(row(f"tyrex {scenario}, steps", of_steps))
-    for scenario in OXIOD:
-        of_steps = [r for p in paths(arguments.data, "oxiod", f"*_{scenario}*.zip") for r in in_the_room(p)]
-        rows.append(row(f"oxiod {scenario.replace('1_', ' ').replace('_', ' ')}, steps", of_steps))
-    columns = ["where", "n", "true m/s", "bias m/s", "spread m/s", "mean absolute m/s", "inside 1, 2 std"]
-    tables.write("walking_speed", columns, rows)
-
-
 if __name__ == "__main__":
-    run(__doc__, expected, recipes, corridors, trust, phone, speed)
+    run(__doc__, expected, recipes, corridors, trust, phone)

@@ -21,126 +21,130 @@ import numpy as np
 
 from tests.benchmarks.common import Tables, run
 
-T0_NS = 1_787_923_304_123_456_789
+T0_NS, T0_MS = 1_787_923_304_123_456_789, 1_574_659_531_598
+START = np.datetime64("2023-03-16T20:00:00.000", "ms")
 METADATA = "version,device name,platform,appVersion,sensors,sampleRateMs,standardisation\n3,P,android,1.64,,,false"
+MAPPING = """[time]
+column = "t"
+[accelerometer]
+columns = ["ax", "ay", "az"]
+[gyroscope]
+columns = ["gx", "gy", "gz"]
+"""
 
 
-def values(n: int, seed: int) -> Iterator[tuple[int, list[float]]]:
-    """Row number and three numbers with the digits of a real phone (float32 written as double)."""
+def values(n: int, seed: int) -> Iterator[list[float]]:
+    """Three numbers for each row, with the digits of a real phone (float32 written as double)."""
     rng = np.random.default_rng(seed)
     for first in range(0, n, 100_000):
         block = rng.normal(size=(min(100_000, n - first), 3)).astype(np.float32).astype(float)
         block[:, 2] += 9.81 if seed == 0 else 0.0
-        yield from enumerate(block.tolist(), first)
+        yield from block.tolist()
+
+
+# Rows of the formats. x, y, z and a, b, c are the values of the sensors, u, v, w the acceleration of the user in g, t
+# is the time in s, and ns, ms, date, late are the times of apps that begin elsewhere.
+SENSOR_LOGGER_ROW = "{ns},{t:.9f},{z!r},{y!r},{x!r}\n"
+JSON_ROW = ',{{"sensor":"SENSOR","time":"{ns}","seconds_elapsed":"{t:.6f}","z":"{z!r}","y":"{y!r}","x":"{x!r}"}}'
+PHYPHOX = '"Time (s)","{0} x ({1})","{0} y ({1})","{0} z ({1})"\n'
+CORE_MOTION = [f"{group}.{axis}" for group in ("gravity", "rotationRate", "userAcceleration") for axis in "xyz"]
+# Folders with a file for each sensor: names and headers of the files, a row, and a further file.
+FOLDERS = {
+    "own": (
+        dict.fromkeys(("accelerometer.csv", "gyroscope.csv"), "time_s,x,y,z\n"),
+        "{t:.6f},{x:.7g},{y:.7g},{z:.7g}\n",
+        {"meta.json": "{}"},
+    ),
+    "sensor_logger": (
+        dict.fromkeys(("TotalAcceleration.csv", "Gyroscope.csv"), "time,seconds_elapsed,z,y,x\n"),
+        SENSOR_LOGGER_ROW,
+        {"Metadata.csv": METADATA},
+    ),
+    "phyphox": (
+        {
+            "Accelerometer.csv": PHYPHOX.format("Acceleration", "m/s^2"),
+            "Gyroscope.csv": PHYPHOX.format("Gyroscope", "rad/s"),
+        },
+        "{t:.9E},{x:.9E},{y:.9E},{z:.9E}\n",
+        {},
+    ),
+    "table": (  # of MATLAB Mobile, with dates
+        {f"{sensor}.csv": f"{sensor}_Timestamp,X,Y,Z\n" for sensor in ("Acceleration", "AngularVelocity")},
+        "{date},{x:.7g},{y:.7g},{z:.7g}\n",
+        {},
+    ),
+}
+# Files with both sensors: suffix, header and a row.
+FILES = {
+    "get_sensor_data": (
+        ".txt",
+        "",
+        "ACCE;{t:.3f};{late:.6f};{x!r};{y!r};{z!r};3\nGYRO;{t:.3f};{late:.6f};{a!r};{b!r};{c!r};3\n",
+    ),
+    "indoor_location": (
+        ".txt",
+        "",
+        "{ms}\tTYPE_ACCELEROMETER\t{x!r}\t{y!r}\t{z!r}\t3\n{ms}\tTYPE_GYROSCOPE\t{a!r}\t{b!r}\t{c!r}\t3\n",
+    ),
+    "core_motion": (
+        ".csv",
+        ",".join(["timestamp", *CORE_MOTION]) + "\n",
+        "{t:.6f},0.0,0.0,-1.0,{a!r},{b!r},{c!r},{u:.9g},{v:.9g},{w:.9g}\n",
+    ),
+    "generic_csv": (".csv", "t,ax,ay,az,gx,gy,gz\n", "{t:.6f},{x!r},{y!r},{z!r},{a!r},{b!r},{c!r}\n"),
+}
+FORMATS = (*FOLDERS, *FILES, "sensor_logger_json", "ronin")
+
+
+def rows(row: str, rate_hz: float, first: Iterator[list[float]], second: Iterator[list[float]]) -> Iterator[str]:
+    """Rows of a file with the values of one or of two sensors."""
+    for i, ((x, y, z), (a, b, c)) in enumerate(zip(first, second, strict=True)):
+        t = i / rate_hz
+        known = {"t": t, "ns": T0_NS + round(t * 1e9), "ms": T0_MS + round(1000 * t), "late": t + 9e3}
+        if "{date}" in row:
+            at = str(START + round(1000 * t))
+            known["date"] = f"{at[8:10]}-Mar-2023 {at[11:]}"
+        yield row.format(x=x, y=y, z=z, a=a, b=b, c=c, u=x / 99, v=y / 99, w=(z - 9.81) / 99, **known)
 
 
 def write(name: str, folder: Path, n: int, rate_hz: float) -> Path:
     """One recording of n rows a stream in the format, and its path."""
-    dt = 1 / rate_hz
-    path = folder / name
-    if name in ("own", "sensor_logger"):
+    if name in FOLDERS:
+        headers, row, others = FOLDERS[name]
+        path = folder / name
         path.mkdir()
-        files = {"own": ("accelerometer", "gyroscope"), "sensor_logger": ("TotalAcceleration", "Gyroscope")}[name]
-        for seed, file in enumerate(files):
-            with (path / f"{file}.csv").open("w") as out:
-                if name == "own":
-                    out.write("time_s,x,y,z\n")
-                    out.writelines(f"{i * dt:.6f},{x:.7g},{y:.7g},{z:.7g}\n" for i, (x, y, z) in values(n, seed))
-                else:
-                    out.write("time,seconds_elapsed,z,y,x\n")
-                    out.writelines(
-                        f"{T0_NS + i * round(dt * 1e9)},{i * dt:.9f},{z!r},{y!r},{x!r}\n"
-                        for i, (x, y, z) in values(n, seed)
-                    )
-        (path / ("meta.json" if name == "own" else "Metadata.csv")).write_text("{}" if name == "own" else METADATA)
+        for seed, (file, header) in enumerate(headers.items()):
+            with (path / file).open("w") as out:
+                out.write(header)
+                out.writelines(rows(row, rate_hz, values(n, seed), values(n, seed)))
+        for file, text in others.items():
+            (path / file).write_text(text)
+    elif name in FILES:
+        suffix, header, row = FILES[name]
+        path = folder / f"{name}{suffix}"
+        with path.open("w") as out:
+            out.write(header)
+            out.writelines(rows(row, rate_hz, values(n, 0), values(n, 1)))
+        if name == "generic_csv":
+            path.with_suffix(".toml").write_text(MAPPING)
     elif name == "sensor_logger_json":
-        path = path.with_suffix(".json")
+        path = folder / f"{name}.json"
         with path.open("w") as out:
             out.write('[{"sensor":"Metadata","platform":"android","standardisation":"false"}')
             for seed, sensor in enumerate(("TotalAcceleration", "Gyroscope")):
-                out.writelines(
-                    f',{{"sensor":"{sensor}","time":"{T0_NS + i * round(dt * 1e9)}","seconds_elapsed":"{i * dt:.6f}",'
-                    f'"z":"{z!r}","y":"{y!r}","x":"{x!r}"}}'
-                    for i, (x, y, z) in values(n, seed)
-                )
+                row = JSON_ROW.replace("SENSOR", sensor)
+                out.writelines(rows(row, rate_hz, values(n, seed), values(n, seed)))
             out.write("]")
-    elif name == "phyphox":
-        path.mkdir()
-        for seed, (file, word, unit) in enumerate(
-            (("Accelerometer", "Acceleration", "m/s^2"), ("Gyroscope", "Gyroscope", "rad/s"))
-        ):
-            with (path / f"{file}.csv").open("w") as out:
-                out.write('"Time (s)",' + ",".join(f'"{word} {axis} ({unit})"' for axis in "xyz") + "\n")
-                out.writelines(f"{i * dt:.9E},{x:.9E},{y:.9E},{z:.9E}\n" for i, (x, y, z) in values(n, seed))
-    elif name in ("get_sensor_data", "indoor_location"):
-        path = path.with_suffix(".txt")
-        with path.open("w") as out:
-            for (i, (x, y, z)), (_, (a, b, c)) in zip(values(n, 0), values(n, 1), strict=True):
-                t = i * dt
-                if name == "get_sensor_data":
-                    out.write(
-                        f"ACCE;{t:.3f};{t + 9e3:.6f};{x!r};{y!r};{z!r};3\n"
-                        f"GYRO;{t:.3f};{t + 9e3:.6f};{a!r};{b!r};{c!r};3\n"
-                    )
-                else:
-                    ms = 1_574_659_531_598 + round(1000 * t)
-                    out.write(
-                        f"{ms}\tTYPE_ACCELEROMETER\t{x!r}\t{y!r}\t{z!r}\t3\n{ms}\tTYPE_GYROSCOPE\t{a!r}\t{b!r}\t{c!r}\t3\n"
-                    )
-    elif name == "core_motion":
-        path = path.with_suffix(".csv")
-        groups = ("gravity", "rotationRate", "userAcceleration")
-        with path.open("w") as out:
-            out.write("timestamp," + ",".join(f"{group}.{axis}" for group in groups for axis in "xyz") + "\n")
-            for (i, (x, y, z)), (_, (a, b, c)) in zip(values(n, 0), values(n, 1), strict=True):
-                out.write(
-                    f"{i * dt:.6f},0.0,0.0,-1.0,{a!r},{b!r},{c!r},{x / 99:.9g},{y / 99:.9g},{(z - 9.81) / 99:.9g}\n"
-                )
-    elif name == "generic_csv":
-        path = path.with_suffix(".csv")
-        with path.open("w") as out:
-            out.write("t,ax,ay,az,gx,gy,gz\n")
-            for (i, (x, y, z)), (_, (a, b, c)) in zip(values(n, 0), values(n, 1), strict=True):
-                out.write(f"{i * dt:.6f},{x!r},{y!r},{z!r},{a!r},{b!r},{c!r}\n")
-        path.with_suffix(".toml").write_text(
-            '[time]\ncolumn = "t"\n[accelerometer]\ncolumns = ["ax", "ay", "az"]\n'
-            '[gyroscope]\ncolumns = ["gx", "gy", "gz"]\n'
-        )
-    elif name == "table":  # of MATLAB Mobile, with dates
-        path.mkdir()
-        start = np.datetime64("2023-03-16T20:00:00.000", "ms")
-        for seed, sensor in enumerate(("Acceleration", "AngularVelocity")):
-            with (path / f"{sensor}.csv").open("w") as out:
-                out.write(f"{sensor}_Timestamp,X,Y,Z\n")
-                for i, (x, y, z) in values(n, seed):
-                    at = str(start + round(1000 * i * dt))
-                    out.write(f"{at[8:10]}-Mar-2023 {at[11:]},{x:.7g},{y:.7g},{z:.7g}\n")
-    elif name == "ronin":
+    else:
         import h5py
 
-        path = path.with_suffix(".hdf5")
+        path = folder / f"{name}.hdf5"
         rng = np.random.default_rng(0)
         with h5py.File(path, "w") as file:
-            file["synced/time"] = np.arange(n) * dt
+            file["synced/time"] = np.arange(n) / rate_hz
             file["synced/acce"] = rng.normal(size=(n, 3)) + np.array([0, 0, 9.81])
             file["synced/gyro"] = rng.normal(size=(n, 3))
-    else:
-        raise SystemExit(f"unknown format {name}")
     return path
-
-
-FORMATS = (
-    "own",
-    "sensor_logger",
-    "sensor_logger_json",
-    "phyphox",
-    "get_sensor_data",
-    "indoor_location",
-    "core_motion",
-    "table",
-    "generic_csv",
-    "ronin",
-)
 
 
 def reading(tables: Tables, arguments: argparse.Namespace) -> None:

@@ -1,9 +1,9 @@
 """Sensors that are missing, stop, stick, begin late, are noisy or rounded, or have a late clock: errors and notes.
 
-usage: python -m tests.benchmarks.sensor_faults [simulated] [recordings] [--walks 4] [--data ../shared/data] [--print]
+usage: python -m tests.benchmarks.sensor_faults [--walks 4] [--print]
 
-simulated: walks over three storeys, of people whose step lengths and cadences vary more than the filter expects, in
-four carrying modes. recordings: real walks with surveyed points.
+Simulated walks over three storeys, of people whose step lengths and cadences vary more than the filter expects, in four
+carrying modes.
 
 Each sensor is judged where it matters. Accelerometer, gyroscope and barometer are judged without locations and with a
 known start, the magnetometer with `north="magnetic"`, and locations with all other sensors.
@@ -15,8 +15,8 @@ import argparse
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import repeat
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +28,6 @@ from pdr_filter.simulate.gait import STOREY_HEIGHT_M
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray, Samples
 from pdr_filter.values.recording import Recording
-from pdr_filter.values.rigid_fit import rigid_fit
 from tests.benchmarks.common import Tables, run
 
 CARRYING_MODES = ("texting", "pocket", "swinging", "calling")
@@ -46,11 +45,6 @@ WORDS = {
     "barometer": ("barometer", "pressure"),
     "location": ("location", "fixes"),
 }
-REAL = (
-    "ipin2023/ipin2023_anon_trial51_rep02.zip",
-    "ipin2023/ipin2023_anon_trial02_rep01.zip",
-    "humolire/humolire_user1_3r.zip",
-)
 UNIT = {"accelerometer": "m/s2", "gyroscope": "rad/s", "magnetometer": "uT", "barometer": "hPa", "location": "degrees"}
 
 
@@ -131,13 +125,8 @@ class Walk:
     place_m: FloatArray  # (N, 2) from the start
     height_m: FloatArray  # (N,) above the start
     floor: FloatArray  # (N,) from the start, NaN on stairs
-    distance_m: float  # NaN if it is not known
-    start_heading_rad: float | None = None
-
-    @property
-    def is_exact(self) -> bool:
-        """True if the truth is known at all times: surveyed points are too few for distances and directions."""
-        return self.start_heading_rad is not None
+    distance_m: float
+    start_heading_rad: float
 
     def options(self, sensor: str) -> dict[str, Any]:
         """Return the arguments of `track` with which a sensor is judged."""
@@ -145,7 +134,7 @@ class Walk:
             return {"gnss": "filter"}
         if sensor == "magnetometer":
             return {"north": "magnetic", "gnss": "off"}
-        return {"gnss": "off"} if self.start_heading_rad is None else {"heading_rad": self.start_heading_rad}
+        return {"heading_rad": self.start_heading_rad}
 
 
 def simulated_walk(seed: int, carrying_mode: str | None = None, legs: Sequence[Leg] | None = None) -> Walk:
@@ -201,24 +190,6 @@ def simulated_walk(seed: int, carrying_mode: str | None = None, legs: Sequence[L
     )
 
 
-def real_walk(path: Path) -> Walk:
-    """Return a recording with its surveyed points."""
-    recording = pdr.read(path)
-    points = recording.truth.waypoints
-    assert points is not None
-    place_m, floor = np.column_stack([points.east_m, points.north_m]), np.asarray(points.floor, dtype=float)
-    heights = recording.meta.get("floor_heights_m", {})
-    height_m = np.array([float(heights.get(str(int(f)), 0.0)) for f in floor])
-    return Walk(
-        recording,
-        np.asarray(points.time_s),
-        place_m - place_m[0],
-        height_m - height_m[0],
-        floor - floor[0],
-        np.nan,
-    )
-
-
 # --- figures ----------------------------------------------------------------------------------------------------------
 
 
@@ -241,34 +212,25 @@ def figures(walk: Walk, track: Track, without: Track, sensor: str) -> Figures:
     """Return the errors of a track; `without` is the track without the fault."""
     if track.n_steps < 2:
         return Figures(-100.0, *(6 * [np.nan]), track.notes)
-
-    def at_points(of: Track) -> FloatArray:
-        place_m = evaluate.positions_at(of.time_s, of.position_m, walk.time_s, of.start_position_m)
-        if sensor != "location" or of.origin is None:
-            return place_m
-        return place_m + HERE.east_north_m(of.origin.latitude_deg, of.origin.longitude_deg)
-
-    found_m, true_m, cov = at_points(track), walk.place_m, track.position_cov_m2[-1]
-    if not walk.is_exact:  # neither north nor the origin of the points is known
-        rotation, shift_m = rigid_fit(at_points(without), true_m)
-        found_m, cov = found_m @ rotation.T + shift_m, rotation @ cov @ rotation.T
-    error_m = found_m[-1] - true_m[-1]
+    found_m, cov = (
+        evaluate.positions_at(track.time_s, track.position_m, walk.time_s, track.start_position_m),
+        track.position_cov_m2[-1],
+    )
+    if sensor == "location" and track.origin is not None:
+        found_m += HERE.east_north_m(track.origin.latitude_deg, track.origin.longitude_deg)
+    error_m = found_m[-1] - walk.place_m[-1]
     late = walk.time_s[1:] > walk.time_s.mean()
-    compared_m, distance_m = true_m, walk.distance_m
-    if not walk.is_exact:
-        compared_m, distance_m = at_points(without) @ rotation.T + shift_m, without.distance_m
-    moved, truly = (np.diff(m, axis=0)[late] @ [1, 1j] for m in (found_m, compared_m))
+    moved, truly = (np.diff(m, axis=0)[late] @ [1, 1j] for m in (found_m, walk.place_m))
     k = np.clip(np.searchsorted(track.time_s, walk.time_s, side="right") - 1, 0, track.n_steps - 1)
     level = np.isfinite(walk.floor)
-    off = 0 if walk.is_exact else track.floor[k[0]]
     return Figures(
-        100 * (track.distance_m / distance_m - 1),
+        100 * (track.distance_m / walk.distance_m - 1),
         float(np.linalg.norm(error_m)),
         float(track.position_std_m[-1]),
         float(np.degrees(np.angle(np.vdot(truly, moved)))),
         float(track.height_m[k[-1]] - walk.height_m[-1]),
         float(track.height_std_m[k[-1]]),
-        float(np.mean((track.floor[k] - off)[level] == walk.floor[level])),
+        float(np.mean(track.floor[k][level] == walk.floor[level])),
         tuple(note for note in track.notes if note not in without.notes),
         float(error_m @ np.linalg.solve(cov, error_m)),
     )
@@ -321,58 +283,31 @@ def cells(walks: Sequence[Walk], sensor: str, fault: str) -> list[object]:
     ]
 
 
-_without: dict[tuple[int, str, bool], Track] = {}
-
-
+@cache
 def without(walk: Walk, sensor: str, of: Callable[..., Track]) -> Track:
     """Return the track of a walk without a fault."""
-    key = id(walk), str(walk.options(sensor)), of is smoothed
-    if key not in _without:
-        _without[key] = of(walk.recording, **walk.options(sensor))
-    return _without[key]
-
-
-COLUMNS = [
-    "sensor and fault",
-    "distance, %",
-    "smoothed",
-    "end, m (stated)",
-    "smoothed",
-    "direction, degrees",
-    "smoothed",
-    "height, m (stated)",
-    "storey right, %",
-    "first note on it",
-]
+    return of(walk.recording, **walk.options(sensor))
 
 
 def rows_of_sensor(walks: Sequence[Walk], sensor: str) -> list[list[object]]:
     """Return the rows of one sensor."""
-    having = [walk for walk in walks if sensor in walk.recording.streams]
     # no recording is without an accelerometer
     faults = [f for f in ("no fault", *FAULTS) if (sensor, f) != ("accelerometer", "missing")]
-    return [[name_of(sensor, fault), *cells(having, sensor, fault)] for fault in faults]
-
-
-def rows_of(walks: Sequence[Walk]) -> list[list[object]]:
-    """Return the rows of all sensors and faults, computed by a process for each sensor."""
-    with ProcessPoolExecutor(len(NOISE)) as pool:
-        return [row for rows in pool.map(rows_of_sensor, repeat(walks), NOISE) for row in rows]
+    return [[name_of(sensor, fault), *cells(walks, sensor, fault)] for fault in faults]
 
 
 def simulated(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Table of simulated walks."""
-    rows = rows_of([simulated_walk(seed) for seed in range(arguments.walks)])
+    """One row for each sensor and fault; a process for each sensor."""
+    walks = [simulated_walk(seed) for seed in range(arguments.walks)]
+    with ProcessPoolExecutor(len(NOISE)) as pool:
+        rows = [row for rows in pool.map(rows_of_sensor, repeat(walks), NOISE) for row in rows]
+    columns = (
+        "sensor and fault | distance, % | smoothed | end, m (stated) | smoothed | direction, degrees | smoothed | "
+    )
+    columns += "height, m (stated) | storey right, % | first note on it"
     about = f"{arguments.walks} simulated walks: medians of absolute errors; outside are more than three deviations."
-    tables.write("sensor_faults_simulated", COLUMNS, rows, about)
-
-
-def recordings(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Table of real walks."""
-    rows = rows_of([real_walk(arguments.data / name) for name in REAL])
-    about = f"{len(REAL)} real walks; distances and directions are compared with the track without the fault."
-    tables.write("sensor_faults_recordings", COLUMNS, rows, about)
+    tables.write("sensor_faults_simulated", columns, rows, about)
 
 
 if __name__ == "__main__":
-    run(__doc__, simulated, recordings, walks=4)
+    run(__doc__, simulated, walks=4)

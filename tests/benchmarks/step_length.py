@@ -1,10 +1,7 @@
-"""Every step-length model on walks and sites that it has not seen, and the fit of Zhou's model.
+"""Every step-length model on sites that it has not seen, and the fit of Zhou's model.
 
-usage: python -m tests.benchmarks.step_length [walks] [sites] [places] [slow] [zhou] [--data ../shared/data]
+usage: python -m tests.benchmarks.step_length [sites] [places] [slow] [zhou] [--data ../shared/data]
 
-walks   humolire, one walk left out of 9: parameters from the straight legs of the others, error of the legs' sum and of
-        each leg. Fitted and scored by displacement (length of the sum of the step vectors of a leg), and, for
-        comparison, by the sum of the step lengths.
 sites   bias and spread of the recordings of each left-out site, and the RMS of a recording of any site, sites alike.
         "Chosen by the others" takes for each site the model that is best on the other sites, each of those left out.
         People: RMS of the mean error of each (of a walk, where surveyors are not named). After five segments: the
@@ -16,7 +13,8 @@ slow    the default on slow to normal walks of one person with a phone in the ha
         of 2.5 m and more certainly does. Its number of strides is its length over 1.2 m, rounded. "As they come" takes
         each row for one stride. "Longer when slow" multiplies steps below 1.1 steps/s by sqrt(1.1 / f).
 zhou    parameters of Zhou's two-segment model M7 for the `zhou2019` recipe; the paper prints none. Carried phone: by
-        displacement on the legs of humolire and ms_indoor, with the steps of the recipe's own detector. Foot: on
+        displacement (length of the sum of the step vectors) on the legs of humolire and ms_indoor, with the steps of
+        the recipe's own detector, sites alike, outlying legs lightly. Foot: on
         pyshoe, the sum of the step lengths of each trial against the way of the foot between its stances (motion
         capture); every other trial is left out and scored.
 
@@ -42,17 +40,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
-from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
+from pdr_filter import evaluate
 from pdr_filter.filter.step_length import models as models
-from pdr_filter.filter.step_length.models import BounceStepLength, StepLengthModel, bounce_fit, length_and_jacobian
+from pdr_filter.filter.step_length.models import (
+    BounceStepLength,
+    LinearStepLengthModel,
+    StepLengthModel,
+    bounce_fit,
+    length_and_jacobian,
+)
 from pdr_filter.recipes.zhou2019 import contexts as behaviours
 from pdr_filter.recipes.zhou2019 import steps as zhou_steps
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import Step, steps_of
-from tests.benchmarks.common import Tables, bias_spread_rms, paths, run
+from tests.benchmarks.common import Tables, bias_spread_rms, paths, run, way_of
 
 FloatArray = NDArray[np.float64]
 UNKNOWN_HEIGHT_M = 1.70
@@ -63,198 +67,6 @@ LEG_STD_M = 0.35
 TERM_STD_M = 0.7
 TYPICAL = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
 CHEN_PRIOR = np.array([0.371, 0.227, 1.0]), np.array([0.3, 0.3, 0.3])
-
-MODELS: dict[str, Callable[[float], StepLengthModel]] = {
-    "static k h": models.StaticStepLength,
-    "M1 k0 + k1 f": lambda h: models.FrequencyStepLength(),
-    "M2, Martinelli k0 + k1 f + k2 var": lambda h: models.FrequencyVarianceStepLength(),
-    "M3 k0 + k1/f + k2 max": lambda h: models.PeriodPeakStepLength(),
-    "Weinberg k range^1/4": lambda h: models.WeinbergStepLength(),
-    "M4 k range(magnitude)^1/4": lambda h: models.MagnitudeRangeStepLength(),
-    "M5, Tian k h sqrt f": models.TianStepLength,
-    "M6, Kim k cbrt(mean abs)": lambda h: models.KimStepLength(),
-    "M7 k0 + k1/f + k2/sqrt f + k3 max": lambda h: models.ZhouWalkingStepLength(),
-    "Chen a, b, c": models.ChenStepLength,
-    "k h A^1/4": lambda h: models.BounceStepLength(h),
-}
-
-
-@dataclass(frozen=True, eq=False)
-class Leg:
-    """Steps between two landmarks and how far these are apart."""
-
-    site: str
-    walk: str
-    height_m: float
-    distance_m: float
-    steps: tuple[Step, ...]
-    part: FloatArray  # (n,) of each step that is inside
-    heading_rad: FloatArray  # (n,)
-
-
-def lengths(model: StepLengthModel, leg: Leg, theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lengths (n,) of the parts of the steps inside a leg, and their derivative (n, p)."""
-    pairs = [length_and_jacobian(model, step, theta) for step in leg.steps]
-    return leg.part * np.array([p[0] for p in pairs]), leg.part[:, None] * np.array([p[1] for p in pairs])
-
-
-def displacement(model: StepLengthModel, leg: Leg, theta: FloatArray) -> tuple[float, FloatArray]:
-    """Length of the sum of the step vectors and its derivative (p,)."""
-    length, jacobian = lengths(model, leg, theta)
-    along = np.stack([np.sin(leg.heading_rad), np.cos(leg.heading_rad)])
-    vector = along @ length
-    distance = float(np.hypot(*vector))
-    return distance, vector @ (along @ jacobian) / distance
-
-
-def summed(model: StepLengthModel, leg: Leg, theta: FloatArray) -> tuple[float, FloatArray]:
-    """Sum of the step lengths and its derivative (p,)."""
-    length, jacobian = lengths(model, leg, theta)
-    return float(length.sum()), jacobian.sum(axis=0)
-
-
-Measure = Callable[[StepLengthModel, Leg, FloatArray], tuple[float, FloatArray]]
-
-
-def fit(make: Callable[[float], StepLengthModel], legs: list[Leg], measure: Measure) -> FloatArray:
-    """Theta (p,): sites weigh alike, outlying legs little (soft L1)."""
-    count = {site: sum(leg.site == site for leg in legs) for site in {leg.site for leg in legs}}
-    weight = np.array([np.sqrt(100 / count[leg.site]) / LEG_STD_M for leg in legs])
-    model = make(UNKNOWN_HEIGHT_M)
-    if isinstance(model, models.ChenStepLength):
-        mean, std = CHEN_PRIOR
-    else:
-        _, terms = length_and_jacobian(model, TYPICAL, np.ones(model.n_params))
-        std = TERM_STD_M / terms
-        mean = std * (np.arange(len(terms)) == 0)
-
-    def both(theta: FloatArray) -> list[tuple[float, FloatArray]]:
-        return [measure(make(leg.height_m), leg, theta) for leg in legs]
-
-    def residuals(theta: FloatArray) -> FloatArray:
-        error = np.array([d - leg.distance_m for (d, _), leg in zip(both(theta), legs, strict=True)])
-        return np.concatenate([weight * error, (theta - mean) / std])
-
-    def jacobian(theta: FloatArray) -> FloatArray:
-        return np.concatenate([weight[:, None] * np.array([j for _, j in both(theta)]), np.diag(1 / std)])
-
-    return np.asarray(least_squares(residuals, mean, jac=jacobian, loss="soft_l1", x_scale=std).x)
-
-
-def errors(
-    make: Callable[[float], StepLengthModel], legs: list[Leg], theta: FloatArray, measure: Measure
-) -> FloatArray:
-    """Predicted and true metres of each leg, (n, 2)."""
-    return np.array([(measure(make(leg.height_m), leg, theta)[0], leg.distance_m) for leg in legs])
-
-
-def walks_of(legs: list[Leg]) -> dict[str, list[Leg]]:
-    """Legs by walk."""
-    found: dict[str, list[Leg]] = defaultdict(list)
-    for leg in legs:
-        found[leg.walk].append(leg)
-    return found
-
-
-# --- reading --------------------------------------------------------------------------------------------------------
-
-
-def steps_in(recording: pdr.Recording) -> Sequence[Step]:
-    """Steps of the default detector."""
-    return steps_of(pdr.detect_steps(recording))
-
-
-def height_of(recording: pdr.Recording) -> float:
-    """Height of the person, or the usual one."""
-    return recording.subject.height_m or UNKNOWN_HEIGHT_M
-
-
-def legs_between_landmarks(path: Path, detected: Callable[[pdr.Recording], Sequence[Step]] = steps_in) -> list[Leg]:
-    """Legs of a walk of humolire or ms_indoor with at least four steps."""
-    recording = pdr.read(path)
-    site = str(recording.meta["dataset"])
-    steps = detected(recording)
-    end = np.array([s.time_s for s in steps])
-    duration = np.array([s.duration_s for s in steps])
-    legs: list[Leg] = []
-    for start_s, end_s, distance_m in stretches(recording, site):
-        part = np.clip((np.minimum(end, end_s) - np.maximum(end - duration, start_s)) / duration, 0, 1)
-        used = np.flatnonzero(part > 0)
-        if part.sum() >= 4:
-            own = tuple(steps[i] for i in used)
-            heading = np.array([s.device_heading_rad for s in own])
-            legs.append(Leg(site, recording.name, height_of(recording), distance_m, own, part[used], heading))
-    return legs
-
-
-def stretches(recording: pdr.Recording, site: str) -> list[tuple[float, float, float]]:
-    """Start, end and length of the stretches between landmarks."""
-    if site == "humolire":
-        segments = recording.truth.segments
-        return [(float(s["start_s"]), float(s["end_s"]), float(s["distance_m"])) for s in segments]
-    points = recording.truth.waypoints
-    distance = np.hypot(np.diff(points.east_m), np.diff(points.north_m))
-    pairs = zip(points.time_s[:-1], points.time_s[1:], distance, strict=True)
-    return [(float(a), float(b), float(d)) for a, b, d in pairs if d > 4.0]
-
-
-@dataclass(frozen=True, eq=False)
-class Route:
-    """One walk of the one route of ubicomp13."""
-
-    person: str
-    place: str
-    height_m: float
-    n_steps: float  # counted on video
-    steps: tuple[Step, ...]  # found
-
-
-def route_of(path: Path) -> Route:
-    """A walk of ubicomp13."""
-    recording = pdr.read(path)
-    walk = recording.truth.segments[0]
-    inside = [s for s in steps_in(recording) if walk["start_s"] + 0.3 < s.time_s < walk["end_s"] + 0.3]
-    _, person, _, place = path.stem.split("_", 3)
-    return Route(person, place, height_of(recording), float(walk["n_steps"]), tuple(inside))
-
-
-# --- tables ---------------------------------------------------------------------------------------------------------
-
-
-def walks(tables: Tables, arguments: argparse.Namespace) -> None:
-    """One walk of humolire left out of nine."""
-    legs = [leg for p in paths(arguments.data, "humolire") for leg in legs_between_landmarks(p)]
-    rows = []
-    by_walk = walks_of(legs)
-    for name, make in MODELS.items():
-        row = [name, str(make(UNKNOWN_HEIGHT_M).n_params)]
-        for measure in (displacement, summed):
-            total: list[float] = []
-            one: list[float] = []
-            for walk, own in by_walk.items():
-                theta = fit(make, [leg for leg in legs if leg.walk != walk], measure)
-                predicted, true = errors(make, own, theta, measure).T
-                total.append(100 * (predicted.sum() / true.sum() - 1))
-                one += list(100 * (predicted / true - 1))
-            t, o = np.array(total), np.array(one)
-            row.append(f"{np.sqrt((t**2).mean()):.2f}")
-            row += [f"{t.mean():+.2f}", f"{t.std():.2f}"] if measure is displacement else []
-            row.append(f"{np.sqrt((o**2).mean()):.2f}")
-        rows.append(row)
-    columns = ["model", "p", "total %RMSE", "bias %", "spread %", "leg %RMSE"]
-    about = f"humolire, {len(by_walk)} walks, {len(legs)} legs, {sum(leg.distance_m for leg in legs):.0f} m."
-    columns += ["summed: total %RMSE", "summed: leg %RMSE"]
-    tables.write("step_length_walk_left_out", columns, rows, about)
-
-
-SITES = ("humolire", "ms_indoor", "oxiod", "tyrex", "ipol", "ipin21")
-NEVER_FITTED = "ipin21"
-LOG_STD = 0.1  # of the distance of a recording about a model of strangers
-SHORTEST_M = 15.0  # of the distance of a recording
-STRETCH_STEPS = 8
-SEGMENT_M, N_SEGMENTS = 20.0, 5
-# People, and one person's segments of 20 m, about the model: how far five of them are believed.
-PEOPLE_STD, SEGMENT_STD = 0.07, 0.06
 
 
 # --- models with an offset, and today's form with the cadence ---------------------------------------------------------
@@ -284,12 +96,84 @@ class WithCadence:
         return BounceStepLength(self.height_m).regressors(step) * min(max(step.frequency_hz, 1.2), 2.4) ** 0.25
 
 
-ALL: dict[str, Callable[[float], StepLengthModel]] = {
-    **MODELS,
+M1, M6, M7 = "M1 k0 + k1 f", "M6, Kim k cbrt(mean abs)", "M7 k0 + k1/f + k2/sqrt f + k3 max"
+Make = Callable[[float], StepLengthModel]  # the model of a person of a height, m
+MODELS: dict[str, Make] = {
+    "static k h": models.StaticStepLength,
+    M1: lambda h: models.FrequencyStepLength(),
+    "M2, Martinelli k0 + k1 f + k2 var": lambda h: models.FrequencyVarianceStepLength(),
+    "M3 k0 + k1/f + k2 max": lambda h: models.PeriodPeakStepLength(),
+    "Weinberg k range^1/4": lambda h: models.WeinbergStepLength(),
+    "M4 k range(magnitude)^1/4": lambda h: models.MagnitudeRangeStepLength(),
+    "M5, Tian k h sqrt f": models.TianStepLength,
+    M6: lambda h: models.KimStepLength(),
+    M7: lambda h: models.ZhouWalkingStepLength(),
+    "Chen a, b, c": models.ChenStepLength,
+    "k h A^1/4": models.BounceStepLength,
     "Kim with offset k0 + k1 cbrt(mean abs)": lambda h: WithOffset(lambda s: float(np.cbrt(s.mean_abs_mps2))),
     "k0 + k1 A^1/3": lambda h: WithOffset(lambda s: float(np.cbrt(s.vertical_amplitude_mps2))),
     "k h (f A)^1/4": WithCadence,
 }
+
+
+# --- reading --------------------------------------------------------------------------------------------------------
+
+
+def steps_in(recording: pdr.Recording) -> Sequence[Step]:
+    """Steps of the default detector."""
+    return steps_of(pdr.detect_steps(recording))
+
+
+def height_of(recording: pdr.Recording) -> float:
+    """Height of the person, or the usual one."""
+    return recording.subject.height_m or UNKNOWN_HEIGHT_M
+
+
+def landmarks(recording: pdr.Recording) -> list[tuple[float, float, float]]:
+    """Start, end and length of the straight legs, or between waypoints more than 4 m apart."""
+    segments, points = recording.truth.segments, recording.truth.waypoints
+    if segments is not None:
+        return [(float(s["start_s"]), float(s["end_s"]), float(s["distance_m"])) for s in segments]
+    apart = np.hypot(np.diff(points.east_m), np.diff(points.north_m)).tolist()
+    pairs = zip(points.time_s[:-1].tolist(), points.time_s[1:].tolist(), apart, strict=True)
+    return [pair for pair in pairs if pair[2] > 4.0]
+
+
+def shares(steps: Sequence[Step], start_s: float, end_s: float) -> FloatArray:
+    """Part of each step (n,) that is inside a time."""
+    end = np.array([s.time_s for s in steps])
+    duration = np.array([s.duration_s for s in steps])
+    return np.clip((np.minimum(end, end_s) - np.maximum(end - duration, start_s)) / duration, 0, 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """One walk of the one route of ubicomp13."""
+
+    person: str
+    place: str
+    height_m: float
+    n_steps: float  # counted on video
+    steps: tuple[Step, ...]  # found
+
+
+def route_of(path: Path) -> Route:
+    """A walk of ubicomp13."""
+    recording = pdr.read(path)
+    walk = recording.truth.segments[0]
+    inside = [s for s in steps_in(recording) if walk["start_s"] + 0.3 < s.time_s < walk["end_s"] + 0.3]
+    _, person, _, place = path.stem.split("_", 3)
+    return Route(person, place, height_of(recording), float(walk["n_steps"]), tuple(inside))
+
+
+SITES = ("humolire", "ms_indoor", "oxiod", "tyrex", "ipol", "ipin21")
+NEVER_FITTED = "ipin21"
+LOG_STD = 0.1  # of the distance of a recording about a model of strangers
+SHORTEST_M = 15.0  # of the distance of a recording
+STRETCH_STEPS = 8
+SEGMENT_M, N_SEGMENTS = 20.0, 5
+# People, and one person's segments of 20 m, about the model: how far five of them are believed.
+PEOPLE_STD, SEGMENT_STD = 0.07, 0.06
 
 
 # --- distances --------------------------------------------------------------------------------------------------------
@@ -309,13 +193,6 @@ class Stretch:
     weight: FloatArray  # (n,) the part inside, and the cosine of the direction where it is a displacement
 
 
-def shares(steps: Sequence[Step], start_s: float, end_s: float) -> FloatArray:
-    """Part of each step (n,) that is inside a time."""
-    end = np.array([s.time_s for s in steps])
-    duration = np.array([s.duration_s for s in steps])
-    return np.clip((np.minimum(end, end_s) - np.maximum(end - duration, start_s)) / duration, 0, 1)
-
-
 def stretch(
     recording: pdr.Recording, steps: Sequence[Step], part: FloatArray, distance_m: float, person: str, place: str
 ) -> Stretch:
@@ -327,21 +204,14 @@ def stretch(
 
 
 def between_landmarks(recording: pdr.Recording, steps: Sequence[Step]) -> list[Stretch]:
-    """Displacements: straight legs, or waypoints more than 4 m apart. Surveyors are not named: a walk is a person."""
-    site = recording.meta["dataset"]
-    if site == "humolire":
-        known = [(float(s["start_s"]), float(s["end_s"]), float(s["distance_m"])) for s in recording.truth.segments]
-    else:
-        p = recording.truth.waypoints
-        apart = np.hypot(np.diff(p.east_m), np.diff(p.north_m))
-        known = [v for v in zip(p.time_s[:-1].tolist(), p.time_s[1:].tolist(), apart.tolist(), strict=True) if v[2] > 4]
+    """Displacements between landmarks. Surveyors are not named: a walk is a person."""
+    person = "humolire" if recording.meta["dataset"] == "humolire" else recording.name
     heading = np.array([s.device_heading_rad for s in steps])
     found: list[Stretch] = []
-    for start_s, end_s, distance_m in known:
+    for start_s, end_s, distance_m in landmarks(recording):
         part = shares(steps, start_s, end_s)
         along = np.arctan2(part @ np.sin(heading), part @ np.cos(heading))
         if part.sum() >= 4:
-            person = "humolire" if site == "humolire" else recording.name
             found.append(stretch(recording, steps, part * np.cos(heading - along), distance_m, person, "hand"))
     return found
 
@@ -349,10 +219,8 @@ def between_landmarks(recording: pdr.Recording, steps: Sequence[Step]) -> list[S
 def along_the_reference(recording: pdr.Recording, steps: Sequence[Step]) -> list[Stretch]:
     """Stretches of eight steps in a row against the path of a continuous reference."""
     truth, name, label = recording.truth.position, recording.name, recording.truth.labels
-    time_s = np.arange(truth.time_s[0], truth.time_s[-1], 0.02)
-    place = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    smooth = sosfiltfilt(butter(2, 0.5, fs=50, output="sos"), place, axis=0)
-    path_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
+    time_s, way_m = way_of(recording)
+    path_m = evaluate.path_m(way_m)
     lost_s = truth.time_s[:-1][np.diff(truth.time_s) > 0.3]
     first_s, last_s = time_s[0] + 1, time_s[-1] - 1
     if len(label):
@@ -426,16 +294,16 @@ class Totals:
         return Totals(self.site[use], self.person[use], self.sums[use], self.distance_m[use])
 
 
-def is_chen(make: Callable[[float], StepLengthModel]) -> bool:
+def is_chen(make: Make) -> bool:
     return type(make(1.7)).__name__ == "ChenStepLength"
 
 
-def terms(make: Callable[[float], StepLengthModel], theta: FloatArray) -> FloatArray:
+def terms(make: Make, theta: FloatArray) -> FloatArray:
     """What the sums are multiplied with: theta, but for Chen's product."""
     return np.array([theta[0] * theta[2], theta[1] * theta[2], theta[2]]) if is_chen(make) else theta
 
 
-def totals(make: Callable[[float], StepLengthModel], groups: Sequence[Sequence[Stretch]]) -> Totals:
+def totals(make: Make, groups: Sequence[Sequence[Stretch]]) -> Totals:
     """Sums of groups of stretches."""
     rows: list[FloatArray] = []
     for group in groups:
@@ -453,7 +321,7 @@ def totals(make: Callable[[float], StepLengthModel], groups: Sequence[Sequence[S
     )
 
 
-def prior_of(make: Callable[[float], StepLengthModel]) -> tuple[FloatArray, FloatArray]:
+def prior_of(make: Make) -> tuple[FloatArray, FloatArray]:
     """Weak prior of theta, as in step_length_models."""
     if is_chen(make):
         return CHEN_PRIOR
@@ -463,12 +331,12 @@ def prior_of(make: Callable[[float], StepLengthModel]) -> tuple[FloatArray, Floa
     return std * (np.arange(len(slope)) == 0), std
 
 
-def log_errors(make: Callable[[float], StepLengthModel], theta: FloatArray, known: Totals) -> FloatArray:
+def log_errors(make: Make, theta: FloatArray, known: Totals) -> FloatArray:
     """Log of predicted over true distance, (n,)."""
     return np.log(np.maximum(known.sums @ terms(make, theta), 1e-3) / known.distance_m)
 
 
-def fit_of(make: Callable[[float], StepLengthModel], known: Totals) -> FloatArray:
+def fit_of(make: Make, known: Totals) -> FloatArray:
     """Theta (p,) from the sites that are fitted to."""
     used = known.at(known.site != NEVER_FITTED)
     mean, std = prior_of(make)
@@ -482,7 +350,7 @@ def fit_of(make: Callable[[float], StepLengthModel], known: Totals) -> FloatArra
     return np.asarray(least_squares(residuals, start, loss="soft_l1", f_scale=2.0, x_scale=std).x)
 
 
-def left_out(make: Callable[[float], StepLengthModel], known: Totals) -> dict[str, FloatArray]:
+def left_out(make: Make, known: Totals) -> dict[str, FloatArray]:
     """Log errors of the recordings of each site, fitted without it."""
     return {
         site: log_errors(make, fit_of(make, known.at(known.site != site)), known.at(known.site == site))
@@ -499,16 +367,14 @@ def chosen_by_the_others(known: dict[str, Totals]) -> dict[str, FloatArray]:
     """Errors of each site under the model that is best on the others, where each of those is left out too."""
     result: dict[str, FloatArray] = {}
     for site in SITES:
-        inner = {name: left_out(ALL[name], t.at(t.site != site)) for name, t in known.items()}
+        inner = {name: left_out(MODELS[name], t.at(t.site != site)) for name, t in known.items()}
         best = min(inner, key=lambda name: rms_over_sites(inner[name], NEVER_FITTED))
         print(f"for {site}: {best}", flush=True)
-        result[site] = left_out(ALL[best], known[best])[site]
+        result[site] = left_out(MODELS[best], known[best])[site]
     return result
 
 
-def with_five_segments(
-    make: Callable[[float], StepLengthModel], recordings: Totals, segments: Totals
-) -> tuple[float, float]:
+def with_five_segments(make: Make, recordings: Totals, segments: Totals) -> tuple[float, float]:
     """RMS log error after a person's first five segments, site left out: of the others, and of their sum."""
     single: list[float] = []
     rest: list[float] = []
@@ -568,9 +434,9 @@ def sites(tables: Tables, arguments: argparse.Namespace) -> None:
     routes = [route_of(p) for p in paths(arguments.data, "ubicomp13")]
     walks = [w for w in walks_of_sites(arguments.data) if "running" not in w[0].place]
     segments = segments_of(walks)
-    known = {n: totals(make, walks) for n, make in ALL.items()}
+    known = {n: totals(make, walks) for n, make in MODELS.items()}
     rows: list[list[str]] = []
-    for n, make in ALL.items():
+    for n, make in MODELS.items():
         errors, theta = left_out(make, known[n]), fit_of(make, known[n])
         five = with_five_segments(make, known[n], totals(make, segments))
         route = [
@@ -632,39 +498,75 @@ def way_of_the_foot_m(recording: pdr.Recording) -> float:
     return float(sum(np.linalg.norm(b - a) for a, b in pairwise(stances)))
 
 
+@dataclass(frozen=True, eq=False)
+class Leg:
+    """Steps over a known distance, with their parts inside and their directions."""
+
+    site: str
+    distance_m: float
+    steps: Sequence[Step]
+    part: FloatArray  # (n,)
+    heading_rad: FloatArray  # (n,)
+
+    def vectors(self, model: LinearStepLengthModel) -> FloatArray:
+        """Matrix (2, p) whose product with the parameters is the sum of the step vectors."""
+        along = np.stack([np.sin(self.heading_rad), np.cos(self.heading_rad)])
+        return along @ (self.part[:, None] * np.array([model.regressors(step) for step in self.steps]))
+
+
+def distances(vectors: FloatArray, theta: FloatArray) -> FloatArray:
+    """Lengths (n,) of the sums of the step vectors of legs, whose matrices are (n, 2, p)."""
+    return np.linalg.norm(vectors @ theta, axis=1)
+
+
+def fit_of_legs(make: Make, legs: Sequence[Leg], vectors: FloatArray) -> FloatArray:
+    """Theta (p,): sites weigh alike, outlying legs little (soft L1)."""
+    site, distance_m = np.array([leg.site for leg in legs]), np.array([leg.distance_m for leg in legs])
+    weight = np.sqrt(100 / (site[:, None] == site).sum(axis=1)) / LEG_STD_M
+    mean, std = prior_of(make)
+
+    def residuals(theta: FloatArray) -> FloatArray:
+        return np.concatenate([weight * (distances(vectors, theta) - distance_m), (theta - mean) / std])
+
+    return np.asarray(least_squares(residuals, mean, loss="soft_l1", x_scale=std).x)
+
+
 def trial(path: Path) -> Leg:
-    """A whole trial as one leg."""
+    """A whole trial as one leg whose step lengths are summed."""
     recording = pdr.read(path)
-    found = tuple(detected(recording, on_foot=True))
-    return Leg(
-        "pyshoe", path.stem, 1.75, way_of_the_foot_m(recording), found, np.ones(len(found)), np.zeros(len(found))
-    )
+    found = detected(recording, on_foot=True)
+    return Leg("pyshoe", way_of_the_foot_m(recording), found, np.ones(len(found)), np.zeros(len(found)))
+
+
+def legs_of(path: Path) -> list[Leg]:
+    """Legs of a walk of humolire or ms_indoor with at least four steps."""
+    recording = pdr.read(path)
+    steps, legs = detected(recording, on_foot=False), list[Leg]()
+    heading = np.array([s.device_heading_rad for s in steps])
+    for start_s, end_s, distance_m in landmarks(recording):
+        part = shares(steps, start_s, end_s)
+        if part.sum() >= 4:
+            legs.append(Leg(path.parent.name, distance_m, steps, part, heading))
+    return legs
 
 
 def zhou(tables: Tables, arguments: argparse.Namespace) -> None:
     """Parameters of Zhou's model for a foot and for a carried phone; no table."""
-    data = arguments.data
-    m7, kim = MODELS["M7 k0 + k1/f + k2/sqrt f + k3 max"], MODELS["M6, Kim k cbrt(mean abs)"]
-
-    trials = [trial(p) for p in paths(data, "pyshoe")]
+    trials = [trial(p) for p in paths(arguments.data, "pyshoe")]
     trials = [t for t in trials if len(t.steps) > 4]
-    for name, model in (("M7", m7), ("M1", MODELS["M1 k0 + k1 f"]), ("Kim", kim)):
-        theta = fit(model, trials[::2], summed)
-        error = np.array([100 * (summed(model(1.75), t, theta)[0] / t.distance_m - 1) for t in trials[1::2]])
+    for name in (M7, M1, M6):
+        make = MODELS[name]
+        vectors = np.array([t.vectors(make(UNKNOWN_HEIGHT_M)) for t in trials])
+        theta = fit_of_legs(make, trials[::2], vectors[::2])
+        error = 100 * (distances(vectors[1::2], theta) / [t.distance_m for t in trials[1::2]] - 1)
         print(
             f"foot, {name}: theta {np.round(theta, 4)}; {len(error)} trials left out: bias {error.mean():+.1f} %, "
-            f"spread {error.std():.1f} %; all trials: theta {np.round(fit(model, trials, summed), 4)}"
+            f"spread {error.std():.1f} %; all trials: theta {np.round(fit_of_legs(make, trials, vectors), 4)}"
         )
-
-    legs = [
-        leg
-        for site in ("humolire", "ms_indoor")
-        for path in paths(data, site)
-        for leg in legs_between_landmarks(path, lambda recording: detected(recording, on_foot=False))
-    ]
-    for name, model in (("M7", m7), ("Kim", kim)):
-        theta = fit(model, legs, displacement)
-        print(f"carried, {name}: theta {np.round(theta, 4)} ({len(legs)} legs)")
+    legs = [leg for site in ("humolire", "ms_indoor") for p in paths(arguments.data, site) for leg in legs_of(p)]
+    for name in (M7, M6):
+        vectors = np.array([leg.vectors(MODELS[name](UNKNOWN_HEIGHT_M)) for leg in legs])
+        print(f"carried, {name}: theta {np.round(fit_of_legs(MODELS[name], legs, vectors), 4)} ({len(legs)} legs)")
 
 
 SLOW_HZ, USUAL_STRIDE_M = 1.1, 1.2
@@ -672,8 +574,7 @@ SLOW_HZ, USUAL_STRIDE_M = 1.1, 1.2
 
 def slow(tables: Tables, arguments: argparse.Namespace) -> None:
     """The default on slow walks."""
-    lines: list[list[object]] = []
-    errors: list[tuple[float, float, float]] = []
+    lines, errors = list[list[object]](), list[FloatArray]()
     for path in paths(arguments.data, "archeries"):
         recording = pdr.read(path)
         strides = recording.truth.strides
@@ -684,36 +585,16 @@ def slow(tables: Tables, arguments: argparse.Namespace) -> None:
         length_m = track.step_length_m[inside]
         longer_m = length_m * np.sqrt(np.maximum(SLOW_HZ / np.asarray(track.steps.frequency_hz)[inside], 1.0))
         n = np.maximum(np.round(strides.length_m / USUAL_STRIDE_M), 1.0)
-        true_m = strides.length_m.sum() / n.sum()
-        as_come, split, longer = (
-            100 * (2 * ours_m.mean() / m - 1)
-            for ours_m, m in ((length_m, strides.length_m.mean()), (length_m, true_m), (longer_m, true_m))
-        )
-        errors.append((as_come, split, longer))
+        found_m = 2 * np.array([length_m.mean(), length_m.mean(), longer_m.mean()])
+        true_m = np.array([strides.length_m.mean(), *2 * [strides.length_m.sum() / n.sum()]])
+        errors.append(100 * (found_m / true_m - 1))
         steps_hz = 2 * n.sum() / (strides.end_s.max() - strides.start_s.min())
-        lines.append(
-            [
-                path.stem[-6:],
-                f"{steps_hz:.2f}",
-                len(n),
-                int((n > 1).sum()),
-                f"{as_come:+.1f}",
-                f"{split:+.1f}",
-                f"{longer:+.1f}",
-            ]
-        )
+        known = [path.stem[-6:], f"{steps_hz:.2f}", len(n), int((n > 1).sum())]
+        lines.append([*known, *(f"{error:+.1f}" for error in errors[-1])])
     lines.append(["all: bias, spread, RMS", "", "", "", *(bias_spread_rms(e) for e in np.array(errors).T)])
-    columns = [
-        "walk",
-        "steps/s",
-        "rows",
-        "rows of several strides",
-        "as they come %",
-        "split %",
-        "longer when slow, split %",
-    ]
+    columns = "walk | steps/s | rows | rows of several strides | as they come % | split % | longer when slow, split %"
     tables.write("step_length_slow", columns, lines, "Error of the mean step length.")
 
 
 if __name__ == "__main__":
-    run(__doc__, walks, sites, places, slow, zhou)
+    run(__doc__, sites, places, slow, zhou)

@@ -1,10 +1,10 @@
 """How fast the whole pipeline is: recordings of all sets, a day in blocks, a block, and its parts.
 
-usage: python -m tests.benchmarks.throughput [recordings] [pushed] [calls] [costs] [long] [--before TREE]
+usage: python -m tests.benchmarks.throughput [recordings] [calls] [costs] [long] [--before TREE]
        [--every 4] [--hours 24] [--batch 1000] [--days 7]
 
 The day is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
-out or put in. `--before` is another checkout of the project: its recordings and pushed blocks are timed in turns with
+out or put in. `--before` is another checkout of the project: its recordings are timed in turns with
 ours, ours twice, so that the two figures of one tree show what the machine adds. Times are of the processor, one core.
 A batch is one simulated recording of ten minutes under many names. A recording of days is the same walk repeated.
 
@@ -53,22 +53,6 @@ for path in sys.argv[1:]:
         best = min(best, time.process_time() - start)
     found.append((recording.duration_s, best))
 print(json.dumps(found))
-"""
-_OF_PUSHED = """
-import json, sys, time
-import pdr_filter as pdr
-block, runs = pdr.merge_streams(pdr.read(sys.argv[1])), []
-for _ in range(3):
-    online, cost = pdr.OnlineFilter(), []
-    for i in range(0, min(len(block.time_s), 12000), 10):
-        part = slice(i, i + 10)
-        samples = block.specific_force_mps2[part], block.angular_rate_radps[part], block.magnetic_field_ut[part]
-        start = time.process_time()
-        online.push(block.time_s[part], *samples)
-        cost.append(1e3 * (time.process_time() - start))
-    runs.append(cost)
-least = sorted(min(costs) for costs in zip(*runs))
-print(json.dumps([sum(least) / len(least), least[len(least) // 2], least[int(0.99 * len(least))]]))
 """
 # In another process, so that the memory and the processor time of its workers are those of one batch.
 _OF_BATCH = """
@@ -155,19 +139,6 @@ def recordings(tables: Tables, arguments: argparse.Namespace) -> None:
     rows.append(["all, time by time", str(n), *(f"{t[:, 0].sum() / t[:, 1].sum():.0f}" for t in all_of.values())])
     about = f"Times real time, the mean over the recordings; one core, {load()}."
     tables.write("throughput_recordings", ["set", "recordings", *all_of], rows, about)
-
-
-def pushed(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Blocks of 0.1 s of a real walk with all its sensors."""
-    path, runs = str(paths(arguments.data, "oxiod")[2]), {name: [] for name in trees(arguments.before)}
-    for _ in range(3):
-        for name, tree in trees(arguments.before).items():
-            runs[name].append(in_tree(tree, _OF_PUSHED, path))
-    rows = [[name, *(f"{v:.2f} ms" for v in np.min(taken, axis=0))] for name, taken in runs.items()]
-    about = (
-        f"A pushed block of 0.1 s, two minutes of walking; of each block the least of three runs, one core, {load()}."
-    )
-    tables.write("throughput_pushed", ["", "mean", "median", "99th percentile"], rows, about)
 
 
 def long_walk(hours: float) -> pdr.Recording:
@@ -323,18 +294,10 @@ def long(tables: Tables, arguments: argparse.Namespace) -> None:
     used_s, peak_mb, held_mb, duration_s = in_tree(ROOT, _OF_DAYS, str(arguments.days))
     title = f"one recording of {duration_s / 86400:.2g} days, {held_mb:.0f} MB of samples"
     rows.append([title, *_hours(duration_s / 3600, used_s), "", "", f"{peak_mb:.0f} MB"])
-    columns = [
-        "",
-        "hours",
-        "processor time",
-        "for each hour",
-        "each more than in a loop",
-        "a minute",
-        "largest process",
-    ]
+    columns = " | hours | processor time | for each hour | each more than in a loop | a minute | largest process"
     about = f"A simulated walk repeated; that of ten minutes under many names, read from files; two cores, {load()}."
     tables.write("throughput_day", columns, rows, about)
 
 
 if __name__ == "__main__":
-    run(__doc__, recordings, pushed, calls, costs, long, before=None, every=4, hours=24, batch=1000, days=7.0)
+    run(__doc__, recordings, calls, costs, long, before=None, every=4, hours=24, batch=1000, days=7.0)

@@ -1,6 +1,6 @@
-"""The walking heading in any carrying mode, against motion capture, and where the phone changes its place.
+"""The walking heading in any carrying mode, against motion capture, and how steady it is on other sets.
 
-usage: python -m tests.benchmarks.walking_heading [tyrex] [other_sets] [changes] [--data ../shared/data]
+usage: python -m tests.benchmarks.walking_heading [tyrex] [other_sets] [--data ../shared/data]
 
 Tyrex: one person, two minutes for each scenario, motion capture of the phone. Truth is the direction of the body's
 velocity:
@@ -19,22 +19,15 @@ or leg that turns against the body, the gyroscope, and the truth. Parameters wer
 person on other walks. Other sets have no truth of the direction: there, an offset that stays the same in one place is
 all that can be asked, and that in one person's pocket the angle between walking and screen is the same on stairs and
 running (the running phase was chosen on these people).
-
-Changes: a walk in which the phone goes from the hand into the pocket, back, and into the swinging hand. Simulated,
-because no public recording has such a change on a walk of known path. The figure of docs/images has one walk with the
-default recipe and with the direction of the device as the walking direction.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
@@ -44,10 +37,9 @@ from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_contexts
-from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CARRYING_MODES, Step, circular_mean, wrap_angle
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import ROOT, Tables, median_and, paths, recordings, run
+from tests.benchmarks.common import Tables, median_and, paths, recordings, run
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -77,11 +69,8 @@ class Walk:
 
     @classmethod
     def of(cls, recording: Recording) -> Walk:
-        conditioner, estimator, detector = (
-            Conditioner(RATE_HZ),
-            AttitudeEstimator(RATE_HZ),
-            WaveletStepDetector(RATE_HZ),
-        )
+        conditioner, estimator = Conditioner(RATE_HZ), AttitudeEstimator(RATE_HZ)
+        detector = WaveletStepDetector(RATE_HZ)
         _, blocks = conditioner.update(conditioner.init(), merge_streams(recording))
         block = max(blocks, key=lambda b: len(b.time_s))
         _, attitude = estimator.update(estimator.init(), block)
@@ -163,16 +152,8 @@ def band(signal: ComplexArray) -> ComplexArray:
 def tyrex(tables: Tables, arguments: argparse.Namespace) -> None:
     """Errors against motion capture."""
     stage = WalkingHeading()
-    columns = [
-        "scenario",
-        "steps",
-        "mode known: median, 90 %",
-        "reversed after 20 s",
-        "bias",
-        "std given",
-        "error / std",
-    ]
-    columns += ["first direction at", "mode unknown: median, 90 %", "fixed", "best"]
+    columns = "scenario | steps | mode known: median, 90 % | reversed after 20 s | bias | std given | error / std | "
+    columns += "first direction at | mode unknown: median, 90 % | fixed | best"
     rows = []
     for kind in ("nodist", "dist"):
         for scenario, carrying_mode in SCENARIOS.items():
@@ -243,8 +224,8 @@ def other_sets(tables: Tables, arguments: argparse.Namespace) -> None:
         n_steps, spread, n_reversed, n_moves, std = zip(*walks, strict=True)
         cells = [median_and(spread, 100, 1), sum(n_reversed), sum(n_moves), f"{np.median(std):.0f}"]
         rows.append([place, known, len(walks), sum(n_steps), *cells])
-    columns = ["recordings", "mode", "walks", "steps", "spread of the offset: median, largest", "reversed", "moves"]
-    tables.write("walking_heading_other_sets", [*columns, "std given"], rows, "Degrees.")
+    columns = "recordings | mode | walks | steps | spread of the offset: median, largest | reversed | moves | std given"
+    tables.write("walking_heading_other_sets", columns, rows, "Degrees.")
 
 
 def steadiness(walk: Walk, stage: WalkingHeading, carrying_mode: str) -> Steadiness | None:
@@ -270,75 +251,5 @@ def steadiness(walk: Walk, stage: WalkingHeading, carrying_mode: str) -> Steadin
     )
 
 
-_FIGURE = ROOT / "docs" / "images" / "carrying_change.svg"
-RIGHT = np.pi / 2
-LEGS = [
-    Leg("stationary", duration_s=3.0),
-    Leg("walking", distance_m=35.0),
-    Leg("walking", distance_m=25.0, turn_rad=RIGHT),
-    Leg("stationary", duration_s=4.0, carrying_mode="pocket"),
-    Leg("walking", distance_m=35.0, turn_rad=RIGHT),
-    Leg("walking", distance_m=15.0, turn_rad=RIGHT),
-    Leg("stationary", duration_s=4.0, carrying_mode="texting"),
-    Leg("walking", distance_m=20.0, turn_rad=-RIGHT),
-    Leg("stationary", duration_s=4.0, carrying_mode="swinging"),
-    Leg("walking", distance_m=30.0, turn_rad=-RIGHT),
-]
-# One for each carrying mode, with dashes of its own.
-MODE_STYLES: tuple[dict[str, Any], ...] = (
-    {"color": "#0072b2", "linestyle": "-"},
-    {"color": "#777777", "linestyle": ":"},
-    {"color": "#009e73", "linestyle": "--"},
-    {"color": "#e69f00", "linestyle": "-"},
-    {"color": "#cc79a7", "linestyle": "-."},
-)
-
-
-def both(walk: pdr.Recording) -> dict[str, pdr.Track]:
-    """With the walking heading learnt, and with the device's direction."""
-    config = pdr.recipes.for_recording("default", walk)
-    deaf = replace(config, sensing=replace(config.sensing, heading=None))
-    return {"walking heading learnt": pdr.track(walk, config), "device direction": pdr.track(walk, deaf)}
-
-
-def draw(walk: pdr.Recording, tracks: dict[str, pdr.Track]) -> Figure:
-    """The tracks in the plane, above the probabilities of the carrying modes over time."""
-    figure = Figure(figsize=(7.0, 8.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    plane, time = figure.subplots(2, 1, height_ratios=[2.2, 1.0])
-    truth = walk.truth.position
-    changes = [row for row in walk.truth.labels if row["context"] == "stationary" and row["start_s"] > 1.0]
-    plane.plot(truth.east_m, truth.north_m, color="black", linestyle="--", linewidth=1.2, label="truth")
-    for (name, track), color in zip(tracks.items(), ("#0072b2", "#d55e00"), strict=True):
-        path = np.vstack([[0.0, 0.0], track.position_m])
-        plane.plot(*path.T, color=color, linewidth=1.8, label=name)
-    for change in changes:
-        place = [np.interp(change["start_s"], truth.time_s, truth[n]) for n in ("east_m", "north_m")]
-        plane.plot(*place, marker="o", color="black")
-        # Left of and below the place, where no leg of this walk is.
-        plane.annotate(change["carrying_mode"], place, (-7, -7), textcoords="offset points", ha="right", va="top")
-    plane.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="The phone changes its place three times")
-    plane.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.02, 1.0))
-    windows = tracks["walking heading learnt"].windows
-    for i, (mode, style) in enumerate(zip(windows.carrying_modes, MODE_STYLES, strict=True)):
-        if windows.carrying_prob[:, i].max() > 0.3:  # the equal shares of the first second are 0.25
-            time.plot(windows.time_s, windows.carrying_prob[:, i], linewidth=1.8, label=mode, **style)
-    for k, change in enumerate(changes):
-        span = (change["start_s"], change["end_s"])
-        time.axvspan(*span, color="#dddddd", linewidth=0, label="phone changes its place" if k == 0 else None)
-    time.set(xlabel="time (s)", ylabel="probability of carrying mode", ylim=(-0.02, 1.02))
-    time.legend(frameon=False, ncols=4, loc="lower center", bbox_to_anchor=(0.5, 1.0), columnspacing=1.2)
-    return figure
-
-
-def changes(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Draw a walk in which the phone goes from the hand into the pocket, back, and into the swinging hand."""
-    walk = simulate(LEGS, seed=1)
-    mpl.rcParams["svg.hashsalt"] = "pdr_filter"
-    _FIGURE.parent.mkdir(parents=True, exist_ok=True)
-    draw(walk, both(walk)).savefig(_FIGURE, metadata={"Date": None})
-    print(f"figure in {_FIGURE}")
-
-
 if __name__ == "__main__":
-    run(__doc__, tyrex, other_sets, changes)
+    run(__doc__, tyrex, other_sets)

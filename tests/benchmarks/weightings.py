@@ -1,6 +1,6 @@
-"""HC, WC and IMM on people and sensors that the classifier has not seen: windows, delays, distances, false stairs.
+"""Contexts of windows and of the filter, for people and sensors that the classifier has not seen.
 
-usage: python -m tests.benchmarks.weightings [joined] [walks] [sites] [barometer] [--data DATA] [--cache FOLDER]
+usage: python -m tests.benchmarks.weightings [joined] [sites] [barometer] [--data DATA] [--cache FOLDER]
 
 joined: windows and delays of walks through several contexts. The changes of Di Fronzo's recordings are not labelled to
 the second, so recordings of one person of MotionSense (trouser pocket) are put one after the other: sitting, walking,
@@ -8,13 +8,6 @@ upstairs, walking, downstairs, walking, running, standing. Each is turned so tha
 first's, and between two of them is a second of the same person's standing; nothing is cross-faded. Two such walks of
 each of 12 people. The model is the default's, trained in three folds without the four people that it is scored on; it
 runs in the default recipe, in blocks of a tenth of a second.
-
-walks: distances of each weighting, and the probabilities behind them. The steps, windows and lengths of the default
-recipe are the same for all weightings; the reference is the distance of these steps with the length of their true
-contexts. What differs is the error that is due to contexts. Steps outside of every label, and those in the still
-seconds of the joined walks, are left out. Besides the joined walks: the recordings of Di Fronzo with their real
-changes, models trained without the people; terrain, a sensor on the leg that no model has seen; level walking of tyrex,
-left out as a whole, and of every third walk of ubicomp13, which trains nothing; and MotionSense with one activity each.
 
 sites: level walking that is called stairs, at the steps and by how the phone is carried. Models of the training sets
 are trained without the whole set; the others are never trained on. With and without the guard of stairs.
@@ -27,8 +20,9 @@ from __future__ import annotations
 
 import argparse
 import pickle
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +35,6 @@ from models.training.context_training import PLANS, labelled_windows
 from models.training.data_sets import DOUBTFUL, label_of, recordings_of
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.filter.chain.tracker import Tracker
-from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.offline.training.context_sequences import UNKNOWN
@@ -52,7 +45,6 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.features.barometer import ClimbRate
 from pdr_filter.sensing.front_end import Event
 from pdr_filter.tracking.filtering import finish_filter, init_filter, update_filter
-from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import (
     CONTEXTS,
     BoolArray,
@@ -61,16 +53,16 @@ from pdr_filter.values import (
     IntArray,
     Samples,
     Step,
-    TrackRows,
     WindowContext,
+    interpolated_rows,
     table,
 )
 from pdr_filter.values.events import Gap
 from pdr_filter.values.recording import Recording, Truth
-from tests.benchmarks.common import Tables, paths, recordings, run
+from tests.benchmarks.common import Tables, part_of, recordings, run
 
 PLAN = PLANS[0]
-N_FOLDS, N_PEOPLE_FOLDS = 3, 4  # of the joined walks, and of people
+N_FOLDS = 3  # groups of people of the joined walks
 STILL_S = 1.0
 BLOCK_S = 0.1
 # Two seconds of walking: what a final step of HC and WC waits too.
@@ -104,32 +96,30 @@ def cached(folder: Path | None, name: str, make: Callable[[], Any]) -> Any:
     return pickle.loads(path.read_bytes())  # our own
 
 
-def windows_of(data: Path) -> LabelledWindows:
+def windows_of(data: Path, cache: Path | None) -> LabelledWindows:
     """All windows that the default's model is made of."""
-    paths = recordings_of(data, PLAN.datasets)
-    return PLAN.of(labelled_windows(paths, feature_set=PLAN.feature_set))
+
+    def made() -> LabelledWindows:
+        return PLAN.of(labelled_windows(recordings_of(data, PLAN.datasets), feature_set=PLAN.feature_set))
+
+    return cached(cache, "windows", made)
 
 
-def model_without(windows: LabelledWindows, people: tuple[str, ...]) -> ContextModel:
-    """The default's model as `train_all` makes it, of all people but these."""
-    return replace(contexts.model_without(load_model(PLAN.name), PLAN, windows, people), name="left_out")
+def without(windows: LabelledWindows, people: Sequence[str], cache: Path | None, name: str) -> ContextModel:
+    """Return the shipped context model, trained without some people."""
+    return cached(cache, name, lambda: contexts.model_without(load_model(PLAN.name), PLAN, windows, people))
 
 
 # --- Mixed walks of real recordings ----------------------------------------------------------------------------------
 
 
-def folds_of(windows: LabelledWindows) -> list[tuple[str, ...]]:
-    """People of motionsense who are left out together."""
-    people = sorted(set(windows.person[windows.dataset == "motionsense"]))
-    return [tuple(people[k::N_FOLDS]) for k in range(N_FOLDS)]
-
-
-def walks_left_out(data: Path, cache: Path | None, windows: LabelledWindows) -> Iterator[tuple[Recording, str, Config]]:
+def walks_left_out(data: Path, cache: Path | None) -> Iterator[tuple[Recording, str, Config]]:
     """Joined walks of everybody, each with its person and the default with a model that has not seen them."""
-    for k, fold in enumerate(folds_of(windows)):
-        model: ContextModel = cached(cache, f"model_{k}", lambda fold=fold: model_without(windows, fold))
-        print(f"fold {k}: {', '.join(fold)} left out", flush=True)
-        for person in fold:
+    windows = windows_of(data, cache)
+    people = sorted(set(windows.person[windows.dataset == "motionsense"]))
+    for k in range(N_FOLDS):
+        model = without(windows, people[k::N_FOLDS], cache, f"model_{k}")
+        for person in people[k::N_FOLDS]:
             for number in range(N_WALKS):
                 walk = mixed_walk(data, "s" + person.split("/")[1][-2:], number)
                 yield walk, person, with_context_model(default(walk.subject), model)
@@ -146,50 +136,55 @@ def mixed_walk(data: Path, person: str, number: int) -> Recording:
         return next(name for name in other if f"motionsense_{person}_{name}" not in DOUBTFUL)
 
     standing = trial("std_6")
-    force, rate, rows, clock = [], [], [], 0
-    for k, (names, length_s) in enumerate(PARTS):
-        recording = trial(labelled_right(names))
-        pieces = [] if k == 0 else [(*clip(standing, 10.0 + k, STILL_S), "stationary")]
-        # 4 s in: the phone has been put away by then
-        context = str(recording.truth.labels["context"][0])
-        pieces.append((*clip(recording, 4.0 + 3.0 * k * (context == "walking"), length_s), context))
-        for a, w, what in pieces:
-            down = force[0].mean(axis=0) if force else a.mean(axis=0)
-            turn = Rotation.align_vectors([down / np.linalg.norm(down)], [a.mean(axis=0)])[0]
-            force.append(turn.apply(a))
-            rate.append(turn.apply(w))
-            rows.append((clock, clock + len(a), what))
-            clock += len(a)
+
+    def pieces() -> Iterator[Piece]:
+        for k, (names, length_s) in enumerate(PARTS):
+            if k > 0:
+                yield *clip(standing, 10.0 + k, STILL_S), "stationary"
+            recording = trial(labelled_right(names))
+            context = str(recording.truth.labels["context"][0])
+            # 4 s in: the phone has been put away by then
+            start_s = 4.0 + 3.0 * k * (context == "walking")
+            last_s = max(recording.accelerometer.time_s[-1] - length_s, 0.0)
+            yield *clip(recording, min(start_s, last_s), length_s), context
+
     interval_s = float(np.median(np.diff(standing.accelerometer.time_s)))
-    time_s = interval_s * np.arange(clock)
-    start, end, context = zip(*rows, strict=True)
+    return joined_walk(f"{person}_{number}", pieces(), interval_s, standing.meta)
+
+
+Piece = tuple[FloatArray, FloatArray, str]  # specific force (N, 3), angular rate (N, 3), context
+
+
+def joined_walk(name: str, pieces: Iterable[Piece], interval_s: float, meta: Mapping[str, Any]) -> Recording:
+    """Pieces of recordings one after the other, turned to the mean gravity of the first, with labels of each.
+
+    Nothing is cross-faded. The phone is in a trouser pocket.
+    """
+    force, rate, names = list[FloatArray](), list[FloatArray](), list[str]()
+    for own_force, own_rate, context in pieces:
+        down = force[0].mean(axis=0) if force else own_force.mean(axis=0)
+        turn = Rotation.align_vectors([down], [own_force.mean(axis=0)])[0]
+        force.append(turn.apply(own_force))
+        rate.append(turn.apply(own_rate))
+        names.append(context)
+    edges_s = interval_s * np.cumsum([0, *map(len, force)])
+    time_s = interval_s * np.arange(sum(map(len, force)))
+    labels = {"start_s": edges_s[:-1], "end_s": edges_s[1:], "context": np.array(names)}
     return Recording(
-        name=f"{person}_{number}",
+        name=name,
         accelerometer=Samples(time_s, np.concatenate(force)),
         gyroscope=Samples(time_s, np.concatenate(rate)),
-        truth=Truth(
-            labels=table(
-                {
-                    "start_s": interval_s * np.array(start),
-                    "end_s": interval_s * np.array(end),
-                    "context": np.array(context),
-                    "carrying_mode": np.array(["pocket"] * len(rows)),
-                }
-            )
-        ),
-        meta=dict(standing.meta),
+        truth=Truth(labels=table(labels | {"carrying_mode": np.full(len(names), "pocket")})),
+        meta=dict(meta),
     )
 
 
 def clip(recording: Recording, start_s: float, length_s: float) -> tuple[FloatArray, FloatArray]:
     """Specific force and angular rate of a part; of a shorter recording what there is."""
-    assert recording.gyroscope is not None
-    time_s = recording.accelerometer.time_s
-    start_s = max(min(start_s, time_s[-1] - length_s), 0.0)
-    use = (time_s >= start_s) & (time_s < start_s + length_s)
-    rate = recording.gyroscope
-    interpolated = np.column_stack([np.interp(time_s[use], rate.time_s, rate.values[:, i]) for i in range(3)])
-    return recording.accelerometer.values[use], interpolated
+    force, rate = recording.accelerometer, recording.gyroscope
+    assert rate is not None
+    use = (force.time_s >= start_s) & (force.time_s < start_s + length_s)
+    return force.values[use], interpolated_rows(force.time_s[use], rate.time_s, rate.values)
 
 
 # --- What was said, and when -----------------------------------------------------------------------------------------
@@ -259,15 +254,9 @@ def mean_of_five(prob: FloatArray) -> FloatArray:
 def blocks(samples: ImuBlock) -> Iterator[ImuBlock]:
     """The samples in blocks of a tenth of a second."""
     edges = np.searchsorted(samples.time_s, np.arange(BLOCK_S, samples.time_s[-1] + BLOCK_S, BLOCK_S))
-    for start, end in zip([0, *edges[:-1]], edges, strict=True):
+    for start, end in pairwise([0, *edges]):
         if end > start:
-            use = slice(int(start), int(end))
-            yield ImuBlock(
-                samples.time_s[use],
-                samples.specific_force_mps2[use],
-                samples.angular_rate_radps[use],
-                samples.magnetic_field_ut[use],
-            )
+            yield part_of(samples, slice(start, end))
 
 
 def context_at(walk: Recording, time_s: float) -> int:
@@ -285,37 +274,30 @@ def last_steps(said: Said) -> IntArray:
     return np.where(found, last, -1)
 
 
+def answers_of(said: Said) -> dict[str, IntArray]:
+    """Context of each window by each answer, (W,); stationary where a window has no step."""
+    last = last_steps(said)
+    found = {"arg-max": said.window_prob.argmax(axis=1), "mean of 5": mean_of_five(said.window_prob).argmax(axis=1)}
+    for name in ("filtered", "lagged", "smoothed"):
+        found[name] = np.where(last >= 0, getattr(said, name)[last].argmax(axis=1), STATIONARY)
+    return found
+
+
 def window_scores(tables: Tables, all_said: list[Said]) -> None:
     """Accuracy over windows, clean or not, with and without those that have no step."""
-    rows = []
-    truth, clean, stepped, answers = (
-        [],
-        [],
-        [],
-        {"arg-max": [], "mean of 5": [], "filtered": [], "lagged": [], "smoothed": []},
-    )
-    person = []
-    for said in all_said:
-        last = last_steps(said)
-        truth += [context_at(said.walk, t - 1.0) for t in said.window_s]
-        clean += [label_of(said.walk, t - 2.0, t) is not None for t in said.window_s]
-        stepped += list(last >= 0)
-        person += [said.person] * len(last)
-        answers["arg-max"] += list(said.window_prob.argmax(axis=1))
-        answers["mean of 5"] += list(mean_of_five(said.window_prob).argmax(axis=1))
-        for name, prob in (
-            ("filtered", said.filtered),
-            ("lagged", said.lagged),
-            ("smoothed", said.smoothed),
-        ):
-            answers[name] += list(np.where(last >= 0, prob[last].argmax(axis=1), STATIONARY))
-    y, is_clean, has_step, who = np.array(truth), np.array(clean), np.array(stepped), np.array(person)
+    rows, by_walk = [], [answers_of(said) for said in all_said]
+    answers = {name: np.concatenate([of_walk[name] for of_walk in by_walk]) for name in by_walk[0]}
+    ends = [(said, t) for said in all_said for t in said.window_s]
+    y = np.array([context_at(said.walk, t - 1.0) for said, t in ends])
+    is_clean = np.array([label_of(said.walk, t - 2.0, t) is not None for said, t in ends])
+    who = np.array([said.person for said, _ in ends])
+    has_step = np.concatenate([last_steps(said) >= 0 for said in all_said])
     for name, use in (
         ("inside one context, with a step", is_clean & has_step & (y >= 0)),
         ("inside one context, all", is_clean & (y >= 0)),
         ("also across a change, all", y >= 0),
     ):
-        right = {answer: np.array(of) == y for answer, of in answers.items()}
+        right = {answer: of == y for answer, of in answers.items()}
         for answer, ok in right.items():
             recall = ", ".join(f"{ok[use & (y == c)].mean():.2f}" for c in np.unique(y[use]))
             by_person = np.array([ok[use & (who == p)].mean() for p in np.unique(who)])
@@ -323,7 +305,7 @@ def window_scores(tables: Tables, all_said: list[Said]) -> None:
             points = f"{100 * gain.mean():+.1f} ± {100 * gain.std(ddof=1) / np.sqrt(len(gain)):.1f}"
             people = f"{np.sum(gain > 1e-9)}, {np.sum(gain < -1e-9)}"
             rows.append([f"{name} (n = {use.sum()})", answer, f"{ok[use].mean():.3f}", recall, points, people])
-    columns = ["windows", "answer", "accuracy", "recall by context", "gain, points", "people better, worse"]
+    columns = "windows | answer | accuracy | recall by context | gain, points | people better, worse"
     order = ", ".join(CONTEXTS[c] for c in np.unique(y[y >= 0]))
     about = f"Recall in the order {order}; gain over the arg-max, mean of people."
     tables.write("mixed_contexts_windows", columns, rows, about)
@@ -396,49 +378,29 @@ def updates_of(tracker: Tracker[Any], events: list[Event]) -> list[StepUpdate]:
 
 def joined(tables: Tables, arguments: argparse.Namespace) -> None:
     """Both tables."""
-    windows: LabelledWindows = cached(arguments.cache, "windows", lambda: windows_of(arguments.data))
-    all_said = [said_online(*each) for each in walks_left_out(arguments.data, arguments.cache, windows)]
+    all_said = [said_online(*each) for each in walks_left_out(arguments.data, arguments.cache)]
     window_scores(tables, all_said)
     delays(tables, all_said)
 
 
 STAIRS_MPS = 0.1
 # Those of level walking, with the field of the name that says how the phone is carried.
-SITES: dict[str, int] = {
-    "humolire": 0,
-    "ms_indoor": 0,
-    "tyrex": 2,
-    "oxiod": 1,
-    "ubicomp13": 3,
-    "ipol": 0,
-    "sisfall": -1,
-}
-
-
-def without(windows: LabelledWindows, people: list[str], cache: Path | None, name: str) -> ContextModel:
-    """Return the shipped context model, trained without some people."""
-    return cached(cache, name, lambda: contexts.model_without(load_model("context"), PLAN, windows, people))
-
-
-def tracked_with(recording: Recording, model: ContextModel) -> tuple[Config, TrackRows]:
-    """The default's configuration with a model, and the track."""
-    config = with_context_model(default(recording.subject), model)
-    return config, pdr.track(recording, config=config)
+SITES = {"humolire": 0, "ms_indoor": 0, "tyrex": 2, "oxiod": 1, "ubicomp13": 3, "ipol": 0, "sisfall": -1}
 
 
 def sites(tables: Tables, arguments: argparse.Namespace) -> None:
     """Level walking called stairs."""
-    windows: LabelledWindows = cached(arguments.cache, "windows", lambda: windows_of(arguments.data))
+    windows = windows_of(arguments.data, arguments.cache)
     rows = []
     for site, part in SITES.items():
         known = sorted({p for p in windows.person if p.startswith(f"{site}/")})
-        model = without(windows, known, arguments.cache, f"site_{site}") if known else load_model("context")
+        model = without(windows, known, arguments.cache, f"site_{site}")
         of_kind: dict[str, list[FloatArray]] = {}
         for recording in recordings(arguments.data, site):
             kind = kind_of(recording.name, part)
             found = []
             for each in (replace(model, stairs=None), model):
-                _, track = tracked_with(recording, each)
+                track = pdr.track(recording, with_context_model(default(recording.subject), each))
                 use = on_the_level(recording, track.time_s)
                 stairs = np.isin(track.mode_prob[use].argmax(axis=1), (UP, DOWN))
                 found += [stairs, track.mode_prob[use][:, [UP, DOWN]].sum(axis=1)]
@@ -448,7 +410,7 @@ def sites(tables: Tables, arguments: argparse.Namespace) -> None:
             if figures.shape[1]:
                 cells = [f"{100 * v:.1f}" for v in figures.mean(axis=1)]
                 rows.append([f"{site} {kind}".strip(), figures.shape[1], ", ".join(cells[:2]), ", ".join(cells[2:])])
-    columns = ["set, placement", "steps", "no guard: called stairs %, mean probability %", "with the guard"]
+    columns = "set, placement | steps | no guard: called stairs %, mean probability % | with the guard"
     tables.write("context_false_stairs", columns, rows, "A set that is in the training is held out as a whole.")
 
 
@@ -500,7 +462,7 @@ def barometer(tables: Tables, arguments: argparse.Namespace) -> None:
             cells = [f"{np.mean(best[truth == c] == c):.2f}" if (truth == c).any() else "-" for c in (UP, DOWN)]
             level = np.isin(best, (UP, DOWN))[truth == WALKING]
             rows.append([f"{name} ({len(walks)}, {len(truth)} steps)", answer, *cells, f"{level.mean():.2f}"])
-    columns = ["walks", "answer", "climbing called upstairs", "descending called downstairs", "level called stairs"]
+    columns = "walks | answer | climbing called upstairs | descending called downstairs | level called stairs"
     tables.write("context_barometer", columns, rows, "Climb rates above 0.1 m/s, of the barometer about each step.")
 
 
@@ -514,177 +476,5 @@ def climbs_at(recording: Recording, time_s: FloatArray) -> IntArray:
     return np.where(rate_mps > STAIRS_MPS, UP, np.where(rate_mps < -STAIRS_MPS, DOWN, WALKING))
 
 
-MIN_STEPS = 20  # a recording with fewer says little in per cent
-EVERY = 3
-WC_THRESHOLD = 0.8  # of Algorithm 2
-WC_THRESHOLDS = {"WC, threshold 0.8": WC_THRESHOLD, "WC, always": 0.0}
-
-
-@dataclass(frozen=True, eq=False)
-class Walk:
-    """Of a recording: what the front end found, without steps whose context is not known."""
-
-    recording: Recording
-    person: str
-    config: Config
-    events: list[Event]
-    label: IntArray  # (K,) true context of each step
-
-    @property
-    def length_m(self) -> FloatArray:
-        """Length of each step in each mode, (K, M); the default's modes are the contexts."""
-        return np.array([self.config.model.lengths(e)[0] for e in self.events if isinstance(e, Step)])
-
-    @property
-    def known_m(self) -> float:
-        """Distance in the true contexts."""
-        return float(self.length_m[np.arange(len(self.label)), self.label].sum())
-
-
-def walk_of(recording: Recording, person: str, config: Config, is_level: bool = False) -> Walk:
-    """A recording through the front end; of level walking alone what is not labelled as something else."""
-    found = run_sensing(config.sensing, recording)[1]
-    time_s = np.array([e.time_s for e in found if isinstance(e, Step)])
-    if is_level:
-        label = np.where(on_the_level(recording, time_s), WALKING, UNKNOWN)
-    else:
-        label = np.array([context_at(recording, t) for t in time_s], dtype=np.int64)
-        label[time_s >= DOUBTFUL.get(recording.name, np.inf)] = UNKNOWN
-    known = iter(label != UNKNOWN)
-    events = [e for e in found if not isinstance(e, Step) or next(known)]
-    return Walk(recording, person, config, events, label[label != UNKNOWN])
-
-
-# --- Real walks ------------------------------------------------------------------------------------------------------
-
-
-def joined_walks(data: Path, cache: Path | None, windows: LabelledWindows) -> Iterator[Walk]:
-    """The joined walks, with the models of `joined`."""
-    for each in walks_left_out(data, cache, windows):
-        yield walk_of(*each)
-
-
-def people_left_out(data: Path, cache: Path | None, windows: LabelledWindows, dataset: str) -> Iterator[Walk]:
-    """Recordings of a scored data set, with models of four folds of people."""
-    of_set = [sorted({p for p in windows.person if p.startswith(f"{n}/")}) for n in ("motionsense", "difronzo")]
-    for k in range(N_PEOPLE_FOLDS):
-        fold = [p for everybody in of_set for p in everybody[k::N_PEOPLE_FOLDS]]
-        model = without(windows, fold, cache, f"people_{k}")
-        for path in recordings_of(data, (dataset,)):
-            recording = pdr.read(path)
-            person = f"{dataset}/{recording.subject.id}"
-            if person in fold:
-                yield walk_of(recording, person, with_context_model(default(recording.subject), model))
-
-
-def other_sites(data: Path, cache: Path | None, windows: LabelledWindows, site: str) -> Iterator[Walk]:
-    """Recordings of a site that the model has not seen: level walking, and terrain with its labels."""
-    known = sorted({p for p in windows.person if p.startswith(f"{site}/")})
-    for path in paths(data, site)[:: EVERY if site == "ubicomp13" else 1]:
-        recording = pdr.read(path)
-        config = default(recording.subject)
-        if known:
-            config = with_context_model(config, without(windows, known, cache, f"site_{site}"))
-        yield walk_of(recording, f"{site}/{recording.subject.id}", config, is_level=site != "terrain")
-
-
-def sets_of(data: Path, cache: Path | None) -> dict[str, list[Walk]]:
-    """All walks that have enough steps, by set."""
-    windows: LabelledWindows = cached(cache, "windows", lambda: windows_of(data))
-    found = {
-        "joined walks": joined_walks(data, cache, windows),
-        "difronzo": people_left_out(data, cache, windows, "difronzo"),
-        "terrain": other_sites(data, cache, windows, "terrain"),
-        "tyrex, level": other_sites(data, cache, windows, "tyrex"),
-        "ubicomp13, level": other_sites(data, cache, windows, "ubicomp13"),
-        "motionsense": people_left_out(data, cache, windows, "motionsense"),
-    }
-    return {name: [w for w in walks if len(w.label) >= MIN_STEPS] for name, walks in found.items()}
-
-
-# --- Distances -------------------------------------------------------------------------------------------------------
-
-
-def distances_m(walk: Walk) -> dict[str, float]:
-    """Distance of the same steps by each weighting."""
-    hc = tracked(walk.events, walk.config, "hc")
-    found = {"HC": hc[-1].walked_m}
-    for name, threshold in WC_THRESHOLDS.items():
-        found[name] = updates_of(WeightedTracker(walk.config.model, threshold), walk.events)[-1].walked_m
-    imm = tracked(walk.events, walk.config, "imm")
-    prob = np.array([u.mode_prob for u in imm])
-    lagged = smoothed_mode_prob(prob, walk.config.model.transition_prob, LAG_STEPS)
-    return found | {
-        "IMM, steps as they were made": sum(u.step_length_m for u in imm),
-        "IMM": imm[-1].walked_m,
-        "IMM, lagged": float((lagged * walk.length_m).sum()),
-        "IMM, smoothed": float((hindsight_prob(walk) * walk.length_m).sum()),
-    }
-
-
-def hindsight_prob(walk: Walk) -> FloatArray:
-    """Mode probabilities (K, M) with all evidence, as `in_hindsight` has them where no fixes are."""
-    config = walk.config.in_hindsight()
-    prob = np.array([u.mode_prob for u in tracked(walk.events, config, "imm")])
-    return smoothed_mode_prob(prob, config.model.transition_prob)
-
-
-ERRORS = ["bias %", "spread %", "RMS %", "largest %"]
-
-
-def error_cells(found_m: Sequence[float], true_m: FloatArray) -> list[str]:
-    """Bias and spread of relative distance errors."""
-    e = 100 * (np.array(found_m) / true_m - 1)
-    figures = (e.std(ddof=1), np.sqrt(np.mean(e**2)), np.abs(e).max())
-    return [f"{e.mean():+.1f}", *(f"{v:.1f}" for v in figures)]
-
-
-def columns_of(rows: Sequence[Mapping[str, float]]) -> dict[str, list[float]]:
-    """Distances by weighting, of all walks."""
-    return {name: [row[name] for row in rows] for name in rows[0]}
-
-
-def probabilities(walk: Walk) -> dict[str, FloatArray]:
-    """What each answer says of the steps, (K, C) each."""
-    imm = tracked(walk.events, walk.config, "imm")
-    prob = np.array([u.mode_prob for u in imm])
-    transition_prob = walk.config.model.transition_prob
-    return {
-        "windows": np.array([u.context_prob for u in imm]),
-        "IMM": prob,
-        "IMM, lagged": smoothed_mode_prob(prob, transition_prob, LAG_STEPS),
-        "IMM, smoothed": hindsight_prob(walk),
-        "IMM, smoothed with the exponent of online": smoothed_mode_prob(prob, transition_prob),
-    }
-
-
-def log_loss(prob: FloatArray, label: IntArray) -> FloatArray:
-    """Of each step, (K,)."""
-    return -np.log(np.maximum(prob[np.arange(len(label)), label], 1e-6))
-
-
-def walks(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Distances and probabilities of each weighting."""
-    sets = sets_of(arguments.data, arguments.cache)
-    rows, of_prob = [], []
-    for name, found_walks in sets.items():
-        people = len({w.person for w in found_walks})
-        what = f"{name} ({len(found_walks)} of {people} {'person' if people == 1 else 'people'})"
-        known = np.array([w.known_m for w in found_walks])
-        moved = known > 0
-        for weighting, found in columns_of([distances_m(w) for w in found_walks]).items():
-            if name != "motionsense":
-                rows.append([what, weighting, *error_cells(np.array(found)[moved], known[moved])])
-        said = [probabilities(w) for w in found_walks]
-        y = np.concatenate([w.label for w in found_walks])
-        for answer in said[0]:
-            prob = np.concatenate([s[answer] for s in said])
-            right = f"{np.mean(prob.argmax(axis=1) == y):.3f}"
-            of_prob.append([f"{name} ({len(y)} steps)", answer, right, f"{log_loss(prob, y).mean():.3f}"])
-    about = "Against the same steps in the true contexts, of held-out people or sites."
-    tables.write("weightings_distance", ["walks", "weighting", *ERRORS], rows, about)
-    tables.write("weightings_probabilities", ["walks", "answer", "right", "log loss"], of_prob)
-
-
 if __name__ == "__main__":
-    run(__doc__, joined, walks, sites, barometer, cache=None)
+    run(__doc__, joined, sites, barometer, cache=None)

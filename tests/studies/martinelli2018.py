@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
@@ -48,9 +47,10 @@ from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track
-from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, Samples, table
-from pdr_filter.values.recording import Recording, Truth
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
+from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, run
+from tests.benchmarks.weightings import Piece, clip, joined_walk
 from tests.studies.data import NAN, paper_table, prefixed, recordings
 
 TextArray = NDArray[np.str_]
@@ -209,42 +209,19 @@ _PARTS: tuple[tuple[str, float, float], ...] = (
 
 
 def put_together(data: Path, person: str) -> Recording | None:
-    """Parts of a person's recordings one after the other, turned to one mean gravity; None without any.
+    """Parts of a person's recordings one after the other; None without any.
 
-    Nothing is cross-faded. A part that is missing is left out, a shorter recording gives what it has.
+    A part that is missing is left out, a shorter recording gives what it has.
     """
-    force: list[FloatArray] = []
-    rate: list[FloatArray] = []
-    labels: list[tuple[int, str]] = []
-    clock = 0
+    pieces: list[Piece] = []
     for trial, start_s, length_s in _PARTS:
         for recording in recordings(data, "motionsense", f"motionsense_{person}_{trial}.zip"):
-            assert recording.gyroscope is not None and recording.truth.labels is not None
-            time_s = recording.accelerometer.time_s
-            use = (time_s >= start_s) & (time_s < start_s + length_s)
-            if not use.any():
-                continue
-            own = recording.accelerometer.values[use]
-            up = force[0].mean(axis=0) if force else own.mean(axis=0)
-            turn = Rotation.align_vectors([up], [own.mean(axis=0)])[0]
-            force.append(turn.apply(own))
-            gyroscope = recording.gyroscope
-            at = [np.interp(time_s[use], gyroscope.time_s, gyroscope.values[:, i]) for i in range(3)]
-            rate.append(turn.apply(np.column_stack(at)))
-            clock += int(use.sum())
-            labels.append((clock, str(recording.truth.labels["context"][0])))
-    if not force:
-        return None
-    end_s = np.array([n for n, _ in labels]) / 50.0  # MotionSense: the row number divided by 50 Hz
-    truth = {"start_s": np.concatenate([[0.0], end_s[:-1]]), "end_s": end_s, "context": [c for _, c in labels]}
-    carrying_mode = np.array(["pocket"] * len(labels))
-    time_s = np.arange(clock) / 50.0
-    return Recording(
-        name=f"put_together_{person}",
-        accelerometer=Samples(time_s, np.concatenate(force)),
-        gyroscope=Samples(time_s, np.concatenate(rate)),
-        truth=Truth(labels=table({**truth, "carrying_mode": carrying_mode})),
-    )
+            assert recording.truth.labels is not None
+            force, rate = clip(recording, start_s, length_s)
+            if len(force):
+                pieces.append((force, rate, str(recording.truth.labels["context"][0])))
+    # MotionSense: the row number divided by 50 Hz
+    return joined_walk(f"put_together_{person}", pieces, 1 / 50.0, {}) if pieces else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,38 +29,41 @@ import numpy as np
 import pdr_filter as pdr
 from models.training import context_training as contexts
 from models.training.context_training import PLANS, ContextPlan, labelled_windows
-from models.training.data_sets import recordings_of
+from models.training.data_sets import DOUBTFUL, recordings_of
 from pdr_filter.classifiers.blend import Mixture
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.evaluate.comparison import second_over_first
 from pdr_filter.evaluate.distance import distance_scores
 from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
+from pdr_filter.offline.training.context_sequences import UNKNOWN
 from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts
+from pdr_filter.sensing.front_end import Event
 from pdr_filter.tracking.whole_recording import run_sensing
-from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, Step
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, Step
 from pdr_filter.values.recording import Recording
 from tests.benchmarks.common import Tables, paths, run
 from tests.benchmarks.weightings import (
     LAG_STEPS,
-    WC_THRESHOLD,
-    Walk,
+    WALKING,
     cached,
     changes_storey,
     climbs_at,
+    context_at,
     mixed_walk,
+    on_the_level,
     tracked,
     updates_of,
-    walk_of,
 )
 
 CLASSIFIERS = ("rvm", "forest", "blend", "martinelli2018")
 WEIGHTINGS = ("HC", "WC 0.8", "WC always", "IMM online", "IMM lagged", "IMM smoothed")
 PLAN_OF = {plan.name: plan for plan in PLANS}
 N_FOLDS = 4  # groups of people, each held out together, as in the training of the shipped models
+WC_THRESHOLD = 0.8  # of Algorithm 2
 NEAR_S = 3.0  # largest time from a step to a change of context that is near
 
 
@@ -167,6 +170,36 @@ SETS = {
     "ipin2023, stairs": lambda training: (w for w in unseen(training, "ipin2023") if changes_storey(w[0])),
     "tyrex, level": lambda training: unseen(training, "tyrex"),
 }
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """Of a recording: what the front end found, without steps whose context is not known."""
+
+    recording: Recording
+    person: str
+    config: Config
+    events: list[Event]
+    label: IntArray  # (K,) true context of each step
+
+    @property
+    def length_m(self) -> FloatArray:
+        """Length of each step in each mode, (K, M); the default's modes are the contexts."""
+        return np.array([self.config.model.lengths(e)[0] for e in self.events if isinstance(e, Step)])
+
+
+def walk_of(recording: Recording, person: str, config: Config, is_level: bool = False) -> Walk:
+    """A recording through the front end; of level walking alone what is not labelled as something else."""
+    found = run_sensing(config.sensing, recording)[1]
+    time_s = np.array([e.time_s for e in found if isinstance(e, Step)])
+    if is_level:
+        label = np.where(on_the_level(recording, time_s), WALKING, UNKNOWN)
+    else:
+        label = np.array([context_at(recording, t) for t in time_s], dtype=np.int64)
+        label[time_s >= DOUBTFUL.get(recording.name, np.inf)] = UNKNOWN
+    known = iter(label != UNKNOWN)
+    events = [e for e in found if not isinstance(e, Step) or next(known)]
+    return Walk(recording, person, config, events, label[label != UNKNOWN])
 
 
 # --- Distances -------------------------------------------------------------------------------------------------------

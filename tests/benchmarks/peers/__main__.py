@@ -14,12 +14,12 @@ from threadpoolctl import threadpool_limits
 from tests.benchmarks import rvm_speed
 from tests.benchmarks.common import Tables, run
 
-from . import of_filterpy, of_mobgap, of_skdh, ours, tables, textbook
+from . import of_mobgap, of_skdh, ours, tables, textbook
 from .harness import outcome
 from .speed import speed
 
 METHODS = (*ours.METHODS, *textbook.METHODS, *of_mobgap.METHODS, *of_skdh.METHODS)
-PACKAGES = ("pdr_filter", "filterpy", "fastrvm", "mobgap", "scikit-digital-health", "pywavelets")
+PACKAGES = ("pdr_filter", "fastrvm", "mobgap", "scikit-digital-health", "pywavelets")
 ENVIRONMENT = ("numpy", "scipy", "scikit-learn", "pandas")
 QUESTIONS = {
     "ubicomp13": (("peers_counts", tables.counts), ("peers_places", tables.counts_by_place)),
@@ -61,7 +61,6 @@ def compare(tables_: Tables, arguments: argparse.Namespace) -> None:
             ["with", ", ".join(installed(p) for p in ENVIRONMENT)],
         ],
     )
-    files.write("peers_filter", *of_filterpy.filters())
     with threadpool_limits(limits=1):
         rvm_speed.fastrvm(files, arguments)
 

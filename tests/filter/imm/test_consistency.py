@@ -5,17 +5,29 @@ A smaller version of `tests/benchmarks/consistency.py`, whose figures are in doc
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
 
 import pdr_filter as pdr
+from pdr_filter.evaluate import mean_bounds
+from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.pedestrian.pedestrian_state import reckoned_position
 from pdr_filter.filter.pedestrian.step_history import TRAIL_STEPS
-from pdr_filter.values import CONTEXTS
-from tests.benchmarks.consistency import Errors, bounds, errors_of_walks, own_model, run_day, said_of, simulated_walk
+from pdr_filter.values import CONTEXTS, PositionFix, Step, WindowContext
+from tests.benchmarks.consistency import (
+    EVEN_PRIOR,
+    Errors,
+    a_step,
+    errors_of_walks,
+    own_model,
+    said_of,
+    simulated_walk,
+)
 
 # --- the simulation itself ------------------------------------------------------------------------------------------
 
@@ -58,20 +70,20 @@ def mixed() -> Errors:
 
 
 def test_position_errors_agree_with_their_covariance(mixed: Errors) -> None:
-    low, high = bounds(2, 200)
+    low, high = mean_bounds(2, 200)
     mean = mixed.position.mean(axis=0)
     assert ((mean >= low) & (mean <= high)).all(), mean
 
 
 def test_the_nis_of_fixes_is_within_its_bounds(mixed: Errors) -> None:
-    low, high = bounds(2, mixed.fixes.size)
+    low, high = mean_bounds(2, mixed.fixes.size)
     assert low <= mixed.fixes.mean() <= high
     assert mixed.rejected <= 0.005 * mixed.fixes.size
 
 
 def test_the_whole_state_is_nearly_consistent(mixed: Errors) -> None:
     """The approximations of the IMM and of the linear scale add up to a tenth (docs/benchmarks.md)."""
-    low, high = bounds(4, 200)
+    low, high = mean_bounds(4, 200)
     mean = mixed.state.mean(axis=0)
     assert (mean >= low).all()
     assert (mean <= 1.1 * high).all(), mean
@@ -94,11 +106,69 @@ def test_an_overconfident_filter_fails_these_tests() -> None:
         ),
     )
     errors = errors_of_walks(model, sure, 60, 40, check_every=40, fix_every=40, fix_std_m=1.0)
-    assert errors.position.mean() > bounds(2, 60)[1]
-    assert errors.fixes.mean() > bounds(2, 60)[1]
+    assert errors.position.mean() > mean_bounds(2, 60)[1]
+    assert errors.fixes.mean() > mean_bounds(2, 60)[1]
 
 
 # --- a long time ----------------------------------------------------------------------------------------------------
+
+
+def day(n_steps: int, day_s: float) -> Iterator[Step | WindowContext | PositionFix]:
+    """Bouts of about 100 steps with rest between, a window every second, and a good fix now and then.
+
+    The person is where the fixes say: steps lead in a circle, so that a fix may always be near the start.
+    """
+    rng, fix_every_s = np.random.default_rng(0), 600.0
+    step_s, bout = 0.52, 100
+    rest_s = max(day_s / (n_steps / bout) - bout * step_s, 5.0)
+    sure = {c: np.where(np.arange(len(CONTEXTS)) == i, 0.9, 0.02) for i, c in enumerate(CONTEXTS)}
+    clock_s, window_s, fix_s, made = 0.0, 1.0, fix_every_s, 0
+
+    def until(end_s: float, context: str) -> Iterator[WindowContext]:
+        nonlocal window_s
+        while window_s <= end_s:
+            yield WindowContext(window_s, sure[context], EVEN_PRIOR)
+            window_s += 1.0
+
+    while made < n_steps:
+        context = str(rng.choice(["walking", "walking", "walking", "upstairs", "downstairs", "running"]))
+        for k in range(min(bout, n_steps - made)):
+            clock_s += step_s
+            yield from until(clock_s, context)
+            # twice around in a bout: the bout ends where it began
+            yield a_step(k, clock_s, rng, 1 / step_s, 4 * np.pi * k / bout)
+            made += 1
+        if clock_s >= fix_s:
+            yield PositionFix(clock_s, rng.normal(scale=3.0, size=2), 100.0 * np.eye(2))
+            fix_s = clock_s + fix_every_s
+        clock_s += rest_s
+        yield from until(clock_s, "stationary")
+
+
+def sizes(state: ImmState | WeightedState) -> tuple[int, int, int, int]:
+    """Numbers in all arrays of the state, windows, rows of the trail, waiting steps."""
+    estimates, trail = state.pedestrian.estimates, state.pedestrian.steps.trail
+    of_pedestrian = trail.size + sum(getattr(estimates, f.name).size for f in fields(estimates))
+    of_windows = sum(w.prob.size + w.training_prior.size + w.carrying_prob.size for w in state.windows)
+    waiting = state.pending if isinstance(state, WeightedState) else ()
+    return of_pedestrian + of_windows, len(state.windows), len(trail), len(waiting)
+
+
+def run_day(
+    tracker: ImmTracker | WeightedTracker, n_steps: int, day_s: float
+) -> tuple[ImmState | WeightedState, list[tuple[int, int, int, int]]]:
+    """The state at the end, and the sizes at every twentieth step."""
+    state, found = tracker.init(), []
+    for event in day(n_steps, day_s):
+        if isinstance(event, PositionFix):
+            state = tracker.on_fix(state, event)[0]
+        elif isinstance(event, WindowContext):
+            state, _ = tracker.on_window(state, event)
+        else:
+            state, _ = tracker.on_step(state, event)
+            if state.pedestrian.steps.n_final % 20 == 0:
+                found.append(sizes(state))
+    return state, found
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
@@ -106,7 +176,7 @@ def test_hours_of_walking_and_rest_do_not_enlarge_the_state(weighting: str) -> N
     """No array of the state grows, so that neither memory nor time of a step grows."""
     n_steps = 1700
     tracker = pdr.recipes.default().with_weighting(weighting).tracker
-    state, found, _ = run_day(tracker, n_steps, 86_400.0 * n_steps / 60_000)
+    state, found = run_day(tracker, n_steps, 86_400.0 * n_steps / 60_000)
     sizes = np.array(found)
     fifth = len(sizes) // 5
     first, last = sizes[:fifth].max(axis=0), sizes[-fifth:].max(axis=0)
