@@ -18,7 +18,8 @@ from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.calibration_result import of_height, slices_of
 from pdr_filter.filter.step_length.models import StepLengthFit, length_and_jacobian
-from pdr_filter.offline.calibration.model_forms import hierarchy_of
+from pdr_filter.offline.calibration.estimation import PeopleEstimate, embedded_cov
+from pdr_filter.offline.calibration.model_forms import hierarchy_of, models_of
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import Segment
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
@@ -56,22 +57,12 @@ class CalibrationWalk:
     segments: tuple[Segment, ...] = ()  # stretches of known length that are not positions, such as strides
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JointEstimate:
-    """Parameters of the population (P,) and of S people (S, P), with covariances, and the smoothed walks."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class JointEstimate(PeopleEstimate):
+    """Estimated parameters, and the smoothed walks."""
 
-    # (P,), (P, P) parameters of the population
-    population: FloatArray
-    population_cov: FloatArray
-    # (S, P), (S, P, P) parameters of each person
-    people: FloatArray
-    people_cov: FloatArray
-    smoothed: tuple[Smoothed, ...]  # smoothed walks
-    between_cov: FloatArray  # (P, P) covariance of the parameters between people
-    recording_std: float  # relative standard deviation of one person's scale between recordings
+    smoothed: tuple[Smoothed, ...]
     outliers: tuple[list[bool], ...]  # True for each stretch of known length of each walk that was rejected
-    n_iterations: int  # number of linearisations of the step lengths
-    converged: bool  # False if the parameters still changed in the last iteration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,12 +76,11 @@ class _ScaleVariances:
 class _FreeParameters:
     """Order of the parameters theta (P,) of all contexts, and the F free ones among them."""
 
-    def __init__(self, priors: Mapping[str, StepLengthPrior]) -> None:
+    def __init__(self, priors: Mapping[str, StepLengthPrior], recording_std: float) -> None:
         self.priors = priors
-        self.slices, self.n = slices_of({name: p.model for name, p in priors.items()})
-        self.mean, std, between = (
-            np.concatenate([getattr(p, name) for p in priors.values()]) for name in ("mean", "std", "between_std")
-        )
+        self.slices, self.n = slices_of(models_of(priors))
+        self.prior = hierarchy_of(priors, recording_std, tuple(priors))
+        self.mean, std, between = self.prior.mean, self.prior.std, self.prior.between_std
         if not (np.isfinite(std).all() and np.isfinite(between).all()):
             raise ValueError(
                 "a calibration by smoothing needs finite std and between_std of all priors, got inf: give finite ones, "
@@ -113,9 +103,7 @@ class _FreeParameters:
 
     def all_cov(self, cov: FloatArray) -> FloatArray:
         """Return the covariance (P, P) of all parameters from that of the free ones (F, F)."""
-        full = np.zeros((self.n, self.n))
-        full[np.ix_(self.free, self.free)] = cov
-        return full
+        return embedded_cov(self.n, self.free, cov)
 
 
 def mode_names(model: PedestrianModel, separate: Mapping[str, str]) -> list[str]:
@@ -198,7 +186,8 @@ def estimate_jointly(
     estimated by expectation-maximisation (`estimation.estimate_parameters`), the noise of the steps is that of the
     priors. Step lengths and noise are linearised at the parameters of the last iteration.
     """
-    parameters = _FreeParameters(priors)
+    parameters = _FreeParameters(priors, recording_std)
+    prior = parameters.prior
     people = list(dict.fromkeys(w.subject for w in walks))
     keys = {
         name: PersonKeys(gtsam.symbol("k", 0), gtsam.symbol("p", s), parameters.personal)
@@ -207,7 +196,6 @@ def estimate_jointly(
     theta = {name: parameters.mean[parameters.free].copy() for name in people}
     population = parameters.mean[parameters.free].copy()
     variances = start = _ScaleVariances(np.diag(parameters.between_std[parameters.personal] ** 2), recording_std**2)
-    prior = hierarchy_of(priors, recording_std, tuple(priors))
     guesses = [w.found for w in walks]
     outliers = [[False] * len(w.segments) for w in walks]
     iteration, converged, is_tested = 0, False, loss != "gnc"
@@ -227,31 +215,20 @@ def estimate_jointly(
             weight = guess.weight if loss == "gnc" else of_one.graph.problem.possible
             of_one.graph.add_to(graph, weight, loss)
             of_one.graph.insert_into(values, guess)
-            lengths.append(
-                [
-                    _length_factor(segment, of_one.graph, keys[w.subject], parameters, theta[w.subject], of_lengths)
-                    for segment in w.segments
-                ]
-            )
+            of_person = of_one.graph, keys[w.subject], parameters, theta[w.subject], of_lengths
+            lengths.append([_length_factor(segment, *of_person) for segment in w.segments])
             for factor, is_wrong in zip(lengths[-1], wrong, strict=True):
                 if not is_wrong:
                     graph.push_back(factor)
         values = least_squares_values(graph, values)
-        before = theta
-        theta = {name: keys[name].theta(values) for name in people}
+        before, theta = theta, {name: keys[name].theta(values) for name in people}
         population = values.atVector(gtsam.symbol("k", 0))
         guesses = [of_one.graph.states_of(values, guess) for of_one, guess in zip(linearised, guesses, strict=True)]
         moved = [np.abs(theta[name] - before[name]) / parameters.std for name in people]
         tree = bayes_tree(graph, values)
         before_outliers = outliers
         if loss == "gnc":
-            outliers = [
-                [
-                    abs(_held_out_error(factor, values, tree, is_used=not is_wrong)) > OUTLIER_STDS
-                    for factor, is_wrong in zip(of_walk, wrong, strict=True)
-                ]
-                for of_walk, wrong in zip(lengths, before_outliers, strict=True)
-            ]
+            outliers = [_outliers(*each, values, tree) for each in zip(lengths, before_outliers, strict=True)]
         converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS and outliers == before_outliers
         if converged and not is_tested:
             # outliers were found with the step lengths of each walk alone
@@ -276,8 +253,7 @@ def estimate_jointly(
     by_keys[parameters.personal, parameters.personal] = 0.0
     by_keys[parameters.personal, n_free + np.arange(n_own)] = 1.0
     people_cov = [parameters.all_cov(by_keys @ cov_of(tree, keys[name].keys) @ by_keys.T) for name in people]
-    between_cov = np.zeros((n_free, n_free))
-    between_cov[np.ix_(parameters.personal, parameters.personal)] = variances.between
+    between_cov = embedded_cov(n_free, parameters.personal, variances.between)
     smoothed = [
         _smoothed(w, of_one, of_one.graph.solution(values, tree, guess))
         for w, of_one, guess in zip(walks, linearised, guesses, strict=True)
@@ -422,6 +398,14 @@ def _length_factor(
         return np.array([inverse * (scale * length_m - segment.distance_m)])
 
     return gtsam.CustomFactor(noise_of(1, loss), keys, error)
+
+
+def _outliers(
+    factors: Sequence[gtsam.CustomFactor], was_wrong: Sequence[bool], values: gtsam.Values, tree: Any
+) -> list[bool]:
+    """Return True for each known length that everything else contradicts. `was_wrong` are those left out so far."""
+    errors = (_held_out_error(f, values, tree, is_used=not w) for f, w in zip(factors, was_wrong, strict=True))
+    return [abs(error) > OUTLIER_STDS for error in errors]
 
 
 def _held_out_error(factor: gtsam.CustomFactor, values: gtsam.Values, tree: Any, *, is_used: bool) -> float:
