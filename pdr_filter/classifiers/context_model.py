@@ -48,6 +48,8 @@ STAIRS_LABELS = ("walking", "upstairs", "downstairs")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # a valid file name on all systems
 # Numbers and arrays that are stored as arrays of the same names.
 _NUMBERS = ("temperature", "slip", "feature_limit")
+# Fields of the description that files of older models lack.
+_OPTIONAL = ("labels", "stairs_labels", "needs_gyroscope", "evidence_exponent", "prior_exponent")
 _ARRAYS = ("training_prior", "feature_mean", "feature_scale")
 _MIN_DIVISOR = 1e-30  # smallest divisor, so that quotients do not overflow
 # Prefixes of the arrays of parts.
@@ -173,8 +175,8 @@ class ContextModel(Shipped):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", tuple(self.labels) or HEADS.get(self.head, ()))
-        object.__setattr__(self, "feature_names", tuple(self.feature_names))
-        object.__setattr__(self, "classes", tuple(self.classes))
+        for name in ("feature_names", "classes", "stairs_labels"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         for name in _ARRAYS:
             object.__setattr__(self, name, read_only(getattr(self, name), name))
         if self.transition_prob is not None:
@@ -416,13 +418,7 @@ class ContextModel(Shipped):
             "name": self.name,
             "head": self.head,
             "machine": kind_of(self.machine),
-            "feature_names": list(self.feature_names),
-            "classes": list(self.classes),
-            "labels": list(self.labels),
-            "stairs_labels": list(self.stairs_labels),
-            "needs_gyroscope": self.needs_gyroscope,
-            "evidence_exponent": self.evidence_exponent,
-            "prior_exponent": self.prior_exponent,
+            **{name: getattr(self, name) for name in ("feature_names", "classes", *_OPTIONAL)},
             "card": as_plain(self.card),
         }
         FORMAT.write(Path(folder) / self.name, description, arrays)
@@ -609,20 +605,16 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
     familiarity, stairs = of_prefix(_FAMILIARITY, arrays), of_prefix(_STAIRS, arrays)
     return ContextModel(
         name=description["name"],
-        feature_names=tuple(description["feature_names"]),
-        classes=tuple(description["classes"]),
+        feature_names=description["feature_names"],
+        classes=description["classes"],
         **cast(Any, {name: arrays[name] for name in _ARRAYS} | {name: float(arrays[name]) for name in _NUMBERS}),
+        **{name: description[name] for name in _OPTIONAL if name in description},
         machine=MACHINES[kind].from_arrays(of_prefix(_MACHINE, arrays)),
         card=dict(description["card"]),
         head=description["head"],
         familiarity=Familiarity.from_arrays(familiarity) if familiarity else None,
         stairs=Familiarity.from_arrays(stairs) if stairs else None,
-        labels=tuple(description.get("labels", ())),
-        stairs_labels=tuple(description.get("stairs_labels", STAIRS_LABELS)),
         transition_prob=arrays.get("transition_prob"),
-        needs_gyroscope=description.get("needs_gyroscope", True),
-        evidence_exponent=description.get("evidence_exponent"),
-        prior_exponent=description.get("prior_exponent"),
     )
 
 
