@@ -17,6 +17,7 @@ from pdr_filter.filter.step_length.models import (
     RECORDING_STD,
     TYPICAL_STEP,
     StepLengthFit,
+    is_linear,
     length_and_jacobian,
     scale_std,
 )
@@ -334,7 +335,7 @@ def _main_mode(modes: Sequence[Mode]) -> Mode:
 
 def _scaled(fit: StepLengthFit, factor: float) -> StepLengthFit:
     """Return the fit with all lengths multiplied by a factor. ValueError for a model that is not linear."""
-    if not hasattr(fit.model, "regressors"):
+    if not is_linear(fit.model):
         raise ValueError(
             f"person cannot scale the step-length model {type(fit.model).__name__}, because it is not linear in its "
             'parameters: use recipe "default" or track without person'

@@ -85,8 +85,6 @@ def joint_covariances(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariances (n - 1, 8, 8) of both ends of the intervals between n anchors, in one backward pass.
 
-    An anchor is a foot contact with a state of the smoother.
-
     The second result is the joint covariance (E, 10, 10) of the anchor `error_node` of each error (4 states), followed
     by the error (6 states). Keys are the anchors, the errors, and the rotation of the frame. They are eliminated in the
     order of the walk, each error after its anchor. Each conditional is R x_j + S x_P = d. The parents P of a key j are

@@ -1,4 +1,8 @@
-"""Least-squares problem of a walk: anchors, the steps between them, and the observations at them."""
+"""Least-squares problem of a walk: anchors, the steps between them, and the observations at them.
+
+An anchor is a foot contact at which the smoother estimates a state. Arrays have rows for F positions, H directions,
+S states and X measurements.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +39,7 @@ MIN_HEADING_LENGTH_M = 1.0  # the heading of a corridor carries no information o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedPositions(Columns):
-    """Observed positions of anchors (foot contacts with a state), on the map or relative to another anchor."""
+    """Observed positions of anchors, on the map or relative to another anchor."""
 
     node: IntArray  # (F,) index of the observed anchor
     other: IntArray  # (F,) index of the anchor to which the position is relative, -1 for a position on the map
@@ -79,8 +83,7 @@ class ObservedStates(Columns):
 class ObservedMeasurements(Columns):
     """User-defined measurements (`values.Measurement`), each assigned to the anchor nearest in time.
 
-    An anchor is a foot contact with a state of the smoother. Positions, directions and states have classes of their
-    own.
+    Positions, directions and states have classes of their own.
     """
 
     fixes: tuple[Measurement, ...]  # the X measurements
@@ -129,7 +132,7 @@ class Problem:
 
     @property
     def n_nodes(self) -> int:
-        """Number of anchors, which are the foot contacts at which the smoother estimates a state."""
+        """Number of anchors."""
         return len(self.intervals.nodes)
 
     def split(self, values: FloatArray) -> list[FloatArray]:
@@ -139,10 +142,7 @@ class Problem:
 
     @property
     def limit_nis(self) -> FloatArray:
-        """Gates (F + H + S + X,) of the normalised innovation squared, above which an observation is an outlier.
-
-        F, H, S and X are the numbers of positions, directions, states and measurements.
-        """
+        """Gates (F + H + S + X,) of the normalised innovation squared, above which an observation is an outlier."""
         of = {1: _DIRECTION_NIS, 2: _POSITION_NIS}
         guesses = zip(self.measurements.fixes, self.measurements.guess_m, strict=True)
         sizes = [len(measurement_of(fix, guess_m, 0.0)[0]) for fix, guess_m in guesses]
@@ -152,10 +152,7 @@ class Problem:
 
     @property
     def possible(self) -> FloatArray:
-        """Mask of usable observations (F + H + S + X,): 1, or 0 for a direction over too short a distance.
-
-        F, H, S and X are the numbers of positions, directions, states and measurements.
-        """
+        """Mask of usable observations (F + H + S + X,): 1, or 0 for a direction over too short a distance."""
         walked = self.directions.length_m > MIN_HEADING_LENGTH_M
         n_others = len(self.states) + len(self.measurements)
         return np.concatenate([np.ones(len(self.positions)), walked.astype(float), np.ones(n_others)])
@@ -184,12 +181,11 @@ def pose_problem(
 ) -> Problem:
     """Return the least-squares problem, with anchors at observations, changes of the heading offset and gaps.
 
-    An anchor is a foot contact at which the smoother estimates a state. `anchor_interval_s` is about the largest time
-    between two of them (`choose_nodes`). The positions of the problem are the fixes, the locations and the loop
-    closures, in this order. Correlated fixes must be in order of time and at different contacts (`joined_at_contacts`).
-    `states` and `offsets` are given by the number of steps before them. `shape_m` (K + 1, 2) are positions of the start
-    and of the steps that show the shape of the walk to the errors of locations (`errors_of`). `anchors` are further
-    numbers of steps with an anchor.
+    `anchor_interval_s` is about the largest time between two of them (`choose_nodes`). The positions of the problem are
+    the fixes, the locations and the loop closures, in this order. Correlated fixes must be in order of time and at
+    different contacts (`joined_at_contacts`). `states` and `offsets` are given by the number of steps before them.
+    `shape_m` (K + 1, 2) are positions of the start and of the steps that show the shape of the walk to the errors of
+    locations (`errors_of`). `anchors` are further numbers of steps with an anchor.
     """
     fixes, loops, known = (*observed.positions, *observed.locations), observed.loop_closures, observed.known_headings
     is_location = np.arange(len(fixes)) >= len(observed.positions)
@@ -300,9 +296,8 @@ def _positions(
 def choose_nodes(steps: Increments, wanted: IntArray, interval_s: float) -> IntArray:
     """Return the number of steps before each anchor, increasing from 0 to the number of steps K.
 
-    An anchor is a foot contact at which the smoother estimates a state. There are anchors at the wanted numbers, and
-    before each change of the heading offset and each gap. More anchors in between keep the time between anchors at
-    about `interval_s` or less.
+    There are anchors at the wanted numbers, and before each change of the heading offset and each gap. More anchors in
+    between keep the time between anchors at about `interval_s` or less.
     """
     changed = np.flatnonzero(steps.is_turned)
     needed = np.unique(np.concatenate([[0, len(steps)], changed, wanted]).astype(np.int64))
@@ -380,8 +375,8 @@ def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
 def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:
     """Return measured heading offsets moved to the last anchor at or before them, as one weighted mean per anchor.
 
-    An anchor is a foot contact at which the smoother estimates a state. `nodes` has the number of steps before each.
-    Their variance includes the drift between the anchor and the measurement.
+    `nodes` has the number of steps before each anchor. The variance includes the drift between the anchor and the
+    measurement.
     """
     if len(offsets) == 0:
         return NO_OFFSETS

@@ -233,11 +233,7 @@ def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
 
 
 def _position_anchors(problem: Problem) -> IntArray:
-    """Return the anchor of each observed position and measurement, -1 for directions and states, (F + H + S + X,).
-
-    An anchor is given by its index among the foot contacts with a state. F, H, S and X are the numbers of positions,
-    directions, states and measurements.
-    """
+    """Return the anchor of each observed position and measurement, -1 for directions and states, (F + H + S + X,)."""
     others = np.full(len(problem.directions) + len(problem.states), -1)
     return np.concatenate([problem.positions.node, others, problem.measurements.node])
 
