@@ -330,12 +330,10 @@ class ContextModel(Shipped):
                 "leave such windows out or fill in a value"
             )
         standardised = self.standardised(values)
-        known, unlike_stairs = self.familiarity, np.zeros(len(values))
-        distance = unlike_stairs if known is None else known.distance(standardised)
+        known = self.familiarity
+        distance = np.zeros(len(values)) if known is None else known.distance(standardised)
         unknown = distance if known is None else unknown_share(distance, known.limit, known.sharpness)
-        if self.stairs is not None:
-            unlike_stairs = self.stairs.unknown_share(standardised)
-        prob = blend_stairs_with_prior(self._predict_standardised(standardised), unlike_stairs, self._level_and_stairs)
+        prob, unlike_stairs = self._prob_with_stairs(standardised)
         prob = prob / prob.sum(axis=1, keepdims=True)
         unlike = [False] * len(values) if known is None else known.is_unlike(distance).tolist()
         columns = prob, unknown.tolist(), unlike_stairs.tolist(), unlike
@@ -369,15 +367,15 @@ class ContextModel(Shipped):
         ndarray, shape (W, L)
             Probabilities in the order of `labels`.
         """
-        standardised = self.standardised(features)
+        return self._prob_with_stairs(self.standardised(features))[0]
+
+    def _prob_with_stairs(self, standardised: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return probabilities (W, L), and how unlike the training windows on stairs each window is, (W,)."""
         prob = self._predict_standardised(standardised)
         if self.stairs is None:
-            return prob
-        return blend_stairs_with_prior(prob, self.stairs.unknown_share(standardised), self._level_and_stairs)
-
-    @property
-    def _level_and_stairs(self) -> list[int]:
-        return [] if self.stairs is None else [self.labels.index(label) for label in self.stairs_labels]
+            return prob, np.zeros(len(prob))
+        unlike = self.stairs.unknown_share(standardised)
+        return blend_stairs_with_prior(prob, unlike, [self.labels.index(label) for label in self.stairs_labels]), unlike
 
     def _predict_standardised(self, rows: FloatArray) -> FloatArray:
         cut = np.clip(rows, -self.feature_limit, self.feature_limit)

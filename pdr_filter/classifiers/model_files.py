@@ -133,8 +133,14 @@ def of_prefix(prefix: str, arrays: Arrays) -> Arrays:
 
 
 def _kind(description: Any) -> Any:
-    """Return the kind of artefact that the content of a .json file states, or None if it describes something else."""
-    return cast(dict[str, Any], description).get("kind") if isinstance(description, dict) else None
+    """Return the kind of artefact that the content of a .json file states, or None if it describes something else.
+
+    Context models of early versions do not state their kind, but have a checksum of their arrays.
+    """
+    if not isinstance(description, dict):
+        return None
+    found = cast(dict[str, Any], description)
+    return found.get("kind", "context_model" if "npz_sha256" in found else None)
 
 
 def _packed(arrays: Arrays) -> bytes:

@@ -158,10 +158,8 @@ class Segment:
         constant : array (2,)
             Displacement at theta = 0, which is zero for a linear model.
         """
-        own, weight = (
-            of_height(model, self.height_m),
-            self.inside * self.context_prob[:, self.context_names.index(context)],
-        )
+        own = of_height(model, self.height_m)
+        weight = self.inside * self.context_prob[:, self.context_names.index(context)]
         used = np.flatnonzero(weight > _MIN_PROB)
         if self.heading_rad is None:
             vectors = np.stack([weight[used], np.zeros(len(used))])

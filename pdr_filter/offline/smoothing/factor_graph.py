@@ -60,9 +60,13 @@ class PersonKeys:
 
     def theta(self, values: gtsam.Values) -> FloatArray:
         """Return the parameters (F,) of the person."""
-        theta = values.atVector(self.population).copy()
+        return self.joined([values.atVector(key) for key in self.keys])
+
+    def joined(self, vectors: Sequence[FloatArray]) -> FloatArray:
+        """Return the parameters (F,) of the person from the vectors of the `keys`."""
+        theta = vectors[0].copy()
         if len(self.personal):
-            theta[self.personal] = values.atVector(self.person)
+            theta[self.personal] = vectors[1]
         return theta
 
     def split(self, by_theta: FloatArray) -> list[FloatArray]:
@@ -259,10 +263,7 @@ class WalkGraph:
             (a, b), rate = states, float(vectors[0][0]) if with_rate else 0.0
             moved_m = step_m
             if person is not None:
-                theta = vectors[int(with_rate)].copy()
-                if len(person.personal):
-                    theta[person.personal] = vectors[-1]
-                moved_m = step_m + by_theta @ (theta - about)
+                moved_m = step_m + by_theta @ (person.joined(vectors[len(others) :]) - about)
             rotation = scaled_rotation(rate * since_s, decay * is_measured * a[LOG_SCALE])
             each_m = np.einsum("kab,kb->ka", rotation, moved_m)
             back = scaled_rotation(a[HEADING_OFFSET], np.zeros(())).T

@@ -142,16 +142,13 @@ def _motion(
     steps: Sequence[Step], lengths: Sequence[ModeLengths], directions: Sequence[Directions]
 ) -> tuple[Directions, StepMotion]:
     """Return the directions (K, M) of the modes and the motion of K steps in M modes, without scale and offset."""
-    n = len(steps)
-    way = Directions(
-        *(np.array([getattr(of, name) for of in directions]).reshape(n, -1) for name in Directions.__slots__)
-    )
-    length_m, var_m2 = (
-        np.array([getattr(of, name) for of in lengths]).reshape(n, -1) for name in ("length_m", "residual_var_m2")
-    )
-    device_rad, turned_rad = (
-        np.array([getattr(step, name) for step in steps])[:, None] for name in ("reference_heading_rad", "turned_rad")
-    )
+
+    def columns(objects: Sequence[object], name: str) -> FloatArray:
+        return np.array([getattr(each, name) for each in objects]).reshape(len(steps), -1)
+
+    way = Directions(*(columns(directions, name) for name in Directions.__slots__))
+    length_m, var_m2 = columns(lengths, "length_m"), columns(lengths, "residual_var_m2")
+    device_rad, turned_rad = columns(steps, "reference_heading_rad"), columns(steps, "turned_rad")
     return way, step_motion(device_rad, 0.0, 0.0, length_m, var_m2, way, turned_rad)
 
 
