@@ -19,6 +19,8 @@ from typing import Any
 from zlib import crc32
 
 import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import log_softmax
 from threadpoolctl import threadpool_limits
 
 from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of, part_progress
@@ -33,10 +35,10 @@ from models.training.synthetic_windows import (
     windows_of_one,
 )
 from pdr_filter.classifiers.context_model import ContextModel
-from pdr_filter.classifiers.probability_calibration import fit_temperature, tempered_prob
+from pdr_filter.classifiers.probability_calibration import tempered_prob
+from pdr_filter.offline.columns import Columns
 from pdr_filter.offline.training.classifier_choice import fit_softmax
 from pdr_filter.offline.training.cross_validation import (
-    Columns,
     HeldOut,
     LabelledWindows,
     Progress,
@@ -53,7 +55,7 @@ from pdr_filter.sensing.contexts.context_stage import CARRYING_EXPONENT, CARRYIN
 from pdr_filter.sensing.features import carrying, invariant
 from pdr_filter.sensing.features.feature_windows import N_MAGNITUDES, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
-from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray
 from pdr_filter.values.recording import Recording
 
 WEAK = "weak"
@@ -353,3 +355,19 @@ def _followed(recording: TextArray, prob: FloatArray) -> FloatArray:
         before = result[i - 1] if i and recording[i] == recording[i - 1] else prior
         result[i] = follow_mode(before, prob[i], prior, CARRYING_STAY_PROB, CARRYING_EXPONENT)
     return result
+
+
+def fit_temperature(prob: FloatArray, label: IntArray) -> float:
+    """Return the temperature, 0.2 to 5, with the lowest log loss of probabilities (N, K) for labels (N,).
+
+    The probabilities must be of people who are not in the training data. For people in the training data the result
+    would be 1 or less.
+    """
+    log_prob = np.log(np.maximum(prob, 1e-300))
+
+    def log_loss(log_temperature: float) -> float:
+        scaled = log_softmax(log_prob / np.exp(log_temperature), axis=1)
+        return float(-scaled[np.arange(len(label)), label].mean())
+
+    found: Any = minimize_scalar(log_loss, bounds=(np.log(0.2), np.log(5.0)), method="bounded")
+    return float(np.exp(found.x))

@@ -32,9 +32,9 @@ from models.training.synthetic_windows import (
 )
 from pdr_filter.classifiers.context_model import ContextModel
 from pdr_filter.classifiers.forest import Forest
+from pdr_filter.offline.columns import Columns
 from pdr_filter.offline.training.classifier_choice import in_float32
 from pdr_filter.offline.training.cross_validation import (
-    Columns,
     HeldOut,
     LabelledWindows,
     Progress,

@@ -48,6 +48,8 @@ STAIRS_LABELS = ("walking", "upstairs", "downstairs")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # a valid file name on all systems
 # Numbers and arrays that are stored as arrays of the same names.
 _NUMBERS = ("temperature", "slip", "feature_limit")
+# Fields of the description that files of older models lack.
+_OPTIONAL = ("labels", "stairs_labels", "needs_gyroscope", "evidence_exponent", "prior_exponent")
 _ARRAYS = ("training_prior", "feature_mean", "feature_scale")
 _MIN_DIVISOR = 1e-30  # smallest divisor, so that quotients do not overflow
 # Prefixes of the arrays of parts.
@@ -173,8 +175,8 @@ class ContextModel(Shipped):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", tuple(self.labels) or HEADS.get(self.head, ()))
-        object.__setattr__(self, "feature_names", tuple(self.feature_names))
-        object.__setattr__(self, "classes", tuple(self.classes))
+        for name in ("feature_names", "classes", "stairs_labels"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         for name in _ARRAYS:
             object.__setattr__(self, name, read_only(getattr(self, name), name))
         if self.transition_prob is not None:
@@ -328,12 +330,10 @@ class ContextModel(Shipped):
                 "leave such windows out or fill in a value"
             )
         standardised = self.standardised(values)
-        known, unlike_stairs = self.familiarity, np.zeros(len(values))
-        distance = unlike_stairs if known is None else known.distance(standardised)
+        known = self.familiarity
+        distance = np.zeros(len(values)) if known is None else known.distance(standardised)
         unknown = distance if known is None else unknown_share(distance, known.limit, known.sharpness)
-        if self.stairs is not None:
-            unlike_stairs = self.stairs.unknown_share(standardised)
-        prob = blend_stairs_with_prior(self._predict_standardised(standardised), unlike_stairs, self._level_and_stairs)
+        prob, unlike_stairs = self._prob_with_stairs(standardised)
         prob = prob / prob.sum(axis=1, keepdims=True)
         unlike = [False] * len(values) if known is None else known.is_unlike(distance).tolist()
         columns = prob, unknown.tolist(), unlike_stairs.tolist(), unlike
@@ -367,15 +367,15 @@ class ContextModel(Shipped):
         ndarray, shape (W, L)
             Probabilities in the order of `labels`.
         """
-        standardised = self.standardised(features)
+        return self._prob_with_stairs(self.standardised(features))[0]
+
+    def _prob_with_stairs(self, standardised: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return probabilities (W, L), and how unlike the training windows on stairs each window is, (W,)."""
         prob = self._predict_standardised(standardised)
         if self.stairs is None:
-            return prob
-        return blend_stairs_with_prior(prob, self.stairs.unknown_share(standardised), self._level_and_stairs)
-
-    @property
-    def _level_and_stairs(self) -> list[int]:
-        return [] if self.stairs is None else [self.labels.index(label) for label in self.stairs_labels]
+            return prob, np.zeros(len(prob))
+        unlike = self.stairs.unknown_share(standardised)
+        return blend_stairs_with_prior(prob, unlike, [self.labels.index(label) for label in self.stairs_labels]), unlike
 
     def _predict_standardised(self, rows: FloatArray) -> FloatArray:
         cut = np.clip(rows, -self.feature_limit, self.feature_limit)
@@ -416,13 +416,7 @@ class ContextModel(Shipped):
             "name": self.name,
             "head": self.head,
             "machine": kind_of(self.machine),
-            "feature_names": list(self.feature_names),
-            "classes": list(self.classes),
-            "labels": list(self.labels),
-            "stairs_labels": list(self.stairs_labels),
-            "needs_gyroscope": self.needs_gyroscope,
-            "evidence_exponent": self.evidence_exponent,
-            "prior_exponent": self.prior_exponent,
+            **{name: getattr(self, name) for name in ("feature_names", "classes", *_OPTIONAL)},
             "card": as_plain(self.card),
         }
         FORMAT.write(Path(folder) / self.name, description, arrays)
@@ -609,20 +603,16 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
     familiarity, stairs = of_prefix(_FAMILIARITY, arrays), of_prefix(_STAIRS, arrays)
     return ContextModel(
         name=description["name"],
-        feature_names=tuple(description["feature_names"]),
-        classes=tuple(description["classes"]),
+        feature_names=description["feature_names"],
+        classes=description["classes"],
         **cast(Any, {name: arrays[name] for name in _ARRAYS} | {name: float(arrays[name]) for name in _NUMBERS}),
+        **{name: description[name] for name in _OPTIONAL if name in description},
         machine=MACHINES[kind].from_arrays(of_prefix(_MACHINE, arrays)),
         card=dict(description["card"]),
         head=description["head"],
         familiarity=Familiarity.from_arrays(familiarity) if familiarity else None,
         stairs=Familiarity.from_arrays(stairs) if stairs else None,
-        labels=tuple(description.get("labels", ())),
-        stairs_labels=tuple(description.get("stairs_labels", STAIRS_LABELS)),
         transition_prob=arrays.get("transition_prob"),
-        needs_gyroscope=description.get("needs_gyroscope", True),
-        evidence_exponent=description.get("evidence_exponent"),
-        prior_exponent=description.get("prior_exponent"),
     )
 
 

@@ -135,8 +135,7 @@ def of_prefix(prefix: str, arrays: Arrays) -> Arrays:
 def _kind(description: Any) -> Any:
     """Return the kind of artefact that the content of a .json file states, or None if it describes something else.
 
-    Context models of early versions do not state their kind. They are recognised by the checksum of their arrays, and
-    the result is then "context_model".
+    Context models of early versions do not state their kind, but have a checksum of their arrays.
     """
     if not isinstance(description, dict):
         return None

@@ -23,26 +23,6 @@ def tempered_prob(prob: FloatArray, temperature: float) -> FloatArray:
         return softmax(np.log(prob) / temperature)
 
 
-def fit_temperature(prob: FloatArray, label: IntArray) -> float:
-    """Return the temperature, 0.2 to 5, with the lowest log loss of probabilities (N, K) for labels (N,).
-
-    The probabilities must be of people who are not in the training data. For people in the training data the result
-    would be 1 or less.
-    """
-    # Imported late, because a program that only classifies does not need it.
-    from scipy.optimize import minimize_scalar
-    from scipy.special import log_softmax
-
-    log_prob = np.log(np.maximum(prob, 1e-300))
-
-    def log_loss(log_temperature: float) -> float:
-        scaled = log_softmax(log_prob / np.exp(log_temperature), axis=1)
-        return float(-scaled[np.arange(len(label)), label].mean())
-
-    found: Any = minimize_scalar(log_loss, bounds=(np.log(0.2), np.log(5.0)), method="bounded")
-    return float(np.exp(found.x))
-
-
 def slipped_prob(prob: FloatArray, slip: float) -> FloatArray:
     """Return the probabilities (1 - e) p + e / K, (..., K), of K classes from the probabilities p.
 

@@ -93,17 +93,11 @@ class Bernoulli:
         return float(self.weight @ (self.target * t - np.logaddexp(0.0, t)))
 
     def slope(self, logit: FloatArray) -> FloatArray:
-        """Return the weighted residuals y - sigma(t), (N,), of targets y and logits t (offset included).
-
-        sigma is the logistic function.
-        """
+        """Return the weighted residuals y - sigma(t), (N,), of targets y and logits t (offset included)."""
         return self.weight * (self.target - expit(logit + self.offset))
 
     def curvature(self, logit: FloatArray) -> FloatArray:
-        """Return the weighted sigma(t) (1 - sigma(t)), (N,), of logits t (offset included).
-
-        sigma is the logistic function.
-        """
+        """Return the weighted sigma(t) (1 - sigma(t)), (N,), of logits t (offset included)."""
         probability = expit(logit + self.offset)
         return self.weight * probability * (1.0 - probability)
 
@@ -130,10 +124,7 @@ class Posterior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trained:
-    """Result of a training: posterior, number of passes, and history of the log evidence.
-
-    Two flags say whether training stopped at the limit of passes, and at the limit of basis functions.
-    """
+    """Result of a training: posterior, number of passes, and history of the log evidence."""
 
     posterior: Posterior
     n_passes: int
@@ -143,10 +134,7 @@ class Trained:
 
 
 class Additions(NamedTuple):
-    """Basis functions to add in a pass: their indices, their alphas (prior precisions), and the gain of log evidence.
-
-    The gain, in nats, is the gain of all these functions together.
-    """
+    """Basis functions to add in a pass, with their alphas (prior precisions) and their common gain of log evidence."""
 
     functions: IntArray  # (P,) in descending order of their evidence gain
     alpha: FloatArray  # (P,)

@@ -7,7 +7,7 @@ estimates another one from recordings, and `recipes.with_transitions` gives it t
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -82,16 +82,8 @@ class Transitions:
         Path
             The written file.
         """
-        content = {
-            "contexts": list(self.contexts),
-            "transition_prob": self.transition_prob,
-            "evidence_exponent": self.evidence_exponent,
-            "prior_exponent": self.prior_exponent,
-            "counts": self.counts,
-            "card": self.card,
-        }
         path, _ = file_pair(Path(folder) / "transitions")
-        FORMAT.write(path, content)
+        FORMAT.write(path, {f.name: getattr(self, f.name) for f in fields(self)})
         return path
 
 

@@ -110,9 +110,8 @@ class Config:
         of_heading, drift = drift_of(self.sensing.heading), self.model.noise.heading_drift
         if of_heading is not None and of_heading != drift:
             raise ValueError(
-                "the heading stage must have the heading drift of the filter, "
-                f"{drift}, got {of_heading}: pass the same "
-                "HeadingDrift to both"
+                f"the heading stage must have the heading drift of the filter, {drift}, got {of_heading}: pass the "
+                "same HeadingDrift to both"
             )
         if self.sensing.context_set != self.model.context_set:
             object.__setattr__(self, "sensing", replace(self.sensing, context_set=self.model.context_set))
@@ -233,9 +232,8 @@ class Config:
         """
         if self.person is not None:
             raise ValueError(
-                "the configuration already has a person: combine both with "
-                "Person.pooled, and pass the result to a recipe's "
-                "configuration"
+                "the configuration already has a person: combine both with Person.pooled, and pass the result to a "
+                "recipe's configuration"
             )
         known = replace(self, tracker=replace(self.tracker, model=person.in_model(self.model)))
         walks = f"{len(person.sessions)} walk" + "s" * (len(person.sessions) != 1)

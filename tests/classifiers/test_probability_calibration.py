@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import brier_score_loss
 
+from models.training.carrying_training import fit_temperature
 from pdr_filter.classifiers.probability_calibration import (
     brier_score,
     fit_calibration,
-    fit_temperature,
     reliability_diagram,
     slipped_prob,
     tempered_prob,

@@ -5,25 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import date
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pdr_filter.filter.step_length.calibration_result import typical_step_m
+from pdr_filter.offline.calibration.estimation import PeopleEstimate
 from pdr_filter.offline.calibration.model_forms import models_of
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.values import FloatArray, Table, limits
 from pdr_filter.version import __version__
 
-if TYPE_CHECKING:
-    from pdr_filter.offline.calibration.estimation import ParameterEstimate
-    from pdr_filter.offline.calibration.joint_smoothing import JointEstimate
-
 
 def calibration_of(
     priors: Mapping[str, StepLengthPrior],
-    found: ParameterEstimate | JointEstimate,
+    found: PeopleEstimate,
     heights_m: Mapping[str, float | None],
     rows: Table,
     notes: Sequence[str],

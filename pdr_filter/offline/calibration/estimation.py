@@ -38,12 +38,9 @@ class Hierarchy:
     noise_dof: float = 10.0  # the corresponding weight of the noise of segments, as a number of segments
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ParameterEstimate:
-    """Estimated parameters of the population and of S people from N segments.
-
-    The covariances are conditional on the estimated variances.
-    """
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class PeopleEstimate:
+    """Estimated parameters of the population and of S people. The covariances are conditional on the variances."""
 
     population: FloatArray  # (P,) parameters of the population
     population_cov: FloatArray  # (P, P) covariance of `population`
@@ -52,6 +49,14 @@ class ParameterEstimate:
     # (P, P) covariance between people. Infinite on the diagonal for parameters that are independent between people.
     between_cov: FloatArray
     recording_std: float  # relative standard deviation of one person's scale between recordings
+    n_iterations: int
+    converged: bool  # False if the iterations ended before the changes became negligible
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class ParameterEstimate(PeopleEstimate):
+    """Estimated parameters from N segments, and the fit of each segment."""
+
     noise_factor: FloatArray  # (C,) ratio of the estimated to the prior variance of the segments of each context
     predicted_m: FloatArray  # (N,) predicted length of each segment with the parameters of the person
     left_out_m: FloatArray  # (N,) predicted length with the person's parameters estimated without this segment
@@ -60,8 +65,6 @@ class ParameterEstimate:
     stranger_m: FloatArray
     misfit: FloatArray  # (N,) residual with respect to the prediction from all other segments, in standard deviations
     weight: FloatArray  # (N,) robust weight, 1 for a segment that fits
-    n_iterations: int
-    converged: bool  # False if the iterations ended before the changes became negligible
 
 
 def estimate_parameters(
@@ -265,15 +268,13 @@ class _Task:
         place = np.argsort(own.rows)  # index of each segment in the order of people
         predicted = own.length(theta)
         between[self.alone, self.alone] = np.inf
-        n_params = len(self.prior.mean)
-        people_cov = np.zeros((self.n_people, n_params, n_params))
-        people_cov[:, self.free[:, None], self.free] = posterior.people_cov
+        n = len(self.prior.mean)
         return ParameterEstimate(
             population=self.all_parameters(posterior.population[None])[0],
-            population_cov=_embedded_cov(n_params, self.free, posterior.population_cov),
+            population_cov=embedded_cov(n, self.free, posterior.population_cov),
             people=self.all_parameters(theta),
-            people_cov=people_cov,
-            between_cov=_embedded_cov(n_params, self.free[self.personal], between),
+            people_cov=np.array([embedded_cov(n, self.free, cov) for cov in posterior.people_cov]),
+            between_cov=embedded_cov(n, self.free[self.personal], between),
             recording_std=float(np.sqrt(variances.recording)),
             noise_factor=variances.noise,
             predicted_m=predicted[place],
@@ -286,7 +287,7 @@ class _Task:
         )
 
 
-def _embedded_cov(n: int, index: IntArray, cov: FloatArray) -> FloatArray:
+def embedded_cov(n: int, index: IntArray, cov: FloatArray) -> FloatArray:
     """Return the covariance (n, n) of all parameters from the covariance of the estimated ones.
 
     Fixed parameters have zero covariance.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -160,8 +160,8 @@ def calibrate(
         raise ValueError(f"got {len(known)} tracks for {len(chosen)} recordings: give one track for each recording")
     check_subject(subject, each_a_person)
     _check_stds(recording_std, anchor_std_m)
-    priors, contexts, walking, running, separate = _of_configuration(config, priors, model, prior_std)
-    forms = forms_of(priors, model, prior_std, contexts, walking)  # raises its errors before the slow tracking
+    priors, names, contexts = _of_configuration(config, priors, model, prior_std)
+    forms = forms_of(priors, model, prior_std, names, contexts.walking)  # raises its errors before the slow tracking
     if smooth:
         if known != [None] * len(known):
             raise ValueError("smooth computes the tracks itself, got tracks, too: omit them")
@@ -169,24 +169,21 @@ def calibrate(
         # imported late: most calibrations do not smooth
         from pdr_filter.offline.calibration.smoothed_calibration import calibrate_by_smoothing
 
-        names = distinct_names(r.name for r in chosen)
-        people = [
-            r.subject.id or (name if each_a_person else subject) or UNNAMED
-            for r, name in zip(chosen, names, strict=True)
-        ]
+        own_names = zip(chosen, distinct_names(r.name for r in chosen), strict=True)
+        people = [r.subject.id or (name if each_a_person else subject) or UNNAMED for r, name in own_names]
         n_unnamed = sum(not r.subject.id for r in chosen)
         return calibrate_by_smoothing(
             chosen,
             people,
             next(iter(forms.values())),
             config,
-            separate,
+            contexts.of_modes,
             observed,
             measure=measure,
             loss=loss,
             anchor_std_m=anchor_std_m,
             recording_std=recording_std,
-            walking=walking,
+            walking=contexts.walking,
             notes=without_name(n_unnamed, subject, each_a_person),
             progress=progress,
         )
@@ -197,7 +194,7 @@ def calibrate(
     for done, (recording, own) in enumerate(zip(chosen, known, strict=True), 1):
         own = own if own is not None else track_of(recording, config)
         name = recording.name if each_a_person else subject
-        found, remarks = segments_of(recording, own, anchor_std_m, measure, name, separate)
+        found, remarks = segments_of(recording, own, anchor_std_m, measure, name, contexts.of_modes)
         of_each.append((found, not recording.subject.id))
         notes += remarks
         if progress is not None:
@@ -215,25 +212,33 @@ def calibrate(
         loss=loss,
         recording_std=recording_std,
         notes=(*name_notes, *notes),
-        walking=walking,
-        running=running,
-        mode_contexts=separate,
+        contexts=contexts,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Contexts:
+    """Roles of the contexts of a calibration."""
+
+    walking: str = "walking"  # level walking
+    running: Collection[str] = ("running",)
+    # context of each mode whose step length is calibrated under its own name (`separate_modes`)
+    of_modes: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 def _of_configuration(
     config: Config | None, priors: Mapping[str, StepLengthPrior] | None, model: str | None, prior_std: float | None
-) -> tuple[Mapping[str, StepLengthPrior] | None, tuple[str, ...], str, tuple[str, ...], dict[str, str]]:
-    """Return priors, names of the step lengths, of that of level walking, of those of running, and `separate_modes`.
+) -> tuple[Mapping[str, StepLengthPrior] | None, tuple[str, ...], Contexts]:
+    """Return priors, the names of the step lengths, and the roles of the contexts.
 
     The priors are those given in addition to the step-length models of the configuration.
     """
     if config is None:
-        return priors, CONTEXTS, "walking", ("running",), {}
+        return priors, CONTEXTS, Contexts()
     walking = next((c.name for c in config.model.context_set.contexts if c.is_level_walking), "walking")
     joined = {*(priors or {}), *([] if model is None else [walking])}
     own, separate = own_priors(config.model, joined), separate_modes(config.model, joined)
-    contexts = (*(c for c in config.contexts if c not in separate.values()), *separate)
+    names = (*(c for c in config.contexts if c not in separate.values()), *separate)
     running = tuple(
         name for m in config.model.modes if m.meaning.runs for name in (m.context, *({m.name} & separate.keys()))
     )
@@ -244,7 +249,7 @@ def _of_configuration(
         )
     if model is not None or own.get(walking) is DEFAULT_PRIORS["walking"]:
         own.pop(walking, None)
-    return {**own, **(priors or {})}, contexts, walking, running, separate
+    return {**own, **(priors or {})}, names, Contexts(walking, running, separate)
 
 
 def _for_each(name: str, given: Iterable[Iterable[Any]] | None, recordings: Sequence[Recording]) -> list[list[Any]]:
@@ -301,49 +306,49 @@ def calibrate_segments(
     loss: str = "gnc",
     recording_std: float = RECORDING_STD,
     notes: Sequence[str] = (),
-    walking: str = "walking",
-    running: Collection[str] = ("running",),
-    mode_contexts: Mapping[str, str] = MappingProxyType({}),
+    contexts: Contexts | None = None,
 ) -> Calibration:
     """Return the calibration of segments that `segments_of` has already extracted.
 
-    The parameters are the same as of `calibrate`. `walking` is the name of the context of level walking, `running`
-    are those of running, and `mode_contexts` has the contexts of modes that the segments distinguish. Recordings with
-    impossible step lengths are not used, with a note; ValueError if all have such lengths.
+    The other parameters are the same as of `calibrate`. Recordings with impossible step lengths are not used, with a
+    note; ValueError if all have such lengths.
     """
+    contexts = contexts or Contexts()
     _check_stds(recording_std)
     if not segments:
         raise ValueError("no segments to calibrate with: give at least one stretch of known length that contains steps")
     names = {segment.context_names for segment in segments}
     if len(names) > 1:
         raise ValueError(f"segments must be of tracks with the same contexts, got {sorted(names)}")
-    forms = forms_of(priors, model, prior_std, segments[0].context_names, walking)
+    forms = forms_of(priors, model, prior_std, segments[0].context_names, contexts.walking)
     for segment in segments:
         check_array(f"{segment.name}: distance_m", segment.distance_m, "positive")
         if not segment.n_steps > 0:
             raise ValueError(f"{segment.name}: the segment contains no steps; remove it")
-    name, choice = best_form(segments, forms, loss, recording_std, walking)
+    return _calibrated(segments, forms, loss, recording_std, notes, contexts)
+
+
+def _calibrated(
+    segments: Sequence[Segment],
+    forms: Mapping[str, Mapping[str, StepLengthPrior]],
+    loss: str,
+    recording_std: float,
+    notes: Sequence[str],
+    contexts: Contexts,
+) -> Calibration:
+    """Return the calibration of segments with the best of the models `forms`."""
+    name, choice = best_form(segments, forms, loss, recording_std, contexts.walking)
     full = forms[name]
     held = _held(segments, full)
     sums = integrate(segments, models_of(full), prior_means(full))
     found = estimate_segments(segments, sums, full, loss, recording_std)
     rows = _table(segments, sums, found, np.concatenate([prior.mean for prior in full.values()]))
-    if impossible := _impossible(segments, rows, running):
+    if impossible := _impossible(segments, rows, contexts.running):
         left = [segment for segment in segments if segment.recording not in impossible]
         if not left:
             raise ValueError("nothing to calibrate with: " + "; ".join(impossible.values()))
-        return calibrate_segments(
-            left,
-            priors,
-            model=model,
-            prior_std=prior_std,
-            loss=loss,
-            recording_std=recording_std,
-            notes=(*(f"WARNING: not used: {text}" for text in impossible.values()), *notes),
-            walking=walking,
-            running=running,
-            mode_contexts=mode_contexts,
-        )
+        notes = (*(f"WARNING: not used: {text}" for text in impossible.values()), *notes)
+        return _calibrated(left, forms, loss, recording_std, notes, contexts)
     noise_factor = dict(zip(segments[0].context_names, found.noise_factor.tolist(), strict=True))
     heights = {s.subject: s.height_m for s in segments}
     return calibration_of(
@@ -363,7 +368,7 @@ def calibrate_segments(
         n_recordings=len(sums.recordings),
         residual_std_m={name: float(p.step_std_m * np.sqrt(noise_factor[name])) for name, p in full.items()},
         n_segments=_segments_per_context(segments, full),
-        mode_contexts=mode_contexts,
+        mode_contexts=contexts.of_modes,
     )
 
 

@@ -18,7 +18,8 @@ from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.step_length.calibration_result import of_height, slices_of
 from pdr_filter.filter.step_length.models import StepLengthFit, length_and_jacobian
-from pdr_filter.offline.calibration.model_forms import hierarchy_of
+from pdr_filter.offline.calibration.estimation import PeopleEstimate, embedded_cov
+from pdr_filter.offline.calibration.model_forms import hierarchy_of, models_of
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import Segment
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
@@ -56,22 +57,12 @@ class CalibrationWalk:
     segments: tuple[Segment, ...] = ()  # stretches of known length that are not positions, such as strides
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class JointEstimate:
-    """Parameters of the population (P,) and of S people (S, P), with covariances, and the smoothed walks."""
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class JointEstimate(PeopleEstimate):
+    """Estimated parameters, and the smoothed walks."""
 
-    # (P,), (P, P) parameters of the population
-    population: FloatArray
-    population_cov: FloatArray
-    # (S, P), (S, P, P) parameters of each person
-    people: FloatArray
-    people_cov: FloatArray
-    smoothed: tuple[Smoothed, ...]  # smoothed walks
-    between_cov: FloatArray  # (P, P) covariance of the parameters between people
-    recording_std: float  # relative standard deviation of one person's scale between recordings
+    smoothed: tuple[Smoothed, ...]
     outliers: tuple[list[bool], ...]  # True for each stretch of known length of each walk that was rejected
-    n_iterations: int  # number of linearisations of the step lengths
-    converged: bool  # False if the parameters still changed in the last iteration
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,15 +73,17 @@ class _ScaleVariances:
     recording: float
 
 
-class _FreeParameters:
-    """Order of the parameters theta (P,) of all contexts, and the F free ones among them."""
+_POPULATION = int(gtsam.symbol("k", 0))  # key of the parameters of the population
 
-    def __init__(self, priors: Mapping[str, StepLengthPrior]) -> None:
+
+class _FreeParameters:
+    """Order of the parameters theta (P,) of all contexts, the F free ones among them, and their keys in the graph."""
+
+    def __init__(self, priors: Mapping[str, StepLengthPrior], recording_std: float, people: Iterable[str]) -> None:
         self.priors = priors
-        self.slices, self.n = slices_of({name: p.model for name, p in priors.items()})
-        self.mean, std, between = (
-            np.concatenate([getattr(p, name) for p in priors.values()]) for name in ("mean", "std", "between_std")
-        )
+        self.slices, self.n = slices_of(models_of(priors))
+        self.prior = hierarchy_of(priors, recording_std, tuple(priors))
+        self.mean, std, between = self.prior.mean, self.prior.std, self.prior.between_std
         if not (np.isfinite(std).all() and np.isfinite(between).all()):
             raise ValueError(
                 "a calibration by smoothing needs finite std and between_std of all priors, got inf: give finite ones, "
@@ -104,6 +97,8 @@ class _FreeParameters:
         self.free: IntArray = np.flatnonzero(std > 0)
         self.std, self.between_std = std[self.free], between[self.free]
         self.personal: IntArray = np.flatnonzero(self.between_std > 0)
+        names = dict.fromkeys(people)
+        self.keys = {name: PersonKeys(_POPULATION, gtsam.symbol("p", s), self.personal) for s, name in enumerate(names)}
 
     def all(self, free: FloatArray) -> FloatArray:
         """Return all parameters (P,) from the free ones (F,)."""
@@ -113,9 +108,47 @@ class _FreeParameters:
 
     def all_cov(self, cov: FloatArray) -> FloatArray:
         """Return the covariance (P, P) of all parameters from that of the free ones (F, F)."""
-        full = np.zeros((self.n, self.n))
-        full[np.ix_(self.free, self.free)] = cov
-        return full
+        return embedded_cov(self.n, self.free, cov)
+
+    def add_to(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        between_cov: FloatArray,
+        population: FloatArray,
+        theta: Mapping[str, FloatArray],
+    ) -> None:
+        """Add the parameters of the population and of the people, with their priors."""
+        sigmas = gtsam.noiseModel.Diagonal.Sigmas(self.std)
+        graph.push_back(gtsam.PriorFactorVector(_POPULATION, self.mean[self.free], sigmas))
+        values.insert(_POPULATION, population)
+        if not len(self.personal):
+            return
+        own = np.asarray(np.linalg.inv(np.linalg.cholesky(between_cov)), dtype=float)
+        of_population = np.zeros((len(self.personal), len(self.free)))
+        of_population[:, self.personal] = -own
+        for name, of_one in self.keys.items():
+            graph.push_back(linear_factor(_POPULATION, of_population, of_one.person, own))
+            values.insert(of_one.person, theta[name][self.personal])
+
+    def scatter(self, values: gtsam.Values, tree: Any) -> FloatArray:
+        """Return the expected sum (Q, Q) of squared differences between people and the population."""
+        personal = self.personal
+        scatter = np.zeros((len(personal), len(personal)))
+        by_keys = np.hstack([-np.eye(len(self.free))[personal], np.eye(len(personal))])
+        for keys in self.keys.values() if len(personal) else ():
+            apart = (keys.theta(values) - values.atVector(_POPULATION))[personal]
+            scatter += np.outer(apart, apart) + by_keys @ cov_of(tree, keys.keys) @ by_keys.T
+        return scatter
+
+    def people_cov(self, tree: Any) -> FloatArray:
+        """Return the covariances (S, P, P) of the parameters of all people."""
+        # theta = by_keys @ [population, own], with the person's own parameters
+        n_free, n_own = len(self.free), len(self.personal)
+        by_keys = np.eye(n_free, n_free + n_own)
+        by_keys[self.personal, self.personal] = 0.0
+        by_keys[self.personal, n_free + np.arange(n_own)] = 1.0
+        return np.array([self.all_cov(by_keys @ cov_of(tree, k.keys) @ by_keys.T) for k in self.keys.values()])
 
 
 def mode_names(model: PedestrianModel, separate: Mapping[str, str]) -> list[str]:
@@ -177,10 +210,26 @@ def displacement_by_theta(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linearised:
-    """Walk at the parameters of its person: increments, factors, and stretches of known length."""
+    """Walk at the parameters of its person: increments, factors, and those of stretches of known length."""
 
     steps: Increments
     graph: WalkGraph
+    lengths: list[gtsam.CustomFactor]
+
+    def add_to(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        guess: Solution,
+        wrong: Sequence[bool],
+        loss: str,
+    ) -> None:
+        """Add the factors of the walk, and its unknowns with the values of a guess. `wrong` lengths are left out."""
+        self.graph.add_to(graph, guess.weight if loss == "gnc" else self.graph.problem.possible, loss)
+        self.graph.insert_into(values, guess)
+        for factor, is_wrong in zip(self.lengths, wrong, strict=True):
+            if not is_wrong:
+                graph.push_back(factor)
 
 
 def estimate_jointly(
@@ -198,16 +247,11 @@ def estimate_jointly(
     estimated by expectation-maximisation (`estimation.estimate_parameters`), the noise of the steps is that of the
     priors. Step lengths and noise are linearised at the parameters of the last iteration.
     """
-    parameters = _FreeParameters(priors)
-    people = list(dict.fromkeys(w.subject for w in walks))
-    keys = {
-        name: PersonKeys(gtsam.symbol("k", 0), gtsam.symbol("p", s), parameters.personal)
-        for s, name in enumerate(people)
-    }
-    theta = {name: parameters.mean[parameters.free].copy() for name in people}
-    population = parameters.mean[parameters.free].copy()
+    parameters = _FreeParameters(priors, recording_std, (w.subject for w in walks))
+    prior, keys = parameters.prior, parameters.keys
+    population = parameters.mean[parameters.free]
+    theta = dict.fromkeys(keys, population)
     variances = start = _ScaleVariances(np.diag(parameters.between_std[parameters.personal] ** 2), recording_std**2)
-    prior = hierarchy_of(priors, recording_std, tuple(priors))
     guesses = [w.found for w in walks]
     outliers = [[False] * len(w.segments) for w in walks]
     iteration, converged, is_tested = 0, False, loss != "gnc"
@@ -215,43 +259,26 @@ def estimate_jointly(
     tree: Any = None
     while iteration < _MAX_ITERATIONS and not converged:
         iteration += 1
+        # wrong lengths have little weight before they are found
+        of_lengths = "huber" if loss == "gnc" and iteration == 1 else loss
+        options = separate, variances.recording**0.5, of_lengths
         linearised = [
-            _linearised(w, i, parameters, theta[w.subject], keys[w.subject], separate, variances.recording**0.5)
-            for i, w in enumerate(walks)
+            _linearised(w, i, parameters, theta[w.subject], keys[w.subject], *options) for i, w in enumerate(walks)
         ]
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        _add_parameters(graph, values, parameters, variances.between, population, theta, keys)
-        # wrong lengths have little weight before they are found
-        of_lengths, lengths = "huber" if loss == "gnc" and iteration == 1 else loss, list[list[gtsam.CustomFactor]]()
-        for w, of_one, guess, wrong in zip(walks, linearised, guesses, outliers, strict=True):
-            weight = guess.weight if loss == "gnc" else of_one.graph.problem.possible
-            of_one.graph.add_to(graph, weight, loss)
-            of_one.graph.insert_into(values, guess)
-            lengths.append(
-                [
-                    _length_factor(segment, of_one.graph, keys[w.subject], parameters, theta[w.subject], of_lengths)
-                    for segment in w.segments
-                ]
-            )
-            for factor, is_wrong in zip(lengths[-1], wrong, strict=True):
-                if not is_wrong:
-                    graph.push_back(factor)
+        parameters.add_to(graph, values, variances.between, population, theta)
+        for of_one, guess, wrong in zip(linearised, guesses, outliers, strict=True):
+            of_one.add_to(graph, values, guess, wrong, loss)
         values = least_squares_values(graph, values)
-        before = theta
-        theta = {name: keys[name].theta(values) for name in people}
-        population = values.atVector(gtsam.symbol("k", 0))
+        before, theta = theta, {name: of_one.theta(values) for name, of_one in keys.items()}
+        population = values.atVector(_POPULATION)
         guesses = [of_one.graph.states_of(values, guess) for of_one, guess in zip(linearised, guesses, strict=True)]
-        moved = [np.abs(theta[name] - before[name]) / parameters.std for name in people]
+        moved = [np.abs(theta[name] - before[name]) / parameters.std for name in keys]
         tree = bayes_tree(graph, values)
         before_outliers = outliers
         if loss == "gnc":
-            outliers = [
-                [
-                    abs(_held_out_error(factor, values, tree, is_used=not is_wrong)) > OUTLIER_STDS
-                    for factor, is_wrong in zip(of_walk, wrong, strict=True)
-                ]
-                for of_walk, wrong in zip(lengths, before_outliers, strict=True)
-            ]
+            of_each = zip(linearised, before_outliers, strict=True)
+            outliers = [_outliers(of_one.lengths, wrong, values, tree) for of_one, wrong in of_each]
         converged = float(np.max(moved, initial=0.0)) < _CONVERGED_STDS and outliers == before_outliers
         if converged and not is_tested:
             # outliers were found with the step lengths of each walk alone
@@ -262,31 +289,24 @@ def estimate_jointly(
             converged = all(np.array_equal(a.weight, b.weight) for a, b in zip(tested, guesses, strict=True))
             guesses, is_tested = tested, True
         if not converged:
-            scatter = _scatter(values, tree, parameters, keys.values())
+            scatter = parameters.scatter(values, tree)
             square = sum(_scale_square(values, tree, of_one.graph) for of_one in linearised)
             variances = _ScaleVariances(
-                (prior.between_dof * start.between + scatter) / (prior.between_dof + len(people)),
+                (prior.between_dof * start.between + scatter) / (prior.between_dof + len(keys)),
                 (prior.recording_dof * start.recording + square) / (prior.recording_dof + len(walks)),
             )
         if progress is not None:
             progress(iteration / _MAX_ITERATIONS)
-    # theta = by_keys @ [population, own], with the person's own parameters
-    n_free, n_own = len(parameters.free), len(parameters.personal)
-    by_keys = np.eye(n_free, n_free + n_own)
-    by_keys[parameters.personal, parameters.personal] = 0.0
-    by_keys[parameters.personal, n_free + np.arange(n_own)] = 1.0
-    people_cov = [parameters.all_cov(by_keys @ cov_of(tree, keys[name].keys) @ by_keys.T) for name in people]
-    between_cov = np.zeros((n_free, n_free))
-    between_cov[np.ix_(parameters.personal, parameters.personal)] = variances.between
+    between_cov = embedded_cov(len(parameters.free), parameters.personal, variances.between)
     smoothed = [
         _smoothed(w, of_one, of_one.graph.solution(values, tree, guess))
         for w, of_one, guess in zip(walks, linearised, guesses, strict=True)
     ]
     return JointEstimate(
         population=parameters.all(population),
-        population_cov=parameters.all_cov(cov_of(tree, [gtsam.symbol("k", 0)])),
-        people=np.array([parameters.all(theta[name]) for name in people]),
-        people_cov=np.array(people_cov),
+        population_cov=parameters.all_cov(cov_of(tree, [_POPULATION])),
+        people=np.array([parameters.all(theta[name]) for name in keys]),
+        people_cov=parameters.people_cov(tree),
         smoothed=tuple(smoothed),
         between_cov=parameters.all_cov(between_cov),
         recording_std=variances.recording**0.5,
@@ -303,17 +323,6 @@ def _smoothed(of: CalibrationWalk, linearised: _Linearised, found: Solution) -> 
     return of.walk.on_earth(of.walk.result(posed, found)[0])
 
 
-def _scatter(values: gtsam.Values, tree: Any, parameters: _FreeParameters, people: Iterable[PersonKeys]) -> FloatArray:
-    """Return the expected sum over people of the squared differences (Q, Q) of their parameters from the population."""
-    personal, n_free = parameters.personal, len(parameters.free)
-    scatter = np.zeros((len(personal), len(personal)))
-    by_keys = np.hstack([-np.eye(n_free)[personal], np.eye(len(personal))])
-    for keys in people if len(personal) else ():
-        apart = (keys.theta(values) - values.atVector(keys.population))[personal]
-        scatter += np.outer(apart, apart) + by_keys @ cov_of(tree, keys.keys) @ by_keys.T
-    return scatter
-
-
 def _scale_square(values: gtsam.Values, tree: Any, of: WalkGraph) -> float:
     """Return the expected square of the log scale of a recording."""
     key = of.scale(0)
@@ -328,8 +337,9 @@ def _linearised(
     keys: PersonKeys,
     separate: Mapping[str, str],
     recording_std: float,
+    loss: str,
 ) -> _Linearised:
-    """Return a walk at the free parameters theta (F,) of its person."""
+    """Return a walk at the free parameters theta (F,) of its person. `loss` is that of known lengths."""
     walk, model = of.walk, of.walk.config.model
     names, full = mode_names(model, separate), parameters.all(theta)
     by_name = {name: full[part] for name, part in parameters.slices.items()}
@@ -350,46 +360,20 @@ def _linearised(
     )
     nodes = problem.intervals.nodes
     device_rad = of.posed.used.device_rad[np.maximum(nodes - 1, 0)]
-    return _Linearised(
-        steps,
-        WalkGraph(
-            problem=replace(problem, intervals=preintegrate(steps, nodes), start_cov=start_cov),
-            device_rad=device_rad,
-            time_s=steps.time_s,
-            start_s=start_s,
-            # a constant rate whose effect at the end has the variance of the random walk that stands for the bias
-            rate_std_radps=float(np.sqrt(max(bias_var, 0.0))) / lasts_s,
-            by_theta=np.ascontiguousarray(by_theta[:, :, parameters.free]),
-            about=theta,
-            person=keys,
-            number=number,
-        ),
+    graph = WalkGraph(
+        problem=replace(problem, intervals=preintegrate(steps, nodes), start_cov=start_cov),
+        device_rad=device_rad,
+        time_s=steps.time_s,
+        start_s=start_s,
+        # a constant rate whose effect at the end has the variance of the random walk that stands for the bias
+        rate_std_radps=float(np.sqrt(max(bias_var, 0.0))) / lasts_s,
+        by_theta=np.ascontiguousarray(by_theta[:, :, parameters.free]),
+        about=theta,
+        person=keys,
+        number=number,
     )
-
-
-def _add_parameters(
-    graph: gtsam.NonlinearFactorGraph,
-    values: gtsam.Values,
-    parameters: _FreeParameters,
-    between_cov: FloatArray,
-    population: FloatArray,
-    theta: Mapping[str, FloatArray],
-    keys: Mapping[str, PersonKeys],
-) -> None:
-    """Add the parameters of the population and of the people, with their priors."""
-    key = gtsam.symbol("k", 0)
-    sigmas = gtsam.noiseModel.Diagonal.Sigmas(parameters.std)
-    graph.push_back(gtsam.PriorFactorVector(key, parameters.mean[parameters.free], sigmas))
-    values.insert(key, population)
-    personal = parameters.personal
-    if not len(personal):
-        return
-    own = np.asarray(np.linalg.inv(np.linalg.cholesky(between_cov)), dtype=float)
-    of_population = np.zeros((len(personal), len(parameters.free)))
-    of_population[:, personal] = -own
-    for name, of_one in keys.items():
-        graph.push_back(linear_factor(key, of_population, of_one.person, own))
-        values.insert(of_one.person, theta[name][personal])
+    lengths = [_length_factor(segment, graph, keys, parameters, theta, loss) for segment in of.segments]
+    return _Linearised(steps, graph, lengths)
 
 
 def _length_factor(
@@ -422,6 +406,14 @@ def _length_factor(
         return np.array([inverse * (scale * length_m - segment.distance_m)])
 
     return gtsam.CustomFactor(noise_of(1, loss), keys, error)
+
+
+def _outliers(
+    factors: Sequence[gtsam.CustomFactor], was_wrong: Sequence[bool], values: gtsam.Values, tree: Any
+) -> list[bool]:
+    """Return True for each known length that everything else contradicts. `was_wrong` are those left out so far."""
+    errors = (_held_out_error(f, values, tree, is_used=not w) for f, w in zip(factors, was_wrong, strict=True))
+    return [abs(error) > OUTLIER_STDS for error in errors]
 
 
 def _held_out_error(factor: gtsam.CustomFactor, values: gtsam.Values, tree: Any, *, is_used: bool) -> float:

@@ -158,10 +158,8 @@ class Segment:
         constant : array (2,)
             Displacement at theta = 0, which is zero for a linear model.
         """
-        own, weight = (
-            of_height(model, self.height_m),
-            self.inside * self.context_prob[:, self.context_names.index(context)],
-        )
+        own = of_height(model, self.height_m)
+        weight = self.inside * self.context_prob[:, self.context_names.index(context)]
         used = np.flatnonzero(weight > _MIN_PROB)
         if self.heading_rad is None:
             vectors = np.stack([weight[used], np.zeros(len(used))])
@@ -531,10 +529,7 @@ def _of_known_distance(segments: Any, clicked_std_m: float) -> list[_Stretch]:
     anchor_std_m = np.where(known.distance_m < SINGLE_STEP_M, min(clicked_std_m, STRIDE_STD_M), clicked_std_m)
     n_steps = known.n_steps if "n_steps" in (known.dtype.names or ()) else np.full(len(known), np.nan)
     columns = (known.start_s, known.end_s, known.distance_m, anchor_std_m, np.asarray(n_steps, dtype=float))
-    return [
-        _Stretch(start_s, end_s, distance_m, std_m, walked=True, n_steps=n)
-        for start_s, end_s, distance_m, std_m, n in zip(*(c.tolist() for c in columns), strict=True)
-    ]
+    return [_Stretch(*row[:4], walked=True, n_steps=row[4]) for row in zip(*(c.tolist() for c in columns), strict=True)]
 
 
 def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch], list[str]]:
@@ -628,6 +623,6 @@ def _between_fixes(time_s: FloatArray, values: FloatArray) -> list[_Stretch]:
     return found
 
 
-def _abbreviated(names: Sequence[str], most: int = 4) -> str:
-    """Return the first `most` names as a list for a message, and the number of the others."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+def _abbreviated(names: Sequence[str]) -> str:
+    """Return the first four names as a list for a message, and the number of the others."""
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

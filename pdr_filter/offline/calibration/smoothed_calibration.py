@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from pdr_filter.filter.step_length.calibration_result import of_height, slices_o
 from pdr_filter.filter.step_length.models import StepLengthModel, length_and_jacobian
 from pdr_filter.offline.calibration.assembly import calibration_of, impossible_steps, length_warnings, scale_std_of
 from pdr_filter.offline.calibration.joint_smoothing import CalibrationWalk, JointEstimate, estimate_jointly, mode_names
+from pdr_filter.offline.calibration.model_forms import models_of
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import MIN_WAYPOINT_DISTANCE_M, has_known_lengths, segments_of, truth_fixes
 from pdr_filter.offline.robust_loss import LOSSES
@@ -50,10 +52,16 @@ def calibrate_by_smoothing(
         raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
     scale_std = scale_std_of(priors.get(walking), recording_std)
     walks, remarks = list[CalibrationWalk](), list[str](notes)
+    walk_of = partial(
+        calibration_walk,
+        config=config,
+        separate=separate,
+        measure=measure,
+        anchor_std_m=anchor_std_m,
+        scale_std=scale_std,
+    )
     for i, (recording, name, fixes, closures) in enumerate(zip(recordings, people, *observed, strict=True), 1):
-        walk, of_walk = calibration_walk(
-            recording, name, config, list(fixes), list(closures), separate, measure, anchor_std_m, scale_std
-        )
+        walk, of_walk = walk_of(recording, name, fixes=list(fixes), closures=list(closures))
         walks.append(walk)
         remarks += of_walk
         if progress is not None:
@@ -76,7 +84,7 @@ def calibrate_by_smoothing(
         for i, (recording, name) in enumerate(zip(recordings, people, strict=True)):
             if wrong[i]:
                 bare = replace(recording, truth=Truth(), location=None)
-                walks[i], _ = calibration_walk(bare, name, config, [], [], separate, measure, anchor_std_m, scale_std)
+                walks[i], _ = walk_of(bare, name, fixes=[], closures=[])
         found = estimate_jointly(walks, priors, separate, recording_std, loss, of_estimate)
     if progress is not None:
         progress(1.0)
@@ -180,9 +188,9 @@ def _table(
 
     The known length is that of the smoothed walk.
     """
-    slices, _ = slices_of({name: p.model for name, p in priors.items()})
+    slices, _ = slices_of(models_of(priors))
     start = np.concatenate([p.mean for p in priors.values()])
-    columns: dict[str, list[Any]] = {}
+    rows: list[dict[str, Any]] = []
     for of, smoothed in zip(walks, found.smoothed, strict=True):
         track, weight = of.walk.track, of.found.weight
         share = float(weight.mean()) if len(weight) else 1.0
@@ -212,11 +220,10 @@ def _table(
                 "weight": share,
                 "distrusted": bool(len(weight)) and share == 0.0,
             }
-            for column, value in row.items():
-                columns.setdefault(column, []).append(value)
-    if not columns:
+            rows.append(row)
+    if not rows:
         raise ValueError(f"no walk leads over {MIN_WAYPOINT_DISTANCE_M:g} m in any context: record longer walks")
-    return table({name: np.array(values) for name, values in columns.items()})
+    return table({column: np.array([row[column] for row in rows]) for column in rows[0]})
 
 
 def _lengths_m(model: StepLengthModel, steps: Sequence[Step], theta: FloatArray) -> FloatArray:

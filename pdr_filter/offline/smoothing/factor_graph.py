@@ -22,15 +22,9 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
 from pdr_filter.offline.smoothing.linear_graph import cov_of
-from pdr_filter.offline.smoothing.location_errors import N_ERRORS, NO_ERRORS
+from pdr_filter.offline.smoothing.location_errors import N_ERRORS, NO_ERRORS, Errors
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation
-from pdr_filter.offline.smoothing.problem import (
-    ObservedDirections,
-    ObservedMeasurements,
-    ObservedPositions,
-    ObservedStates,
-    Problem,
-)
+from pdr_filter.offline.smoothing.problem import Problem
 from pdr_filter.offline.smoothing.solve import (
     Solution,
     direction_residuals,
@@ -45,6 +39,7 @@ _MOST_CONTACTS = 1_000_000
 _OWN_LETTERS = "b, e, f, s, x"  # letters of the keys of `WalkGraph`
 # Smallest standard deviation of the turning rate of a gyroscope bias, 0.002 degrees in a minute.
 _MIN_RATE_RADPS = 1e-6
+_FIRST = np.zeros(1, dtype=np.int64)  # index of the first anchor of a factor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,9 +60,13 @@ class PersonKeys:
 
     def theta(self, values: gtsam.Values) -> FloatArray:
         """Return the parameters (F,) of the person."""
-        theta = values.atVector(self.population).copy()
+        return self.joined([values.atVector(key) for key in self.keys])
+
+    def joined(self, vectors: Sequence[FloatArray]) -> FloatArray:
+        """Return the parameters (F,) of the person from the vectors of the `keys`."""
+        theta = vectors[0].copy()
         if len(self.personal):
-            theta[self.personal] = values.atVector(self.person)
+            theta[self.personal] = vectors[1]
         return theta
 
     def split(self, by_theta: FloatArray) -> list[FloatArray]:
@@ -197,13 +196,9 @@ class WalkGraph:
             sigma = gtsam.noiseModel.Isotropic.Sigma(1, problem.frame_std_rad)
             factors.append(gtsam.PriorFactorVector(self.frame, np.zeros(1), sigma))
             factors += [self._offset(i) for i in range(len(problem.offsets))]
-        of_positions, of_directions, of_states, of_measured = np.split(
-            weight > 0, np.cumsum([len(problem.positions), len(problem.directions), len(problem.states)])
-        )
-        factors += [self._position(i, loss) for i in np.flatnonzero(of_positions).tolist()]
-        factors += [self._direction(i, loss) for i in np.flatnonzero(of_directions).tolist()]
-        factors += [self._state(i, loss) for i in np.flatnonzero(of_states).tolist()]
-        factors += [self._measurement(i, loss) for i in np.flatnonzero(of_measured).tolist()]
+        of_observations = self._position, self._direction, self._state, self._measurement
+        for factor_of, weights in zip(of_observations, problem.split(weight), strict=True):
+            factors += [factor_of(i, loss) for i in np.flatnonzero(weights > 0).tolist()]
         for factor in factors:
             graph.push_back(factor)
 
@@ -268,10 +263,7 @@ class WalkGraph:
             (a, b), rate = states, float(vectors[0][0]) if with_rate else 0.0
             moved_m = step_m
             if person is not None:
-                theta = vectors[int(with_rate)].copy()
-                if len(person.personal):
-                    theta[person.personal] = vectors[-1]
-                moved_m = step_m + by_theta @ (theta - about)
+                moved_m = step_m + by_theta @ (person.joined(vectors[len(others) :]) - about)
             rotation = scaled_rotation(rate * since_s, decay * is_measured * a[LOG_SCALE])
             each_m = np.einsum("kab,kb->ka", rotation, moved_m)
             back = scaled_rotation(a[HEADING_OFFSET], np.zeros(())).T
@@ -324,22 +316,15 @@ class WalkGraph:
 
     def _position(self, i: int, loss: str) -> gtsam.CustomFactor:
         """Return the factor of a position fix, a location or a loop closure."""
-        positions, errors = self.problem.positions, self.problem.errors
-        is_closure = bool(positions.other[i] >= 0)
-        nodes = [int(positions.node[i]), *([int(positions.other[i])] if is_closure else [])]
-        one = ObservedPositions(
-            *(getattr(positions, name)[[i]] for name in ObservedPositions.__slots__),
-        )
-        one = replace(one, node=np.zeros(1, dtype=np.int64), other=np.full(1, 1 if is_closure else -1))
+        one, errors = self.problem.positions.part(slice(i, i + 1)), self.problem.errors
+        is_closure = bool(one.other[0] >= 0)
+        nodes = [int(one.node[0]), *([int(one.other[0])] if is_closure and one.other[0] != one.node[0] else [])]
+        one = replace(one, node=_FIRST, other=np.full(1, len(nodes) - 1 if is_closure else -1))
         (of_error,) = np.flatnonzero(errors.position == i).tolist()[:1] or (None,)
-        if is_closure and nodes[0] == nodes[1]:
-            nodes = nodes[:1]
-            one = replace(one, other=np.zeros(1, dtype=np.int64))
         own = NO_ERRORS
         others: list[int] = []
         if of_error is not None:
-            own = replace(errors, position=np.zeros(1, dtype=np.int64), node=np.zeros(1, dtype=np.int64))
-            own = replace(own, by=errors.by[[of_error]], decay=errors.decay[:0])
+            own = Errors(_FIRST, _FIRST, errors.by[[of_error]], errors.decay[:0])
             others = [self.error(of_error)]
         by_error = [one.whiten[0] @ own.by[0]] if others else []
 
@@ -353,10 +338,8 @@ class WalkGraph:
 
     def _direction(self, i: int, loss: str) -> gtsam.CustomFactor:
         """Return the factor of a known direction between two anchors."""
-        directions = self.problem.directions
-        one = ObservedDirections(*(getattr(directions, name)[[i]] for name in ObservedDirections.__slots__))
-        nodes = [int(one.first[0]), int(one.last[0])]
-        one = replace(one, first=np.zeros(1, dtype=np.int64), last=np.ones(1, dtype=np.int64))
+        one = self.problem.directions.part(slice(i, i + 1))
+        nodes, one = [int(one.first[0]), int(one.last[0])], replace(one, first=_FIRST, last=_FIRST + 1)
 
         def function(states: FloatArray, _: list[FloatArray]) -> tuple[FloatArray, list[FloatArray]]:
             residual, by_last = direction_residuals(one, states)
@@ -366,9 +349,8 @@ class WalkGraph:
 
     def _state(self, i: int, loss: str) -> gtsam.CustomFactor:
         """Return the factor of a heading fix, a speed fix, or magnetic north."""
-        states_of = self.problem.states
-        one = ObservedStates(*(getattr(states_of, name)[[i]] for name in ObservedStates.__slots__))
-        node, one = int(one.node[0]), replace(one, node=np.zeros(1, dtype=np.int64))
+        one = self.problem.states.part(slice(i, i + 1))
+        node, one = int(one.node[0]), replace(one, node=_FIRST)
 
         def function(states: FloatArray, _: list[FloatArray]) -> tuple[FloatArray, list[FloatArray]]:
             residual, by_state = state_residuals(one, states)
@@ -378,10 +360,8 @@ class WalkGraph:
 
     def _measurement(self, i: int, loss: str) -> gtsam.CustomFactor:
         """Return the factor of any other measurement, such as a range."""
-        measured = self.problem.measurements
-        parts = (getattr(measured, name)[i : i + 1] for name in ObservedMeasurements.__slots__)
-        one = ObservedMeasurements(*parts)
-        node, one = int(one.node[0]), replace(one, node=np.zeros(1, dtype=np.int64))
+        one = self.problem.measurements.part(slice(i, i + 1))
+        node, one = int(one.node[0]), replace(one, node=_FIRST)
         size = len(measurement_residuals(one, np.array([[*one.guess_m[0], 0.0, 0.0]]))[0][0])
 
         def function(states: FloatArray, _: list[FloatArray]) -> tuple[FloatArray, list[FloatArray]]:

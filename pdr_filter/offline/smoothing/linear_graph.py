@@ -12,7 +12,9 @@ import numpy as np
 
 from pdr_filter.filter.imm.motion_model import N_STATES
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS
-from pdr_filter.values import BoolArray, FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
+
+NO_WEIGHT = np.zeros(0)
 
 
 @dataclass(slots=True)
@@ -28,18 +30,17 @@ class Rows:
     rhs: FloatArray  # (n, m) right-hand sides
     b: IntArray  # (n,) second key, -1 for none
     B: FloatArray  # (n, m, db) matrices of the second key; empty if no block has one
-    weight: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,) weights of the blocks; empty for weight one
+    weight: FloatArray = field(default_factory=lambda: NO_WEIGHT)  # (n,) weights of the blocks; empty for weight one
 
     @classmethod
     def of_one(cls, key: int, A: FloatArray, rhs: FloatArray) -> Rows:
         """Return one block of equations A x = rhs for the single unknown with this key."""
-        return cls(np.full(1, key), A[None], rhs[None], np.full(1, -1), np.zeros((0, 0, 0)))
+        return cls.of_single(np.full(1, key), A[None], rhs[None])
 
-    def chosen(self, keep: BoolArray) -> Rows:
-        """Return the blocks that a mask (n,) selects."""
-        B = self.B[keep] if len(self.B) else self.B
-        weight = self.weight[keep] if len(self.weight) else self.weight
-        return Rows(self.a[keep], self.A[keep], self.rhs[keep], self.b[keep], B, weight)
+    @classmethod
+    def of_single(cls, a: IntArray, A: FloatArray, rhs: FloatArray, weight: FloatArray = NO_WEIGHT) -> Rows:
+        """Return blocks of equations A x = rhs, each for a single unknown."""
+        return cls(a, A, rhs, np.full(len(a), -1), np.zeros((0, 0, 0)), weight)
 
 
 def graph_of(rows: Sequence[Rows]) -> gtsam.GaussianFactorGraph:
@@ -83,8 +84,6 @@ def joint_covariances(
     rows: Sequence[Rows], n: int, error_node: IntArray, has_frame: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Return the covariances (n - 1, 8, 8) of both ends of the intervals between n anchors, in one backward pass.
-
-    An anchor is a foot contact with a state of the smoother.
 
     The second result is the joint covariance (E, 10, 10) of the anchor `error_node` of each error (4 states), followed
     by the error (6 states). Keys are the anchors, the errors, and the rotation of the frame. They are eliminated in the

@@ -30,6 +30,7 @@ from pdr_filter.filter.imm.motion_model import (
 )
 from pdr_filter.filter.imm.step_cycle import StepMotion, step_motion
 from pdr_filter.filter.pedestrian.pedestrian_model import ModeLengths, PedestrianModel
+from pdr_filter.offline.columns import Columns
 from pdr_filter.values import BoolArray, FloatArray, IntArray, Step, Table, read_only, steps_of
 
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).
@@ -46,7 +47,7 @@ _MIN_CHANGE_STD_RAD = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Increments:
+class Increments(Columns):
     """Displacement and noise of each of K steps, before the person's scale and heading offset.
 
     The events have the same order as in the filter: the gap, the change of the heading offset and its drift since the
@@ -67,17 +68,10 @@ class Increments:
     # (K,) variance of the position from a gap in the samples, or motion without steps, before the step
     gap_var_m2: FloatArray
 
-    def __len__(self) -> int:
-        return len(self.time_s)
-
     @property
     def is_turned(self) -> BoolArray:
         """True (K,) where the heading before the step is not that of the step before: it was moved, or not measured."""
         return (self.jump_var_rad2 > 0) | (self.gap_var_m2 > 0) | (self.unknown_var_rad2 > 0)
-
-    def part(self, first: int, end: int) -> Increments:
-        """Return the increments of the steps from index `first` to `end` - 1."""
-        return Increments(*(getattr(self, name)[first:end] for name in self.__slots__))
 
 
 def increments(
@@ -148,16 +142,13 @@ def _motion(
     steps: Sequence[Step], lengths: Sequence[ModeLengths], directions: Sequence[Directions]
 ) -> tuple[Directions, StepMotion]:
     """Return the directions (K, M) of the modes and the motion of K steps in M modes, without scale and offset."""
-    n = len(steps)
-    way = Directions(
-        *(np.array([getattr(of, name) for of in directions]).reshape(n, -1) for name in Directions.__slots__)
-    )
-    length_m, var_m2 = (
-        np.array([getattr(of, name) for of in lengths]).reshape(n, -1) for name in ("length_m", "residual_var_m2")
-    )
-    device_rad, turned_rad = (
-        np.array([getattr(step, name) for step in steps])[:, None] for name in ("reference_heading_rad", "turned_rad")
-    )
+
+    def columns(objects: Sequence[object], name: str) -> FloatArray:
+        return np.array([getattr(each, name) for each in objects]).reshape(len(steps), -1)
+
+    way = Directions(*(columns(directions, name) for name in Directions.__slots__))
+    length_m, var_m2 = columns(lengths, "length_m"), columns(lengths, "residual_var_m2")
+    device_rad, turned_rad = columns(steps, "reference_heading_rad"), columns(steps, "turned_rad")
     return way, step_motion(device_rad, 0.0, 0.0, length_m, var_m2, way, turned_rad)
 
 

@@ -1,18 +1,22 @@
-"""Least-squares problem of a walk: anchors, the steps between them, and the observations at them."""
+"""Least-squares problem of a walk: anchors, the steps between them, and the observations at them.
+
+An anchor is a foot contact at which the smoother estimates a state. Arrays have rows for F positions, H directions,
+S states and X measurements.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from pdr_filter.filter.fixes.measurement_updates import high_quantile
 from pdr_filter.filter.imm.motion_model import LOG_SCALE, MAX_HEADING_VARIANCE, Mode
+from pdr_filter.offline.columns import Columns
 from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, independent_share
-from pdr_filter.offline.smoothing.observations import KnownHeading, LoopClosure, Observations
+from pdr_filter.offline.smoothing.observations import LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
 from pdr_filter.values import (
     BoolArray,
@@ -34,8 +38,8 @@ MIN_HEADING_LENGTH_M = 1.0  # the heading of a corridor carries no information o
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObservedPositions:
-    """Observed positions of anchors (foot contacts with a state), on the map or relative to another anchor."""
+class ObservedPositions(Columns):
+    """Observed positions of anchors, on the map or relative to another anchor."""
 
     node: IntArray  # (F,) index of the observed anchor
     other: IntArray  # (F,) index of the anchor to which the position is relative, -1 for a position on the map
@@ -43,12 +47,9 @@ class ObservedPositions:
     position_m: FloatArray  # (F, 2) observed position, east and north. Zero for a loop closure.
     whiten: FloatArray  # (F, 2, 2) inverse of the lower Cholesky factor of the covariance
 
-    def __len__(self) -> int:
-        return len(self.node)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObservedDirections:
+class ObservedDirections(Columns):
     """Observed directions from one anchor to another."""
 
     first: IntArray  # (H,) anchor at the start
@@ -57,12 +58,9 @@ class ObservedDirections:
     heading_rad: FloatArray  # (H,) observed direction
     std_rad: FloatArray  # (H,) standard deviation of the direction
 
-    def __len__(self) -> int:
-        return len(self.first)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObservedOffsets:
+class ObservedOffsets(Columns):
     """Observed heading offsets, each the walking heading minus the device heading."""
 
     # (O,) number of steps before the offset. In a `Problem` it is the index of the anchor (state) instead.
@@ -70,12 +68,9 @@ class ObservedOffsets:
     offset_rad: FloatArray  # (O,) observed heading offset in rad
     std_rad: FloatArray  # (O,) standard deviation of the observed heading offset in rad
 
-    def __len__(self) -> int:
-        return len(self.node)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObservedStates:
+class ObservedStates(Columns):
     """Measurements of the heading offset or the log scale at anchors."""
 
     node: IntArray  # (S,) anchor, or number of steps before the measurement
@@ -83,16 +78,12 @@ class ObservedStates:
     value: FloatArray  # (S,) measured value
     std: FloatArray  # (S,) standard deviation
 
-    def __len__(self) -> int:
-        return len(self.node)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ObservedMeasurements:
+class ObservedMeasurements(Columns):
     """User-defined measurements (`values.Measurement`), each assigned to the anchor nearest in time.
 
-    An anchor is a foot contact with a state of the smoother. Positions, directions and states have classes of their
-    own.
+    Positions, directions and states have classes of their own.
     """
 
     fixes: tuple[Measurement, ...]  # the X measurements
@@ -102,20 +93,6 @@ class ObservedMeasurements:
     extra_var_m2: FloatArray
     device_rad: FloatArray  # (X,) walking heading minus the heading offset
     guess_m: FloatArray  # (X, 2) position for the first linearisation
-
-    def __len__(self) -> int:
-        return len(self.node)
-
-    def at(self, rows: IntArray) -> ObservedMeasurements:
-        """Return the measurements with the given numbers."""
-        return ObservedMeasurements(
-            tuple(self.fixes[k] for k in rows.tolist()),
-            self.node[rows],
-            self.ahead_m[rows],
-            self.extra_var_m2[rows],
-            self.device_rad[rows],
-            self.guess_m[rows],
-        )
 
 
 NO_MEASUREMENTS = ObservedMeasurements(
@@ -155,35 +132,27 @@ class Problem:
 
     @property
     def n_nodes(self) -> int:
-        """Number of anchors, which are the foot contacts at which the smoother estimates a state."""
+        """Number of anchors."""
         return len(self.intervals.nodes)
+
+    def split(self, values: FloatArray) -> list[FloatArray]:
+        """Return the parts of values (F + H + S + X,) for positions, directions, states and measurements."""
+        n = [len(self.positions), len(self.directions), len(self.states)]
+        return np.split(values, np.cumsum(n))
 
     @property
     def limit_nis(self) -> FloatArray:
-        """Gates (F + H + S + X,) of the normalised innovation squared, above which an observation is an outlier.
-
-        F, H, S and X are the numbers of positions, directions, states and measurements.
-        """
-        n = [len(self.positions), len(self.directions) + len(self.states)]
-        return np.concatenate([np.repeat([_POSITION_NIS, _DIRECTION_NIS], n), self._limits_of_measurements])
-
-    @property
-    def _limits_of_measurements(self) -> FloatArray:
-        """Largest accepted normalised innovation squared of each of the X measurements, shape (X,).
-
-        It depends on the number of components of the measurement.
-        """
+        """Gates (F + H + S + X,) of the normalised innovation squared, above which an observation is an outlier."""
         of = {1: _DIRECTION_NIS, 2: _POSITION_NIS}
         guesses = zip(self.measurements.fixes, self.measurements.guess_m, strict=True)
         sizes = [len(measurement_of(fix, guess_m, 0.0)[0]) for fix, guess_m in guesses]
-        return np.array([of.get(k) or high_quantile(k) for k in sizes])
+        of_measurements = np.array([of.get(k) or high_quantile(k) for k in sizes])
+        n = [len(self.positions), len(self.directions) + len(self.states)]
+        return np.concatenate([np.repeat([_POSITION_NIS, _DIRECTION_NIS], n), of_measurements])
 
     @property
     def possible(self) -> FloatArray:
-        """Mask of usable observations (F + H + S + X,): 1, or 0 for a direction over too short a distance.
-
-        F, H, S and X are the numbers of positions, directions, states and measurements.
-        """
+        """Mask of usable observations (F + H + S + X,): 1, or 0 for a direction over too short a distance."""
         walked = self.directions.length_m > MIN_HEADING_LENGTH_M
         n_others = len(self.states) + len(self.measurements)
         return np.concatenate([np.ones(len(self.positions)), walked.astype(float), np.ones(n_others)])
@@ -212,39 +181,55 @@ def pose_problem(
 ) -> Problem:
     """Return the least-squares problem, with anchors at observations, changes of the heading offset and gaps.
 
-    An anchor is a foot contact at which the smoother estimates a state. `anchor_interval_s` is about the largest time
-    between two of them (`choose_nodes`). The positions of the problem are the fixes, the locations and the loop
-    closures, in this order. Correlated fixes must be in order of time and at different contacts (`joined_at_contacts`).
-    `states` and `offsets` are given by the number of steps before them. `shape_m` (K + 1, 2) are positions of the start
-    and of the steps that show the shape of the walk to the errors of locations (`errors_of`). `anchors` are further
-    numbers of steps with an anchor.
+    `anchor_interval_s` is about the largest time between two of them (`choose_nodes`). The positions of the problem are
+    the fixes, the locations and the loop closures, in this order. Correlated fixes must be in order of time and at
+    different contacts (`joined_at_contacts`). `states` and `offsets` are given by the number of steps before them.
+    `shape_m` (K + 1, 2) are positions of the start and of the steps that show the shape of the walk to the errors of
+    locations (`errors_of`). `anchors` are further numbers of steps with an anchor.
     """
-    fixes = (*observed.positions, *observed.locations)
+    fixes, loops, known = (*observed.positions, *observed.locations), observed.loop_closures, observed.known_headings
     is_location = np.arange(len(fixes)) >= len(observed.positions)
-    contacts = _Contacts(
-        [nearest_contact(steps, f.time_s) for f in fixes],
-        [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures],
-        [(nearest_contact(steps, h.start_s)[0], nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings],
+    measured = () if measurements is None else measurements.fixes
+    times_s = (
+        [f.time_s for f in fixes],
+        [c.first_s for c in loops],
+        [c.second_s for c in loops],
+        [h.start_s for h in known],
+        [h.end_s for h in known],
+        [f.time_s for f in measured],
     )
-    at = [i for i, _, _ in contacts.fixes]
-    measured_at = [nearest_contact(steps, f.time_s) for f in measurements.fixes] if measurements else []
-    wanted = [*contacts.steps(), *states.node.tolist(), *(i for i, _, _ in measured_at), *anchors]
+    contacts = [contacts_of(steps, time_s) for time_s in times_s]
+    wanted = np.concatenate([*(c.step for c in contacts), states.node, anchors]).astype(np.int64)
     nodes = choose_nodes(steps, wanted, anchor_interval_s)
-
-    def numbers(contacts: list[int]) -> IntArray:
-        return np.searchsorted(nodes, np.array(contacts, dtype=np.int64))
-
+    contacts = [replace(c, node=np.searchsorted(nodes, c.step)) for c in contacts]
+    at, before, after, first, last, of_measured = contacts
+    walked_m = np.concatenate([np.zeros((1, 2)), np.cumsum(steps.displacement_m, axis=0)])
     return Problem(
         preintegrate(steps, nodes),
         start_mean,
         start_cov,
-        _positions(contacts, numbers, fixes, is_location, observed.loop_closures),
-        _directions(contacts, numbers, steps, observed.known_headings),
+        _positions(fixes, is_location, loops, at, before, after),
+        ObservedDirections(
+            first=first.node,
+            last=last.node,
+            length_m=np.hypot(*(walked_m[last.step] - walked_m[first.step]).T),
+            heading_rad=np.array([h.heading_rad for h in known]),
+            std_rad=np.array([h.std_rad for h in known]),
+        ),
         _at_anchors(steps, nodes, offsets),
         frame_std_rad,
-        errors_of(fixes, is_location, numbers(at), None if shape_m is None else shape_m[at]),
-        replace(states, node=numbers(states.node.tolist())),
-        NO_MEASUREMENTS if measurements is None else _measurements(measured_at, numbers, measurements),
+        errors_of(fixes, is_location, at.node, None if shape_m is None else shape_m[at.step]),
+        replace(states, node=np.searchsorted(nodes, states.node)),
+        NO_MEASUREMENTS
+        if measurements is None
+        else ObservedMeasurements(
+            fixes=measured,
+            node=of_measured.node,
+            ahead_m=of_measured.ahead_m,
+            extra_var_m2=of_measured.var_m2,
+            device_rad=measurements.device_rad[np.maximum(of_measured.step - 1, 0)],
+            guess_m=measurements.guess_m,
+        ),
     )
 
 
@@ -261,103 +246,61 @@ class Measurements:
     guess_m: FloatArray
 
 
-def _measurements(
-    contacts: list[_Contact], numbers: Callable[[list[int]], IntArray], given: Measurements
-) -> ObservedMeasurements:
-    """Return measurements assigned to anchors.
+@dataclass(frozen=True, slots=True, eq=False)
+class Contacts(Columns):
+    """Foot contacts nearest to the times of N observations (see `nearest_contact`)."""
 
-    `contacts` are their nearest contacts. `numbers` returns the indices of the anchors at given numbers of steps.
-    """
-    steps = [max(i - 1, 0) for i, _, _ in contacts]
-    return ObservedMeasurements(
-        fixes=given.fixes,
-        node=numbers([i for i, _, _ in contacts]),
-        ahead_m=np.array([d for _, d, _ in contacts]).reshape(-1, 2),
-        extra_var_m2=np.array([extra for _, _, extra in contacts]),
-        device_rad=given.device_rad[steps],
-        guess_m=given.guess_m,
-    )
+    node: IntArray  # (N,) anchor at the contact, once the anchors are chosen
+    step: IntArray  # (N,) number of steps before the contact
+    ahead_m: FloatArray  # (N, 2) displacement from the contact to the observation
+    var_m2: FloatArray  # (N,) variance of it along each axis
 
 
-# Number of steps before a contact, displacement (2,) from the contact to the observation, and variance of it in m^2.
-_Contact = tuple[int, FloatArray, float]
-
-
-class _Contacts(NamedTuple):
-    """Foot contacts nearest to the times of all observations (see `nearest_contact`).
-
-    A known heading has only the step numbers of the contacts at its start and end.
-    """
-
-    fixes: list[_Contact]
-    loops: list[tuple[_Contact, _Contact]]
-    headings: list[tuple[int, int]]
-
-    def steps(self) -> list[int]:
-        """Return the number of steps before each contact at which an observation needs an anchor."""
-        single = [*self.fixes, *(contact for pair in self.loops for contact in pair)]
-        return [i for i, _, _ in single] + [i for pair in self.headings for i in pair]
+def contacts_of(steps: Increments, time_s: Sequence[float]) -> Contacts:
+    """Return the contacts nearest to some times."""
+    found = [nearest_contact(steps, t) for t in time_s]
+    step = np.array([i for i, _, _ in found], dtype=np.int64)
+    ahead_m, var_m2 = np.array([d for _, d, _ in found]).reshape(-1, 2), np.array([var_m2 for _, _, var_m2 in found])
+    return Contacts(step, step, ahead_m, var_m2)
 
 
 def _positions(
-    contacts: _Contacts,
-    numbers: Callable[[list[int]], IntArray],
     fixes: Sequence[PositionFix],
     is_location: BoolArray,
     loop_closures: Sequence[LoopClosure],
+    at: Contacts,
+    before: Contacts,
+    after: Contacts,
 ) -> ObservedPositions:
-    """Return fixes and loop closures as observed positions, in this order.
+    """Return fixes at their contacts, and loop closures between their contacts, as observed positions.
 
-    `numbers` returns the indices of the anchors at given numbers of steps. A loop closure is the position of its second
-    anchor relative to the first one, which is zero.
+    A loop closure is the position of its second anchor relative to the first one, which is zero.
     """
-    at, loops = contacts.fixes, contacts.loops
     own_shares = [independent_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
     fix_cov_m2 = [
         own * f.cov_m2 + max(extra, _BEST_FIX_M**2 - own * float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
-        for f, own, (_, _, extra) in zip(fixes, own_shares, at, strict=True)
+        for f, own, extra in zip(fixes, own_shares, at.var_m2.tolist(), strict=True)
     ]
-    loop_cov_m2 = [(c.std_m**2 + a[2] + b[2]) * np.eye(2) for c, (a, b) in zip(loop_closures, loops, strict=True)]
-    none = [np.zeros(2)] * len(loops)
-    cov_m2 = np.array(fix_cov_m2 + loop_cov_m2).reshape(-1, 2, 2)
+    loop_var_m2 = [c.std_m**2 for c in loop_closures] + before.var_m2 + after.var_m2
+    cov_m2 = np.array([*fix_cov_m2, *(var_m2 * np.eye(2) for var_m2 in loop_var_m2)]).reshape(-1, 2, 2)
+    nowhere_m = np.zeros((len(loop_closures), 2))
     return ObservedPositions(
-        node=numbers([i for i, _, _ in at] + [b[0] for _, b in loops]),
-        other=np.concatenate([np.full(len(at), -1), numbers([a[0] for a, _ in loops])]),
-        ahead_m=np.array([d for _, d, _ in at] + none).reshape(-1, 2),
-        position_m=np.array([f.position_m for f in fixes] + none).reshape(-1, 2),
+        node=np.concatenate([at.node, after.node]),
+        other=np.concatenate([np.full(len(fixes), -1), before.node]),
+        ahead_m=np.concatenate([at.ahead_m, nowhere_m]),
+        position_m=np.concatenate([np.reshape([f.position_m for f in fixes], (-1, 2)), nowhere_m]),
         whiten=read_only(np.linalg.inv(np.linalg.cholesky(cov_m2))),
     )
 
 
-def _directions(
-    contacts: _Contacts,
-    numbers: Callable[[list[int]], IntArray],
-    steps: Increments,
-    known_headings: Sequence[KnownHeading],
-) -> ObservedDirections:
-    """Return known headings as observed directions between two anchors.
-
-    `numbers` returns the indices of the anchors at given numbers of steps.
-    """
-    walked = np.concatenate([np.zeros((1, 2)), np.cumsum(steps.displacement_m, axis=0)])
-    return ObservedDirections(
-        first=numbers([a for a, _ in contacts.headings]),
-        last=numbers([b for _, b in contacts.headings]),
-        length_m=np.array([np.hypot(*(walked[b] - walked[a])) for a, b in contacts.headings]),
-        heading_rad=np.array([h.heading_rad for h in known_headings]),
-        std_rad=np.array([h.std_rad for h in known_headings]),
-    )
-
-
-def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) -> IntArray:
+def choose_nodes(steps: Increments, wanted: IntArray, interval_s: float) -> IntArray:
     """Return the number of steps before each anchor, increasing from 0 to the number of steps K.
 
-    An anchor is a foot contact at which the smoother estimates a state. There are anchors at the wanted numbers, and
-    before each change of the heading offset and each gap. More anchors in between keep the time between anchors at
-    about `interval_s` or less.
+    There are anchors at the wanted numbers, and before each change of the heading offset and each gap. More anchors in
+    between keep the time between anchors at about `interval_s` or less.
     """
     changed = np.flatnonzero(steps.is_turned)
-    needed = np.unique(np.concatenate([[0, len(steps)], changed, np.asarray(wanted, dtype=np.int64)]).astype(np.int64))
+    needed = np.unique(np.concatenate([[0, len(steps)], changed, wanted]).astype(np.int64))
     nodes: list[int] = [0]
     for a, b in pairwise(needed.tolist()):
         pieces = int(np.ceil((steps.time_s[b - 1] - steps.time_s[a]) / interval_s))
@@ -365,7 +308,7 @@ def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) ->
     return np.array(nodes, dtype=np.int64)
 
 
-def nearest_contact(steps: Increments, time_s: float) -> _Contact:
+def nearest_contact(steps: Increments, time_s: float) -> tuple[int, FloatArray, float]:
     """Return the number of steps before the nearest contact, the displacement (2,) from it, and its variance in m^2.
 
     The displacement is the part of a step between the contact and the given time, before heading offset and scale. It
@@ -432,8 +375,8 @@ def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
 def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:
     """Return measured heading offsets moved to the last anchor at or before them, as one weighted mean per anchor.
 
-    An anchor is a foot contact at which the smoother estimates a state. `nodes` has the number of steps before each.
-    Their variance includes the drift between the anchor and the measurement.
+    `nodes` has the number of steps before each anchor. The variance includes the drift between the anchor and the
+    measurement.
     """
     if len(offsets) == 0:
         return NO_OFFSETS

@@ -65,8 +65,8 @@ from pdr_filter.offline.smoothing.preintegration import (
 from pdr_filter.offline.smoothing.problem import (
     Measurements,
     Problem,
+    contacts_of,
     heading_offsets,
-    nearest_contact,
     pose_problem,
     start_covariance,
 )
@@ -518,7 +518,7 @@ class ReckonedWalk:
         shape_m = self.shape_m if observed.locations else None
         if shape_m is None:
             walk_m = np.vstack([np.zeros((1, 2)), track.position_m])
-            at = [nearest_contact(steps, fix.time_s)[0] for fix in used.observed.locations]
+            at = contacts_of(steps, [fix.time_s for fix in used.observed.locations]).step
             shape_m = turned_to(used.observed.locations, walk_m[at], walk_m)
         measurements = None if self.guess is None else _measurements_on_path(used, self.guess)
         fixes = (*used.observed.positions, *used.observed.locations)

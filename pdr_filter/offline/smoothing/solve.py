@@ -175,23 +175,19 @@ def _with_stated_fixes(problem: Problem) -> tuple[Problem, IntArray]:
     stated_m = np.array([fix.position_m for _, fix in places]).reshape(-1, 2)
     offset_rad = np.array([fix.walking_heading_rad - of.device_rad[k] for k, fix in headings])
     std_rad = np.array([fix.std_rad for _, fix in headings])
-    other = np.setdiff1d(np.arange(len(of)), np.union1d(at, turned))
+    stated = ObservedPositions(
+        of.node[at],
+        np.full(len(at), -1),
+        of.ahead_m[at],
+        stated_m,
+        read_only(np.linalg.inv(np.linalg.cholesky(cov_m2))),
+    )
+    of_headings = ObservedStates(of.node[turned], np.full(len(turned), HEADING_OFFSET), offset_rad, std_rad)
     return replace(
         problem,
-        positions=ObservedPositions(
-            node=np.append(positions.node, of.node[at]),
-            other=np.append(positions.other, np.full(len(at), -1)),
-            ahead_m=np.vstack([positions.ahead_m, of.ahead_m[at]]),
-            position_m=np.vstack([positions.position_m, stated_m]),
-            whiten=np.concatenate([positions.whiten, read_only(np.linalg.inv(np.linalg.cholesky(cov_m2)))]),
-        ),
-        states=ObservedStates(
-            node=np.append(states.node, of.node[turned]),
-            state=np.append(states.state, np.full(len(turned), HEADING_OFFSET)),
-            value=np.append(states.value, offset_rad),
-            std=np.append(states.std, std_rad),
-        ),
-        measurements=of.at(other),
+        positions=ObservedPositions.concatenate([positions, stated]),
+        states=ObservedStates.concatenate([states, of_headings]),
+        measurements=of.part(np.setdiff1d(np.arange(len(of)), np.union1d(at, turned))),
     ), rows
 
 
@@ -207,8 +203,7 @@ def _guess_rows(problem: Problem) -> list[Rows]:
     H = np.zeros((n, 2, N_STATES))
     H[:, 0, 0] = H[:, 1, 1] = 1.0 / _GUESS_STD_M
     H[:, :, 2:] = _rotation_matrix_of(measured_.ahead_m) / _GUESS_STD_M
-    none = np.full(n, -1)
-    return [Rows(measured_.node, H, measured_.guess_m / _GUESS_STD_M, none, np.zeros((0, 0, 0)))]
+    return [Rows.of_single(measured_.node, H, measured_.guess_m / _GUESS_STD_M)]
 
 
 def measurement_residuals(observed: ObservedMeasurements, mean: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
@@ -238,11 +233,7 @@ def _nis_of_measurements(problem: Problem, mean: FloatArray) -> FloatArray:
 
 
 def _position_anchors(problem: Problem) -> IntArray:
-    """Return the anchor of each observed position and measurement, -1 for directions and states, (F + H + S + X,).
-
-    An anchor is given by its index among the foot contacts with a state. F, H, S and X are the numbers of positions,
-    directions, states and measurements.
-    """
+    """Return the anchor of each observed position and measurement, -1 for directions and states, (F + H + S + X,)."""
     others = np.full(len(problem.directions) + len(problem.states), -1)
     return np.concatenate([problem.positions.node, others, problem.measurements.node])
 
@@ -441,25 +432,17 @@ def linear_equations(problem: Problem, mean: FloatArray, frame_rad: float, weigh
     rows.append(Rows(np.arange(n), -whiten @ F, -residual, np.arange(1, n + 1), whiten))
     rows += _error_rows(problem, mean)
 
-    positions, directions, offsets = problem.positions, problem.directions, problem.offsets
-    if len(positions):
-        residual, H, H_other = position_residuals(problem.positions, problem.errors, mean, mean[problem.n_nodes :])
-        rows += _position_rows(problem, H, -residual, H_other, weight)
-    if len(directions):
-        residual, by_last = direction_residuals(directions, mean)
-        of_directions = weight[len(positions) : len(positions) + len(directions)]
-        rows.append(Rows(directions.last, by_last, -residual, directions.first, -by_last, of_directions))
-    if len(problem.states):
-        residual, by_state = state_residuals(problem.states, mean)
-        of_states, none = (
-            weight[len(positions) + len(directions) :][: len(problem.states)],
-            np.full(len(problem.states), -1),
-        )
-        rows.append(Rows(problem.states.node, by_state, -residual, none, np.zeros((0, 0, 0)), of_states))
-    of_measured = weight[len(weight) - len(problem.measurements) :]
-    for k, (residual, by_anchor) in enumerate(measurement_residuals(problem.measurements, mean)):
-        node, none = problem.measurements.node[[k]], np.full(1, -1)
-        rows.append(Rows(node, by_anchor[None], -residual[None], none, np.zeros((0, 0, 0)), of_measured[[k]]))
+    directions, states, measured, offsets = problem.directions, problem.states, problem.measurements, problem.offsets
+    of_positions, of_directions, of_states, of_measured = problem.split(weight)
+    residual, H, H_other = position_residuals(problem.positions, problem.errors, mean, mean[problem.n_nodes :])
+    rows += _position_rows(problem, H, -residual, H_other, of_positions)
+    residual, by_last = direction_residuals(directions, mean)
+    rows.append(Rows(directions.last, by_last, -residual, directions.first, -by_last, of_directions))
+    if len(states):
+        residual, by_state = state_residuals(states, mean)
+        rows.append(Rows.of_single(states.node, by_state, -residual, of_states))
+    for k, (residual, by_anchor) in enumerate(measurement_residuals(measured, mean)):
+        rows.append(Rows.of_single(measured.node[[k]], by_anchor[None], -residual[None], of_measured[[k]]))
     if len(offsets):
         inverse = 1 / offsets.std_rad
         residual = wrap_angle(mean[offsets.node, HEADING_OFFSET] - frame_rad - offsets.offset_rad) * inverse
@@ -585,16 +568,15 @@ def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
 
     A measured log scale alone determines no vector, so that its equation has weight zero.
     """
-    positions, directions, states = problem.positions, problem.directions, problem.states
-    of_positions, of_directions, of_states = np.split(weight, [len(positions), len(positions) + len(directions)])
+    directions, states = problem.directions, problem.states
+    of_positions, of_directions, of_states, _ = problem.split(weight)
     H, H_other, target = _relaxed_positions(problem)
     by_last, turn = _relaxed_directions(directions)
     by_state, vector = _relaxed_states(states)
-    none = np.full(len(states), -1)
     return [
         *_position_rows(problem, H, target, H_other, of_positions),
         Rows(directions.last, by_last, turn, directions.first, -by_last, of_directions),
-        Rows(states.node, by_state, vector, none, np.zeros((0, 0, 0)), of_states),
+        Rows.of_single(states.node, by_state, vector, of_states),
     ]
 
 

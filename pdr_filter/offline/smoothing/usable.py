@@ -20,7 +20,7 @@ from pdr_filter.offline.smoothing.location_errors import (
 )
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, is_uninformative
 from pdr_filter.offline.smoothing.preintegration import Increments
-from pdr_filter.offline.smoothing.problem import ObservedStates, mode_offsets, nearest_contact
+from pdr_filter.offline.smoothing.problem import ObservedStates, contacts_of, mode_offsets, nearest_contact
 from pdr_filter.values import (
     MAX_NORTH_STD_RAD,
     BoolArray,
@@ -129,7 +129,7 @@ def usable(
     off = np.isin(np.arange(len(fixes)), at_state[is_off])
     factor = float(np.exp(np.median(of_states.value[is_off]))) if is_off.any() else 1.0
     at_state = at_state[~is_off]
-    of_states = ObservedStates(*(getattr(of_states, name)[~is_off] for name in ObservedStates.__slots__))
+    of_states = of_states.part(~is_off)
     north = _magnetic_north(track, modes)
 
     n_places = len(positions) + len(locations)
@@ -173,15 +173,14 @@ def usable(
         )
         notes = (*notes, words + "be wrong: give ranges to a second anchor, a position, or the heading")
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
-    columns = ([getattr(part, name) for part in (of_states, north)] for name in ObservedStates.__slots__)
-    states = ObservedStates(*map(np.concatenate, columns))
+    states = ObservedStates.concatenate([of_states, north])
     return Used(used, states, len(north), tuple(other), device_rad, row.astype(np.int64), repeated, notes)
 
 
 def _at_contacts(fixes: Iterable[PositionFix], steps: Increments) -> tuple[tuple[PositionFix, ...], IntArray]:
     """Return the fixes with correlated ones at one contact joined, and the number of each given fix among them."""
     fixes = list(fixes)
-    return joined_at_contacts(fixes, np.array([nearest_contact(steps, f.time_s)[0] for f in fixes], dtype=np.int64))
+    return joined_at_contacts(fixes, contacts_of(steps, [f.time_s for f in fixes]).step)
 
 
 def name_list(names: Sequence[object] | IntArray) -> str:

@@ -150,7 +150,7 @@ def fit_contexts(
         raise ValueError(f'head must be "context" or "carrying_mode", got {head!r}: name a column of the labels')
     machine_fit, kind = machine_fit_of(classifier)
     feature_set = ATTITUDE_FREE if features is None else feature_set_of(features)
-    done = _silent if progress is None else progress
+    done: Callable[[float], None] = progress or (lambda _: None)
     given = [recordings] if isinstance(recordings, Recording) else list(recordings)
     for each in given:
         if not isinstance(each, Recording):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -202,10 +202,6 @@ def fit_contexts(
         n_jobs=1 if len(windows.person) < _WINDOWS_FOR_PARALLEL else -1,
     )
     return model if features is None else replace(model, features=feature_set)
-
-
-def _silent(fraction: float) -> None:
-    """Do nothing. This is the default callback for the progress of a fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -370,20 +366,6 @@ def _step_labels(
     return _StepLabels(label.astype(np.int64), person.astype(np.str_), sequence.astype(np.str_), tuple(used))
 
 
-@dataclass(frozen=True, eq=False)
-class _DefaultEvidence:
-    """Default transition matrix and exponents for the labels of one model, for data with too few changes of context.
-
-    The transition matrix is computed for these labels (`context_transitions`). The exponents and the floor are those of
-    the default recipe.
-    """
-
-    transition_prob: FloatArray
-    evidence_exponent: float
-    prior_exponent: float
-    evidence_floor: float
-
-
 @dataclass(frozen=True, kw_only=True)
 class FittingPlan(TrainingPlan):
     """Plan of a model fitted on recordings of any data."""
@@ -475,12 +457,10 @@ class FittingPlan(TrainingPlan):
         if steps is None:
             return None
         meanings = dict(zip(DEFAULT_CONTEXTS.names, DEFAULT_CONTEXTS.contexts, strict=True))
-        usual = default().model
         prior = context_transitions([meanings.get(c, Context(c)) for c in self.labels])
-        present = _DefaultEvidence(prior, usual.evidence_exponent, usual.prior_exponent, usual.evidence_floor)
         rows = np.isin([int(s.partition("/")[0]) for s in self.sequence], steps.recordings)
         if not rows.any():
-            return estimate_evidence(None, present)
+            return estimate_evidence(None, default().model, prior)
         unknown = unknown_share(distance, limit, 2.0)[:, None]
         seen = ((1 - unknown) * prob + unknown * model.training_prior)[rows]
         index = {c: i for i, c in enumerate(self.labels)}
@@ -490,4 +470,4 @@ class FittingPlan(TrainingPlan):
         sequences = LabelledSequences(
             steps.label, steps.person, steps.sequence, windows_in_order, len(steps.recordings)
         )
-        return estimate_evidence(sequences, present)
+        return estimate_evidence(sequences, default().model, prior)

@@ -10,10 +10,10 @@ import datetime
 import platform
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import sklearn
@@ -31,6 +31,7 @@ from pdr_filter.classifiers.probability_calibration import (
     slipped_prob,
     tempered_prob,
 )
+from pdr_filter.offline.columns import Columns
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, Table
 from pdr_filter.values.recording import Recording
 
@@ -68,19 +69,6 @@ def label_row(labels: Table | None, column: str, start_s: float, end_s: float) -
         if label["start_s"] - slack_s <= start_s and end_s <= label["end_s"] + slack_s and label[column]:
             return row
     return None
-
-
-class Columns:
-    """Base class of dataclasses of arrays with one row per window."""
-
-    def part(self, use: BoolArray | slice) -> Self:
-        """Return the windows that a mask (W,) or a slice selects."""
-        return type(self)(*(getattr(self, name)[use] for name in vars(self)))
-
-    @classmethod
-    def concatenate(cls, parts: Sequence[Self]) -> Self:
-        """Return the windows of one or more parts, concatenated."""
-        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -179,33 +179,6 @@ def contexts_at(recording: Recording, time_s: FloatArray, contexts: tuple[str, .
     return result
 
 
-class EvidenceModel(Protocol):
-    """Interface of a model with transitions (C, C) between contexts and exponents of a window's probabilities.
-
-    `PedestrianModel` is an example.
-    """
-
-    @property
-    def transition_prob(self) -> FloatArray:
-        """Transition matrix between two steps, from context i to context j. Rows sum to one."""
-        ...
-
-    @property
-    def evidence_exponent(self) -> float:
-        """Exponent e of the evidence (p / prior^r)^e of a window for a context with the probability p."""
-        ...
-
-    @property
-    def prior_exponent(self) -> float:
-        """Exponent r of the classifier's prior in the evidence (p / prior^r)^e of a window."""
-        ...
-
-    @property
-    def evidence_floor(self) -> float:
-        """Smallest probability of a context in a window. Smaller ones are raised to it."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class EvidenceEstimate:
     """Estimated transitions and exponents, or default values if the labels are not sufficient."""
@@ -224,26 +197,28 @@ class EvidenceEstimate:
         return int(self.counts.sum() - np.trace(self.counts))
 
 
-def estimate_evidence(sequences: LabelledSequences | None, default: EvidenceModel) -> EvidenceEstimate:
+def estimate_evidence(
+    sequences: LabelledSequences | None, default: PedestrianModel, prior: FloatArray
+) -> EvidenceEstimate:
     """Return the transitions and exponents estimated from sequences, or the default ones.
 
-    The matrix is estimated from at least `MIN_CHANGES` changes of context. The exponents are chosen if there are also
-    at least `MIN_PEOPLE` people, and if such a choice lowers the log loss of people who had no part in it.
+    The default transitions (C, C) are `prior`, and the default exponents those of a model. The matrix is estimated from
+    at least `MIN_CHANGES` changes of context. The exponents are chosen if there are also at least `MIN_PEOPLE` people,
+    and if such a choice lowers the log loss of people who had no part in it.
     """
-    counts = np.zeros_like(default.transition_prob) if sequences is None else sequences.counts()
+    counts = np.zeros_like(prior) if sequences is None else sequences.counts()
     n_changes = int(counts.sum() - np.trace(counts))
-    transition_prob = default.transition_prob
-    evidence_exponent, prior_exponent = default.evidence_exponent, default.prior_exponent
+    transition_prob, evidence_exponent, prior_exponent = prior, default.evidence_exponent, default.prior_exponent
     losses: dict[str, float] = {}
     of_matrix = of_exponents = (
         f"default: {n_changes} changes of context from one step to the next in the labels, but {MIN_CHANGES} are needed"
     )
     if sequences is not None and n_changes >= MIN_CHANGES:
-        transition_prob, of_matrix = estimate_transitions(counts, default.transition_prob), "estimated"
+        transition_prob, of_matrix = estimate_transitions(counts, prior), "estimated"
         n_people = len(np.unique(sequences.windows.person[sequences.windows.label != UNKNOWN]))
         of_exponents = f"default: {n_people} people (subject.id in meta.json), but {MIN_PEOPLE} are needed"
         if n_people >= MIN_PEOPLE:
-            losses = held_out_log_loss(sequences, default)
+            losses = held_out_log_loss(sequences, default, prior)
             of_exponents = "default: exponents chosen on some people do not lower the log loss of others"
             if losses["held_out"] < losses["held_out_default_exponents"]:
                 between = np.linalg.matrix_power(transition_prob, STEPS_PER_WINDOW)
@@ -255,7 +230,7 @@ def estimate_evidence(sequences: LabelledSequences | None, default: EvidenceMode
 
 def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> Transitions:
     """Return the estimate of `estimate_evidence` as `Transitions` with a card, which describes its data and scores."""
-    found = estimate_evidence(sequences, default)
+    found = estimate_evidence(sequences, default, default.transition_prob)
     people = [] if sequences is None else [str(person) for person in np.unique(sequences.windows.person)]
     card = {
         "name": "transitions",
@@ -277,11 +252,12 @@ def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> T
     return Transitions(found.transition_prob, found.evidence_exponent, found.prior_exponent, found.counts, card)
 
 
-def held_out_log_loss(sequences: LabelledSequences, default: EvidenceModel) -> dict[str, float]:
+def held_out_log_loss(sequences: LabelledSequences, default: PedestrianModel, prior: FloatArray) -> dict[str, float]:
     """Return the log loss of filtered windows, as a mean over people, for three choices of matrix and exponents.
 
-    "default" uses both from the default. "held_out" estimates both from all other people (or from the other `MAX_PARTS`
-    parts of many people). "held_out_default_exponents" estimates only the matrix from them.
+    "default" uses the transitions `prior` and the default exponents. "held_out" estimates both from all other people
+    (or from the other `MAX_PARTS` parts of many people). "held_out_default_exponents" estimates only the matrix from
+    them.
     """
     windows, floor = sequences.windows, default.evidence_floor
     by_evidence, by_prior = exponent_pairs()
@@ -291,13 +267,13 @@ def held_out_log_loss(sequences: LabelledSequences, default: EvidenceModel) -> d
         between = np.linalg.matrix_power(transition_prob, STEPS_PER_WINDOW)
         return log_loss_by_person(windows, between, *exponents, floor)
 
-    people, of_default = log_loss(default.transition_prob)
+    people, of_default = log_loss(prior)
     matrix_only, both = np.empty(len(people)), np.empty(len(people))
     n_parts = min(len(people), MAX_PARTS)
     for k in range(n_parts):
         left_out = np.arange(len(people)) % n_parts == k
         counts = sequences.counts(without=[person for person, out in zip(people, left_out, strict=True) if out])
-        loss = log_loss(estimate_transitions(counts, default.transition_prob))[1]
+        loss = log_loss(estimate_transitions(counts, prior))[1]
         chosen = loss[:, ~left_out].mean(axis=1).argmin()
         matrix_only[left_out], both[left_out] = loss[-1, left_out], loss[chosen, left_out]
     return {

@@ -197,13 +197,7 @@ class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
     without_gyroscope: MotionModeTree = TREE_ACCELEROMETER
 
     def first_memory(self) -> None:
-        """Return None, because windows are classified independently.
-
-        Returns
-        -------
-        None
-            Memory before the first window.
-        """
+        return None
 
     def assess(self, memory: None, window: MotionWindow) -> tuple[None, WindowContext]:
         tree = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope

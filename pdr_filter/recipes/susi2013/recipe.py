@@ -50,9 +50,8 @@ def susi2013(subject: Subject | None = None) -> Config:
         notes=(
             Note(
                 "recipe",
-                "susi2013 is for a phone in the hand, at the ear or in a bag: a "
-                "phone in a trouser pocket is classified "
-                "as a swinging hand; use the default recipe for one",
+                "susi2013 is for a phone in the hand, at the ear or in a bag: a phone in a trouser pocket is "
+                "classified as a swinging hand; use the default recipe for one",
             ),
             *height_notes(subject),
         ),

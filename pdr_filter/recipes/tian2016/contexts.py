@@ -273,18 +273,6 @@ class TianContexts(ContextStage):
         return TianContextsState(self.machine.init(), self.steps.init(), 0, -1, False, -1, 0)
 
     def after_gap(self, state: TianContextsState) -> TianContextsState:
-        """Return the state after a gap: the main mode is unchanged, a transition has ended, and the person stands.
-
-        Parameters
-        ----------
-        state : TianContextsState
-            State before the gap.
-
-        Returns
-        -------
-        TianContextsState
-            State at the start of the next segment.
-        """
         mode = state.machine.mode_before
         return replace_unchecked(self.init(), machine=_in_mode(mode))
 

@@ -156,21 +156,6 @@ class OffsetCompensation(StepStage[OffsetCompensationState]):
         return OffsetCompensationState(self._carried.init())
 
     def after_gap(self, state: OffsetCompensationState) -> OffsetCompensationState:
-        """Return the state after a gap: the initial state, with only `viewing_zero_rad` copied from the old state.
-
-        `viewing_zero_rad` is the viewing direction minus the device heading at the first step with the phone held in
-        front of the body. The viewing direction is the horizontal direction in which the user looks at such a phone.
-
-        Parameters
-        ----------
-        state : OffsetCompensationState
-            State before the gap.
-
-        Returns
-        -------
-        OffsetCompensationState
-            State at the start of the next segment.
-        """
         return replace_unchecked(self.init(), viewing_zero_rad=state.viewing_zero_rad)
 
     def update(

@@ -92,11 +92,7 @@ CARRIED = BehaviourThresholds(
 
 @dataclass(frozen=True, slots=True)
 class BehaviourMemory:
-    """State of the machine that recognises behaviours (see `BehaviourStage.assess`).
-
-    It has the last behaviour, the largest accelerations of the last windows, and how many windows of the transition
-    remain.
-    """
+    """State of the machine that recognises behaviours (see `BehaviourStage.assess`)."""
 
     behaviour: str  # one of BEHAVIOURS; empty before the first window
     last_max_mps2: tuple[float, ...]  # maxima of the windows within the last window length, oldest first
@@ -153,25 +149,6 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
         return BehaviourMemory("", (), 0)
 
     def assess(self, memory: BehaviourMemory, window: BehaviourWindow) -> tuple[BehaviourMemory, WindowContext]:
-        """Return the context of a window, by one cycle of the state machine of Zhou et al. 2019, Table 1.
-
-        The behaviour is kept while the maximum of the acceleration is unchanged. After a change it is classified in
-        this window and in the following ones that overlap it.
-
-        Parameters
-        ----------
-        memory : BehaviourMemory
-            Memory after the previous window.
-        window : BehaviourWindow
-            Features of the window.
-
-        Returns
-        -------
-        memory : BehaviourMemory
-            Memory after this window.
-        context : WindowContext
-            Context and carrying mode of the window.
-        """
         # number of hops from a window to the next window without common samples
         n = self.windows.window_samples // self.windows.hop_samples
         behaviour, last_max, n_transition = memory.behaviour, memory.last_max_mps2, memory.n_transition

@@ -20,7 +20,7 @@ from pdr_filter.filter.step_length.models import (
     bounce_fit,
     length_and_jacobian,
 )
-from pdr_filter.offline.calibration.fit import calibrate_segments
+from pdr_filter.offline.calibration.fit import Contexts, calibrate_segments
 from pdr_filter.offline.calibration.priors import (
     DEFAULT_PRIORS,
     own_priors,
@@ -120,7 +120,9 @@ def test_modes_of_two_models_recover_their_exact_parameters() -> None:
         "kim": prior(KimStepLength(), [0.4], [np.inf], [0.0]),
         "constant": prior(StaticStepLength(1.0), [0.5], [np.inf], [0.0]),
     }
-    found = calibrate_segments(segments, priors, recording_std=0.0, mode_contexts=dict.fromkeys(k, "walking"))
+    found = calibrate_segments(
+        segments, priors, recording_std=0.0, contexts=Contexts(of_modes=dict.fromkeys(k, "walking"))
+    )
     assert {name: pytest.approx(value, abs=1e-8) for name, value in k.items()} == {
         name: value[0] for name, value in found.k.items()
     }
@@ -128,7 +130,9 @@ def test_modes_of_two_models_recover_their_exact_parameters() -> None:
     part = [s for s in segments if s.context_prob[0, 0] == 0.7]
     assert calibrate_segments(part, {n: replace(p, std=np.ones(1)) for n, p in priors.items()}).contexts == ("kim",)
     both = calibrate_segments(
-        part, {n: replace(p, std=np.ones(1)) for n, p in priors.items()}, mode_contexts=dict.fromkeys(k, "walking")
+        part,
+        {n: replace(p, std=np.ones(1)) for n, p in priors.items()},
+        contexts=Contexts(of_modes=dict.fromkeys(k, "walking")),
     )
     assert both.contexts == ("kim", "constant")
 

@@ -67,7 +67,8 @@ def test_the_states_at_the_contacts_are_those_of_the_filter_without_noise() -> N
 def test_two_successive_intervals_equal_one_long_interval() -> None:
     steps, start = WALK.steps, np.zeros((1, 4))
     whole, first, second = (
-        preintegrate(part, np.array([0, len(part)])) for part in (steps, steps.part(0, 25), steps.part(25, 60))
+        preintegrate(part, np.array([0, len(part)]))
+        for part in (steps, steps.part(slice(0, 25)), steps.part(slice(25, 60)))
     )
     drift_cov = np.zeros((4, 4))
     drift_cov[2, 2] = steps.drift_var_rad2[25]
@@ -83,7 +84,7 @@ def test_the_derivatives_of_an_interval_agree_with_finite_differences() -> None:
     whole = preintegrate(WALK.steps, np.array([0, 60]))
     numeric = approx_fprime(START[0], lambda x: whole.ends_from(x[None])[0][0], 1e-7)
     np.testing.assert_allclose(whole.ends_from(START)[1][0], numeric, atol=2e-5)
-    rest = preintegrate(WALK.steps.part(40, 60), np.array([0, 20]))
+    rest = preintegrate(WALK.steps.part(slice(40, 60)), np.array([0, 20]))
     np.testing.assert_allclose(whole.to_end[39], rest.ends_from(np.zeros((1, 4)))[1][0], atol=1e-12)
 
 

@@ -241,7 +241,7 @@ def test_a_loop_closure_alone_joins_both_ends() -> None:
     known = {"heading_std_rad": 0.15, "start_std_m": 1e-3}
     open_mean, open_cov = solved(problem_of(walk, [], **known))
     home = replace(
-        walk.steps.part(199, 200),
+        walk.steps.part(slice(199, 200)),
         time_s=walk.steps.time_s[-1:] + 0.5,
         displacement_m=open_mean[[19], :2] - open_mean[[199], :2] + [3.0, -2.0],
         cov_m2=1e-2 * np.eye(2)[None],

@@ -242,7 +242,7 @@ def test_true_transitions_and_exponents_of_synthetic_sequences_are_recovered() -
 
 def test_held_out_losses_use_matrix_and_exponents_of_other_people() -> None:
     sequences = drawn(4, 120)
-    found = held_out_log_loss(sequences, DEFAULT)
+    found = held_out_log_loss(sequences, DEFAULT, DEFAULT.transition_prob)
     expected: dict[str, list[float]] = {"held_out_default_exponents": [], "held_out": []}
     for person in np.unique(sequences.windows.person):
         others = sequences.step_person != person
@@ -266,7 +266,7 @@ def part_of(windows: LabelledProbabilities, use: np.ndarray) -> LabelledProbabil
 
 
 def test_many_people_are_held_out_in_parts() -> None:
-    losses = held_out_log_loss(drawn(12, 40), DEFAULT)
+    losses = held_out_log_loss(drawn(12, 40), DEFAULT, DEFAULT.transition_prob)
     assert all(np.isfinite(value) and value > 0 for value in losses.values())
     assert losses["held_out"] < losses["default"]
 
