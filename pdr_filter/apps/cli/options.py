@@ -134,14 +134,17 @@ class GeoreferenceOptions:
 
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments for `pdr_filter.track` and `pdr_filter.smooth`."""
-        from pdr_filter.apps.maps.floor_plan import FloorPlan
+        plan = None
+        if self.plan is not None:
+            from pdr_filter.apps.maps.floor_plan import FloorPlan
 
+            plan = FloorPlan.read(self.plan)
         georeference = Georeference(
             gnss=self.gnss,
             origin=origin_deg(self.origin),
             heading_rad=_heading_rad(self.heading),
             north=self.north,
-            plan=None if self.plan is None else FloorPlan.read(self.plan),
+            plan=plan,
             start=_place(self.start),
         )
         return {field.name: getattr(georeference, field.name) for field in fields(georeference)}
