@@ -206,7 +206,7 @@ class DeviceSession:
 
     def _begun(self, samples: assembly.Streams) -> Config:
         """Return the configuration for the sensors in the first samples, and write it and metadata to the recording."""
-        kind = assembly.kind_of(self.assembly)
+        kind = assembly.known_kind(self.assembly)
         name = file_name(f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id)
         meta: dict[str, Any] = {
             "name": name,

@@ -130,7 +130,7 @@ class WorkbenchSite:
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""
-        return event_stream(self.workbench)
+        return event_stream(self.workbench.broadcast, self.workbench.events())
 
     # --- walks ---
 
