@@ -6,8 +6,6 @@ the user interrupted the command.
 
 from __future__ import annotations
 
-from typing import Annotated
-
 import typer
 
 from pdr_filter.apps.cli.calibrate import calibrate_command, smooth_command
@@ -64,9 +62,7 @@ def _show_version(wanted: bool) -> None:
 
 @app.callback()
 def _options(
-    version: Annotated[
-        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Show the version.")
-    ] = False,
+    version: bool = typer.Option(False, "--version", callback=_show_version, is_eager=True, help="Show the version."),
 ) -> None:
     pass
 

@@ -22,59 +22,49 @@ if TYPE_CHECKING:
 class Estimation:
     """Options of the calibration: recipe, model, loss, prior and persons."""
 
-    recipe: Annotated[
-        str,
-        typer.Option(
-            help="Recipe that detects the steps, and whose step-length models are fitted: a name, or module:function."
-        ),
-    ] = "default"
-    model: Annotated[
-        str | None,
-        typer.Option(
-            help="Step-length model of walking: bounce, eq12, kim, tian, weinberg, chen, frequency, peak, range, "
-            "static or zhou. Default: of the first five, the model with the smallest error on held-out walks."
-        ),
-    ] = None
-    loss: Annotated[str, typer.Option(help="Robust loss against wrong segments: gnc, cauchy, huber or none.")] = "gnc"
-    prior: Annotated[
-        float | None, typer.Option(help="Relative standard deviation of the prior of step lengths. Default: 0.1.")
-    ] = None
-    subject: Annotated[
-        str | None, typer.Option(help="Name of the person in recordings that do not name their person.")
-    ] = None
-    each_a_person: Annotated[
-        bool,
-        typer.Option("--each-a-person", help="Take each recording that does not name its person as another person."),
-    ] = False
+    recipe: str = typer.Option(
+        "default",
+        help="Recipe that detects the steps, and whose step-length models are fitted: a name, or module:function.",
+    )
+    model: str | None = typer.Option(
+        None,
+        help="Step-length model of walking: bounce, eq12, kim, tian, weinberg, chen, frequency, peak, range, "
+        "static or zhou. Default: of the first five, the model with the smallest error on held-out walks.",
+    )
+    loss: str = typer.Option("gnc", help="Robust loss against wrong segments: gnc, cauchy, huber or none.")
+    prior: float | None = typer.Option(
+        None, help="Relative standard deviation of the prior of step lengths. Default: 0.1."
+    )
+    subject: str | None = typer.Option(None, help="Name of the person in recordings that do not name their person.")
+    each_a_person: bool = typer.Option(
+        False, "--each-a-person", help="Take each recording that does not name its person as another person."
+    )
 
 
 def calibrate_command(
     files: options.Files,
     out: Annotated[Path, typer.Option(help="Output file NAME.json. NAME.npz is written next to it.")],
     how: Estimation,
-    figure: Annotated[Path | None, typer.Option(help="Also draw the calibration, as PNG, PDF or SVG.")] = None,
-    tables: Annotated[
-        Path | None, typer.Option(help="Folder for tables of parameters, covariance and segments, as CSV and LaTeX.")
-    ] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Number of processes that process recordings in parallel.")
-    ] = None,
+    figure: Path | None = typer.Option(None, help="Also draw the calibration, as PNG, PDF or SVG."),
+    tables: Path | None = typer.Option(
+        None, help="Folder for tables of parameters, covariance and segments, as CSV and LaTeX."
+    ),
+    jobs: int | None = typer.Option(None, min=1, help="Number of processes that process recordings in parallel."),
     scheduler: options.Scheduler = None,
-    resume: Annotated[
-        Path | None, typer.Option(help="Folder for intermediate results, from which an interrupted run resumes.")
-    ] = None,
-    distance: Annotated[
-        float | None, typer.Option(help="Length in m of the path walked in each recording, if it is known.")
-    ] = None,
-    steps: Annotated[
-        int | None, typer.Option(help="Counted number of steps in each recording, to check the detected steps.")
-    ] = None,
-    smooth: Annotated[
-        bool,
-        typer.Option(
-            "--smooth", help="Smooth all walks together with the step lengths: locations and marks calibrate them, too."
-        ),
-    ] = False,
+    resume: Path | None = typer.Option(
+        None, help="Folder for intermediate results, from which an interrupted run resumes."
+    ),
+    distance: float | None = typer.Option(
+        None, help="Length in m of the path walked in each recording, if it is known."
+    ),
+    steps: int | None = typer.Option(
+        None, help="Counted number of steps in each recording, to check the detected steps."
+    ),
+    smooth: bool = typer.Option(
+        False,
+        "--smooth",
+        help="Smooth all walks together with the step lengths: locations and marks calibrate them, too.",
+    ),
 ) -> None:
     """Calibrate step lengths on recordings with segments of known length or with waypoints.
 
@@ -179,35 +169,30 @@ def smooth_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
     georeference: options.GeoreferenceOptions,
     fixes: options.FixesFile = None,
-    fix_std_m: Annotated[
-        float,
-        typer.Option("--fix-std", min=0.01, help="Standard deviation in m of waypoints, and of fixes without std_m."),
-    ] = 1.0,
-    loop_closures: Annotated[
-        Path | None,
-        typer.Option(
-            help="CSV of pairs of times at which the pedestrian was at the same place, with columns first_s, second_s "
-            "and optionally std_m. Can be combined with --fixes."
-        ),
-    ] = None,
-    wifi_loops: Annotated[
-        bool, typer.Option("--wifi-loops", help="Detect loop closures from similar Wi-Fi scans of the recording.")
-    ] = False,
+    fix_std_m: float = typer.Option(
+        1.0, "--fix-std", min=0.01, help="Standard deviation in m of waypoints, and of fixes without std_m."
+    ),
+    loop_closures: Path | None = typer.Option(
+        None,
+        help="CSV of pairs of times at which the pedestrian was at the same place, with columns first_s, second_s "
+        "and optionally std_m. Can be combined with --fixes.",
+    ),
+    wifi_loops: bool = typer.Option(
+        False, "--wifi-loops", help="Detect loop closures from similar Wi-Fi scans of the recording."
+    ),
     radio: options.RadioFile = None,
     ranges: options.RangesFile = None,
     anchors: options.AnchorsFile = None,
     person: options.PersonFile = None,
     height_m: options.Height = None,
     loop: options.Loop = False,
-    truth_as_fixes: Annotated[
-        bool,
-        typer.Option(
-            "--truth-as-fixes",
-            help="Use the waypoints of the recording, its ground truth, as fixes. The track is then no longer an "
-            "estimate that they can evaluate, and a note says so.",
-        ),
-    ] = False,
-    no_marks: Annotated[bool, typer.Option("--no-marks", help="Do not use the marks of the recording.")] = False,
+    truth_as_fixes: bool = typer.Option(
+        False,
+        "--truth-as-fixes",
+        help="Use the waypoints of the recording, its ground truth, as fixes. The track is then no longer an "
+        "estimate that they can evaluate, and a note says so.",
+    ),
+    no_marks: bool = typer.Option(False, "--no-marks", help="Do not use the marks of the recording."),
     out: options.Folder = None,
     file_format: options.Format = None,
 ) -> None:

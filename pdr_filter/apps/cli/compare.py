@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -39,21 +39,17 @@ class Compared:
 class Setting:
     """Options for configuration, person and fixes, which all compared tracks share."""
 
-    recipe: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Recipe to compare. Repeat the option for each recipe. Several recipes replace the comparison of "
-            "weightings."
-        ),
-    ] = None
+    recipe: list[str] | None = typer.Option(
+        None,
+        help="Recipe to compare. Repeat the option for each recipe. Several recipes replace the comparison of "
+        "weightings.",
+    )
     classifier: options.ClassifierName = None
     model: options.ModelFile = None
     transitions: options.TransitionsFile = None
     person: options.PersonFile = None
     fixes: options.FixesFile = None
-    fix_std_m: Annotated[
-        float, typer.Option("--fix-std", min=0.01, help="Standard deviation in m of fixes without std_m.")
-    ] = 1.0
+    fix_std_m: float = typer.Option(1.0, "--fix-std", min=0.01, help="Standard deviation in m of fixes without std_m.")
 
     def check(self, n_files: int) -> None:
         """Raise ValueError for an unknown recipe, and for fixes of more than one recording."""
@@ -117,18 +113,15 @@ def compare_command(
     setting: Setting,
     georeference: options.GeoreferenceOptions,
     source: options.Source,
-    truth: Annotated[
-        bool,
-        typer.Option(
-            "--truth",
-            help="Also show mean errors over persons, and the position error of each recording after rigid alignment "
-            "to its ground truth.",
-        ),
-    ] = False,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for NAME.compare.html, which shows all tracks, and for tables (CSV, LaTeX)."),
-    ] = None,
+    truth: bool = typer.Option(
+        False,
+        "--truth",
+        help="Also show mean errors over persons, and the position error of each recording after rigid alignment "
+        "to its ground truth.",
+    ),
+    out: Path | None = typer.Option(
+        None, help="Folder for NAME.compare.html, which shows all tracks, and for tables (CSV, LaTeX)."
+    ),
     as_json: options.AsJson = False,
 ) -> None:
     """Compare the weightings HC, WC and IMM on recordings, or several recipes.

@@ -14,11 +14,11 @@ from pdr_filter.values.sanitise import file_name, printable, printable_lines
 
 def convert_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder of any app.")],
-    mapping: Annotated[
-        Path | None, typer.Option("--map", help="TOML file with the column mapping. Default: the mapping is guessed.")
-    ] = None,
+    mapping: Path | None = typer.Option(
+        None, "--map", help="TOML file with the column mapping. Default: the mapping is guessed."
+    ),
     platform: Platform = None,
-    out: Annotated[Path | None, typer.Option(help="Output file. Default: NAME_recording.zip next to FILE.")] = None,
+    out: Path | None = typer.Option(None, help="Output file. Default: NAME_recording.zip next to FILE."),
 ) -> None:
     """Convert a file to a recording, and show the column mapping with its reasons.
 

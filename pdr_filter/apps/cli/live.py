@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -33,26 +33,20 @@ _POLL_S = 0.1
 class Address:
     """Address of the server, and the token for access."""
 
-    host: Annotated[
-        str,
-        typer.Option(
-            help="Address on which the server listens. 0.0.0.0 accepts phones in the same network, with a token."
-        ),
-    ] = "127.0.0.1"
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port. 0 takes any free port.")] = 8000
-    token: Annotated[
-        str | None,
-        typer.Option(
-            help="Access token, which is part of the URL. Default: a random token if the server accepts other machines."
-        ),
-    ] = None
-    https: Annotated[
-        bool,
-        typer.Option(
-            "--https",
-            help="Serve over HTTPS with a self-made certificate, which the page that sends from a browser needs.",
-        ),
-    ] = False
+    host: str = typer.Option(
+        "127.0.0.1",
+        help="Address on which the server listens. 0.0.0.0 accepts phones in the same network, with a token.",
+    )
+    port: int = typer.Option(8000, min=0, max=65535, help="Port. 0 takes any free port.")
+    token: str | None = typer.Option(
+        None,
+        help="Access token, which is part of the URL. Default: a random token if the server accepts other machines.",
+    )
+    https: bool = typer.Option(
+        False,
+        "--https",
+        help="Serve over HTTPS with a self-made certificate, which the page that sends from a browser needs.",
+    )
 
     @property
     def name(self) -> str:
@@ -104,18 +98,14 @@ class Phones:
 
     platform: Platform = None
     height_m: Height = None
-    recipe: Annotated[str, typer.Option(help="Name of a recipe, or module:function for a recipe of your own.")] = (
-        "default"
+    recipe: str = typer.Option("default", help="Name of a recipe, or module:function for a recipe of your own.")
+    max_devices: int = typer.Option(64, min=1, help="Maximum number of phones at the same time.")
+    workers: int = typer.Option(1, min=1, help="Number of processes among which the phones are divided.")
+    scheduler: str | None = typer.Option(
+        None,
+        help="Address of a Dask cluster among whose machines the phones are divided, such as tcp://host:8786. All "
+        "machines need access to the folder of --record.",
     )
-    max_devices: Annotated[int, typer.Option(min=1, help="Maximum number of phones at the same time.")] = 64
-    workers: Annotated[int, typer.Option(min=1, help="Number of processes among which the phones are divided.")] = 1
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            help="Address of a Dask cluster among whose machines the phones are divided, such as tcp://host:8786. All "
-            "machines need access to the folder of --record."
-        ),
-    ] = None
 
     def check(self) -> None:
         """Raise ValueError for a recipe that does not exist or cannot be saved with a session."""
@@ -130,23 +120,20 @@ class Phones:
 class Sources:
     """Sources from which the server fetches samples."""
 
-    phyphox: Annotated[
-        list[str] | None,
-        typer.Option(metavar="HOST:PORT", help="Address of a phone that runs phyphox with remote access enabled."),
-    ] = None
-    sensorserver: Annotated[
-        list[str] | None, typer.Option(metavar="HOST:PORT", help="Address of an Android phone that runs SensorServer.")
-    ] = None
-    mqtt: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="URL",
-            help="Topic of an MQTT broker: mqtt://HOST/TOPIC or mqtts://HOST/TOPIC, with "
-            "USER:PASSWORD@ before HOST if needed.",
-        ),
-    ] = None
-    replay: Annotated[Path | None, typer.Option(help="Replay this recording instead of listening to a phone.")] = None
-    speed: Annotated[float, typer.Option(min=0.01, help="Playback speed relative to real time.")] = 1.0
+    phyphox: list[str] | None = typer.Option(
+        None, metavar="HOST:PORT", help="Address of a phone that runs phyphox with remote access enabled."
+    )
+    sensorserver: list[str] | None = typer.Option(
+        None, metavar="HOST:PORT", help="Address of an Android phone that runs SensorServer."
+    )
+    mqtt: list[str] | None = typer.Option(
+        None,
+        metavar="URL",
+        help="Topic of an MQTT broker: mqtt://HOST/TOPIC or mqtts://HOST/TOPIC, with "
+        "USER:PASSWORD@ before HOST if needed.",
+    )
+    replay: Path | None = typer.Option(None, help="Replay this recording instead of listening to a phone.")
+    speed: float = typer.Option(1.0, min=0.01, help="Playback speed relative to real time.")
 
     def walk(self) -> Recording | None:
         """Return the recording that is replayed, or None."""
@@ -175,9 +162,7 @@ def live_command(
     address: Address,
     phones: Phones,
     sources: Sources,
-    record: Annotated[
-        Path | None, typer.Option(help="Folder for recordings. A restarted server resumes the walks in it.")
-    ] = None,
+    record: Path | None = typer.Option(None, help="Folder for recordings. A restarted server resumes the walks in it."),
     tiles: Tiles = "",
 ) -> None:
     """Track phones in real time. A web page shows the position of each phone with its uncertainty.

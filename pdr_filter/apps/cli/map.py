@@ -20,19 +20,16 @@ def map_command(
         Path, typer.Argument(metavar="FOLDER", help="Folder of recordings with Wi-Fi, or one recording.")
     ],
     out: Annotated[Path, typer.Option(help="Folder for the map, the plans, the radio maps and the report.")],
-    origin: Annotated[
-        str | None, typer.Option(metavar="LAT,LON", help="Position of the building in degrees, for true north.")
-    ] = None,
-    salt: Annotated[
-        str | None, typer.Option("--hash", metavar="SALT", help="Hash the addresses of access points with this text.")
-    ] = None,
-    times: Annotated[
-        bool,
-        typer.Option(
-            "--times", help="Keep the names of the walks in all files, and the times of their steps in the map."
-        ),
-    ] = False,
-    jobs: Annotated[int, typer.Option(help="Number of processes that track walks, or -1 for all cores.")] = 1,
+    origin: str | None = typer.Option(
+        None, metavar="LAT,LON", help="Position of the building in degrees, for true north."
+    ),
+    salt: str | None = typer.Option(
+        None, "--hash", metavar="SALT", help="Hash the addresses of access points with this text."
+    ),
+    times: bool = typer.Option(
+        False, "--times", help="Keep the names of the walks in all files, and the times of their steps in the map."
+    ),
+    jobs: int = typer.Option(1, help="Number of processes that track walks, or -1 for all cores."),
     scheduler: Scheduler = None,
 ) -> None:
     """Join the walks of a folder to a map of the building, without a plan or a survey.

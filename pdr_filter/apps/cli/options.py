@@ -117,16 +117,13 @@ class GeoreferenceOptions:
     """Options for position, north and floor plan of a track, which `arguments` converts to fields of `Georeference`."""
 
     gnss: Gnss = None
-    north: Annotated[
-        NorthUse | None,
-        typer.Option(metavar="SOURCE", help=f"{_TEXT.get('north')} One of {', '.join(get_args(NorthUse))}."),
-    ] = None
-    origin: Annotated[str | None, typer.Option(metavar="LAT,LON", help=_TEXT.get("origin"))] = None
-    heading: Annotated[str | None, typer.Option(metavar="DEG", help=_HEADING)] = None
-    plan: Annotated[Path | None, typer.Option(metavar="GEOJSON", help=_TEXT.get("plan"))] = None
-    start: Annotated[
-        str | None, typer.Option(metavar="PLACE", help=f"{_TEXT.get('start')} A position is EAST,NORTH in m.")
-    ] = None
+    north: NorthUse | None = typer.Option(
+        None, metavar="SOURCE", help=f"{_TEXT.get('north')} One of {', '.join(get_args(NorthUse))}."
+    )
+    origin: str | None = typer.Option(None, metavar="LAT,LON", help=_TEXT.get("origin"))
+    heading: str | None = typer.Option(None, metavar="DEG", help=_HEADING)
+    plan: Path | None = typer.Option(None, metavar="GEOJSON", help=_TEXT.get("plan"))
+    start: str | None = typer.Option(None, metavar="PLACE", help=f"{_TEXT.get('start')} A position is EAST,NORTH in m.")
 
     def given(self) -> dict[str, Any]:
         """Return the values of the options that were given, by name such as "--origin"."""
@@ -134,14 +131,17 @@ class GeoreferenceOptions:
 
     def arguments(self) -> dict[str, Any]:
         """Return the keyword arguments for `pdr_filter.track` and `pdr_filter.smooth`."""
-        from pdr_filter.apps.maps.floor_plan import FloorPlan
+        plan = None
+        if self.plan is not None:
+            from pdr_filter.apps.maps.floor_plan import FloorPlan
 
+            plan = FloorPlan.read(self.plan)
         georeference = Georeference(
             gnss=self.gnss,
             origin=origin_deg(self.origin),
             heading_rad=_heading_rad(self.heading),
             north=self.north,
-            plan=None if self.plan is None else FloorPlan.read(self.plan),
+            plan=plan,
             start=_place(self.start),
         )
         return {field.name: getattr(georeference, field.name) for field in fields(georeference)}

@@ -20,15 +20,13 @@ if TYPE_CHECKING:
 
 def simulate_command(
     out: Annotated[Path, typer.Option(help="Output: a zip file, or a folder if the name has no suffix.")],
-    seed: Annotated[int, typer.Option(min=0, help="Random seed. The same seed gives the same walk.")] = 0,
-    carrying_mode: Annotated[
-        Literal["texting", "pocket", "swinging", "calling"] | None,
-        typer.Option(
-            metavar="MODE",
-            help="Simulate a walk around a block with the phone in this carrying mode: texting, pocket, swinging or "
-            "calling. Default: the demonstration walk.",
-        ),
-    ] = None,
+    seed: int = typer.Option(0, min=0, help="Random seed. The same seed gives the same walk."),
+    carrying_mode: Literal["texting", "pocket", "swinging", "calling"] | None = typer.Option(
+        None,
+        metavar="MODE",
+        help="Simulate a walk around a block with the phone in this carrying mode: texting, pocket, swinging or "
+        "calling. Default: the demonstration walk.",
+    ),
 ) -> None:
     """Write a simulated walk with exact ground truth as a recording."""
     import pdr_filter as pdr
@@ -43,8 +41,8 @@ def simulate_command(
 
 
 def demo_command(
-    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="Recording. Default: a simulated walk.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for the files. Default: a new temporary folder.")] = None,
+    file: Path | None = typer.Argument(None, metavar="[FILE]", help="Recording. Default: a simulated walk."),
+    out: Path | None = typer.Option(None, help="Folder for the files. Default: a new temporary folder."),
     gnss: Gnss = None,
     online: Online = False,
     loop: Loop = False,

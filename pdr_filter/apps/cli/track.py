@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
 import typer
 
@@ -23,25 +23,20 @@ if TYPE_CHECKING:
 class Method:
     """Options for recipe, models, persistent files and fixes of a track."""
 
-    recipe: Annotated[
-        str, typer.Option(help="Name of a recipe, such as default, or module:function for a recipe of your own.")
-    ] = "default"
-    weighting: Annotated[
-        Literal["hc", "wc", "imm"] | None,
-        typer.Option(
-            help="Weighting of the contexts: highest context (hc), weighted context (wc) or interacting multiple model "
-            "(imm). Default: the weighting of the recipe."
-        ),
-    ] = None
+    recipe: str = typer.Option(
+        "default", help="Name of a recipe, such as default, or module:function for a recipe of your own."
+    )
+    weighting: Literal["hc", "wc", "imm"] | None = typer.Option(
+        None,
+        help="Weighting of the contexts: highest context (hc), weighted context (wc) or interacting multiple model "
+        "(imm). Default: the weighting of the recipe.",
+    )
     classifier: options.ClassifierName = None
     model: options.ModelFile = None
     transitions: options.TransitionsFile = None
-    device: Annotated[
-        Path | None,
-        typer.Option(
-            help="File with the gyroscope bias of the phone. It is read if it exists, and updated after the walk."
-        ),
-    ] = None
+    device: Path | None = typer.Option(
+        None, help="File with the gyroscope bias of the phone. It is read if it exists, and updated after the walk."
+    )
     person: options.PersonFile = None
     radio: options.RadioFile = None
     ranges: options.RangesFile = None
@@ -62,22 +57,15 @@ class OutputOptions:
     """Options for the files that are written."""
 
     out: options.Folder = None
-    export: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KIND,...", help="Also write NAME.KIND for each KIND: csv, geojson, gpx, kml, parquet or tum."
-        ),
-    ] = None
-    report: Annotated[
-        bool, typer.Option("--report", help="Also write NAME.html, a page with map, charts and notes.")
-    ] = False
-    parquet: Annotated[
-        bool,
-        typer.Option(
-            "--parquet",
-            help="Also write NAME.parquet. With --jobs or --scheduler, write the table as Parquet instead of CSV.",
-        ),
-    ] = False
+    export: list[str] | None = typer.Option(
+        None, metavar="KIND,...", help="Also write NAME.KIND for each KIND: csv, geojson, gpx, kml, parquet or tum."
+    )
+    report: bool = typer.Option(False, "--report", help="Also write NAME.html, a page with map, charts and notes.")
+    parquet: bool = typer.Option(
+        False,
+        "--parquet",
+        help="Also write NAME.parquet. With --jobs or --scheduler, write the table as Parquet instead of CSV.",
+    )
 
     @property
     def table(self) -> Path:
@@ -148,10 +136,9 @@ _EXPORTS: Mapping[str, Callable[[Track, Path, Recording], Path]] = {
 class WorkerOptions:
     """Options for parallel processing of many recordings."""
 
-    jobs: Annotated[
-        int | None,
-        typer.Option(min=1, help="Number of processes. Writes one table, from which an interrupted run resumes."),
-    ] = None
+    jobs: int | None = typer.Option(
+        None, min=1, help="Number of processes. Writes one table, from which an interrupted run resumes."
+    )
     scheduler: options.Scheduler = None
 
     def make_one_table(self) -> bool:

@@ -16,31 +16,27 @@ from pdr_filter.apps.cli.options import Classifier
 class Fitting:
     """Options for the context model."""
 
-    classifier: Annotated[
-        Classifier,
-        typer.Option(
-            metavar="NAME",
-            help="Relevance vector machine (rvm), random forest (forest), the mean of relevance vector machines and "
-            "extremely randomised trees (blend), or of logistic regression and boosted trees (boosted).",
-        ),
-    ] = "rvm"
-    carrying_modes: Annotated[
-        bool, typer.Option("--carrying-modes", help="Learn the carrying mode of the phone instead of the context.")
-    ] = False
-    name: Annotated[str, typer.Option(help="Name of the model and its files. Default: contexts or carrying.")] = ""
+    classifier: Classifier = typer.Option(
+        "rvm",
+        metavar="NAME",
+        help="Relevance vector machine (rvm), random forest (forest), the mean of relevance vector machines and "
+        "extremely randomised trees (blend), or of logistic regression and boosted trees (boosted).",
+    )
+    carrying_modes: bool = typer.Option(
+        False, "--carrying-modes", help="Learn the carrying mode of the phone instead of the context."
+    )
+    name: str = typer.Option("", help="Name of the model and its files. Default: contexts or carrying.")
 
 
 def train_command(
     out: Annotated[Path, typer.Option(help="Folder for NAME.npz and NAME.json, or transitions.json.")],
     how: Fitting,
-    folder: Annotated[Path | None, typer.Argument(help="Folder of labelled recordings.")] = None,
-    sequences: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of recordings from which the transitions of the shipped model and "
-            "the exponents of its evidence are estimated. Replaces FOLDER."
-        ),
-    ] = None,
+    folder: Path | None = typer.Argument(None, help="Folder of labelled recordings."),
+    sequences: Path | None = typer.Option(
+        None,
+        help="Folder of recordings from which the transitions of the shipped model and "
+        "the exponents of its evidence are estimated. Replaces FOLDER.",
+    ),
 ) -> None:
     """Fit a context model on labelled recordings, best of ten persons or more. Contexts may have any names.
 

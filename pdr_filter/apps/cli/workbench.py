@@ -6,7 +6,6 @@ import asyncio
 import webbrowser
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -17,15 +16,13 @@ from pdr_filter.apps.cli.options import Tiles
 
 def workbench_command(
     address: Address,
-    folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Folder of walks. It is created if it does not exist.")
-    ] = Path(),
+    folder: Path = typer.Argument(
+        Path(), metavar="FOLDER", help="Folder of walks. It is created if it does not exist."
+    ),
     tiles: Tiles = "",
-    texts: Annotated[Path | None, typer.Option(help="JSON file with translated texts of the pages.")] = None,
-    jobs: Annotated[
-        int | None, typer.Option(min=1, help="Number of worker processes. Default: one for each core.")
-    ] = None,
-    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
+    texts: Path | None = typer.Option(None, help="JSON file with translated texts of the pages."),
+    jobs: int | None = typer.Option(None, min=1, help="Number of worker processes. Default: one for each core."),
+    no_browser: bool = typer.Option(False, "--no-browser", help="Do not open a browser."),
 ) -> None:
     """Open the walks of a folder in a browser: mark known points, place and export them, and draw floor plans.
 

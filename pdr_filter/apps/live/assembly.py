@@ -236,7 +236,7 @@ def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
     Sensors without samples are left out. Values that the phone had stored long before the session are dropped. Linear
     acceleration waits in the state until gravity is known.
     """
-    kind = kind_of(state)
+    kind = known_kind(state)
     state, times_s = _on_one_clock(state, message, kind)
     found: Streams = {}
     for name, time_s in times_s.items():
@@ -259,10 +259,10 @@ def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
 
 def _whole(state: Assembly, force: Samples) -> Streams:
     """Return the specific force in m/s2 with the sign of Android, or no stream if it has no samples."""
-    return {FORCE: Samples(force.time_s, kind_of(state).scale * force.values)} if len(force) else {}
+    return {FORCE: Samples(force.time_s, known_kind(state).scale * force.values)} if len(force) else {}
 
 
-def kind_of(state: Assembly) -> Kind:
+def known_kind(state: Assembly) -> Kind:
     """Return the kind of acceleration that was found in the first samples of the session. ValueError before them."""
     if state.kind is None:
         raise ValueError("units and sign of the acceleration are unknown: wait for the first seconds of samples")

@@ -14,8 +14,7 @@ NAMES = ("authority.pem", "server.pem")
 def certificate(folder: Path, host: str) -> Path:
     """Return the path of server.pem in a folder, with the key and the certificate for a host name or address.
 
-    The certificate of the authority that signed it is authority.pem in the same folder. Both files are kept while the
-    host is the same. Another host gets new ones, which its phones have to accept.
+    authority.pem is the certificate of its authority. Both files are kept while the host is the same.
     """
     import trustme
 

@@ -8,7 +8,7 @@ import uuid
 from collections.abc import AsyncIterator, Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from urllib.parse import urlsplit
 
 from starlette.applications import Starlette
@@ -19,14 +19,12 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from pdr_filter.apps.live.access import LOOPBACK_NAMES, MAX_BODY_BYTES, TOKEN_COOKIE, is_token
+from pdr_filter.apps.live.broadcast import Broadcast
 from pdr_filter.apps.live.certificate import NAMES
 from pdr_filter.apps.live.geojson import geojson
 from pdr_filter.apps.live.hub import Live
 from pdr_filter.apps.live.parts import Answer
 from pdr_filter.apps.live.recorder import exported_files, zip_bytes
-
-if TYPE_CHECKING:
-    from pdr_filter.apps.workbench.hub import Workbench
 
 PAGE = Path(__file__).parent / "page"
 # uPlot and the map, which reports hold, too.
@@ -129,7 +127,7 @@ class Site:
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""
-        return event_stream(self.live)
+        return event_stream(self.live.broadcast, self.live.events())
 
     async def events_socket(self, socket: WebSocket) -> None:
         """Send events over WebSocket."""
@@ -221,13 +219,13 @@ def asset_of(request: Request, folders: Iterable[Path], tiles: str) -> Response:
     return FileResponse(path, headers=page_headers(tiles))
 
 
-def event_stream(of: Live | Workbench) -> Response:
+def event_stream(broadcast: Broadcast, events: AsyncIterator[str]) -> Response:
     """Return a response with the events of a server as server-sent events."""
-    if of.broadcast.is_full:
+    if broadcast.is_full:
         return JSONResponse({"error": "too many pages are open; close one"}, 503)
 
     async def lines() -> AsyncIterator[str]:
-        async for text in of.events():
+        async for text in events:
             yield f"data: {text}\n\n" if text else ": still here\n\n"
 
     return StreamingResponse(lines(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})

@@ -206,7 +206,7 @@ class DeviceSession:
 
     def _begun(self, samples: assembly.Streams) -> Config:
         """Return the configuration for the sensors in the first samples, and write it and metadata to the recording."""
-        kind = assembly.kind_of(self.assembly)
+        kind = assembly.known_kind(self.assembly)
         name = file_name(f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id)
         meta: dict[str, Any] = {
             "name": name,
@@ -293,6 +293,11 @@ class DeviceSession:
     def about(self) -> Event:
         """Return the `session` event: properties of the session, with the reason why it waits or cannot be tracked."""
         kind, origin = self.assembly.kind, None if self.online is None else self.online.origin
+        set_backs = [
+            f"the clock of the phone was set back by {size_s:.1f} s at {at_s:.1f} s: times go on from there"
+            for at_s, size_s in self.assembly.set_backs
+        ]
+        of_device = [] if self.online is None else device_notes(self.online.config, self.online.state)
         waits = "" if self.refused else assembly.reason_to_wait(self.assembly, self.held, self.settings.platform)
         return {
             "event": "session",
@@ -307,14 +312,7 @@ class DeviceSession:
             "waits": waits,
             "refused": self.refused,
             "has_ended": self.has_ended,
-            "notes": [
-                *self.notes,
-                *(
-                    f"the clock of the phone was set back by {size_s:.1f} s at {at_s:.1f} s: times go on from there"
-                    for at_s, size_s in self.assembly.set_backs
-                ),
-                *([] if self.online is None else device_notes(self.online.config, self.online.state)),
-            ],
+            "notes": [*self.notes, *set_backs, *of_device],
             "n_lost_messages": self.assembly.n_lost,
             "n_repeated_messages": self.assembly.n_repeated,
         }

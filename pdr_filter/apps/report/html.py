@@ -152,7 +152,7 @@ def html_report(
         data={"tracks": data},
         style=Markup("\n".join(read_asset(_PACKAGE, name) for name in _STYLES)),
         scripts=[Markup(script) for script in scripts],
-        script_hashes=[f"sha256-{b64encode(sha256(script.encode()).digest()).decode()}" for script in scripts],
+        script_hashes=[_hash(script) for script in scripts],
     )
 
 
@@ -166,6 +166,11 @@ def _script(name: str) -> str:
         return read_asset(_PACKAGE, name)
     licence = read_asset(_PACKAGE, f"assets/{file.partition('.')[0]}.LICENSE.txt")
     return f"/*\n{licence}*/\n{read_asset(_PACKAGE, name)}"
+
+
+def _hash(script: str) -> str:
+    """Return the hash of a script in the format of a content security policy."""
+    return f"sha256-{b64encode(sha256(script.encode()).digest()).decode()}"
 
 
 # --- texts -----------------------------------------------------------------------------------------------------------

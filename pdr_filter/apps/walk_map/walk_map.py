@@ -262,10 +262,9 @@ class WalkMap:
         WalkMap
             The map with the walks that could be joined.
         """
-        own = {c.name for c in self._chains}
-        taken, keys = set(own), {c.key: c.name for c in self._chains}
-        chains, apart, marked = _chains_of(recordings, cache, self._salt, jobs, scheduler, taken=taken, keys=keys)
+        chains, apart, marked = _chains_of(recordings, cache, self._salt, jobs, scheduler, earlier=self._chains)
         fixes = {**self._known, **_by_name([*marked, *known], chains)}
+        own = {c.name for c in self._chains}
         earlier = [entry for entry in self.apart if entry[0] not in own]
         return _mapped([*self._chains, *chains], [*earlier, *apart], fixes, self._salt, self._groups, self._north)
 
@@ -508,13 +507,12 @@ def _chains_of(
     jobs: int,
     scheduler: str | None,
     progress: Callable[[int, int], None] | None = None,
-    taken: set[str] | None = None,
-    keys: Mapping[str, str] | None = None,
+    earlier: Sequence[Chain] = (),
 ) -> tuple[list[Chain], list[tuple[str, str]], list[tuple[str, Known]]]:
     """Return the chains of recordings, the names and reasons of unusable recordings, and the fixes in their marks.
 
-    No two chains have the same name, and copies of a recording are unusable. Each fix comes with the name of its walk.
-    `taken` has the names of earlier chains, and `keys` their names by key.
+    No two chains have the same name, also among `earlier` chains, and copies of a recording are unusable. Each fix
+    comes with the name of its walk.
     """
     items = [r if isinstance(r, Recording) else str(r) for r in recordings]
     work = partial(cached_chain, cache=None if cache is None else str(cache), salt=salt)
@@ -526,15 +524,14 @@ def _chains_of(
     chains: list[Chain] = []
     apart: list[tuple[str, str]] = []
     marked: list[tuple[str, Known]] = []
-    by_key, taken = dict(keys or {}), set() if taken is None else taken
+    by_key, taken = {c.key: c.name for c in earlier}, {c.name for c in earlier}
     for i, item in enumerate(items):
         result = found[i]
         if isinstance(result, Failure):
             apart.append((item.name if isinstance(item, Recording) else Path(item).name, result.reason))
         elif result.key in by_key:
-            apart.append(
-                (f"{result.name} (copy)", f"the same recording as {by_key[result.key]}: one of them is enough")
-            )
+            why = f"the same recording as {by_key[result.key]}: one of them is enough"
+            apart.append((f"{result.name} (copy)", why))
         else:
             chain = replace(result, name=_free_name(result.name, taken))
             by_key[chain.key] = chain.name

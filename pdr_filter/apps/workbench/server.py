@@ -130,7 +130,7 @@ class WorkbenchSite:
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""
-        return event_stream(self.workbench)
+        return event_stream(self.workbench.broadcast, self.workbench.events())
 
     # --- walks ---
 
@@ -204,10 +204,7 @@ class WorkbenchSite:
         return self._changed(walk, lambda: walk.redo(content["version"]))
 
     async def teach(self, request: Request) -> Response:
-        """Save the step length that the fixes of a walk determine in the file of its person, for other walks.
-
-        Return the step length in m, its relative standard deviation and the number of fixes.
-        """
+        """Save the step length that the fixes of a walk determine in the file of its person, for other walks."""
         walk = self._walk(request)
         name = walk.marks(self.workbench.folder)["marks"]["walk"].get("person", "")
         if not name:

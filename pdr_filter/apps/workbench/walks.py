@@ -64,10 +64,7 @@ class Walk:
                 stack += [({n: str(c).encode() for n, c in files.items()}, str(v)) for files, v in edits]
 
     def event(self) -> dict[str, Any]:
-        """Return the event that updates the row of this walk in the list of walks on all pages.
-
-        It has the id, name, state, reason of a failure, time of the last change, and the summary.
-        """
+        """Return the event that updates the row of this walk in the list of walks on all pages."""
         return {
             **self.summary,
             "event": "walk",
@@ -84,10 +81,7 @@ class Walk:
         return marks_folder(self.path)
 
     def marks(self, folder: Path) -> dict[str, Any]:
-        """Return the marks of the walk as JSON values for the pages, with their version.
-
-        A floor plan is given by its name, not by its path.
-        """
+        """Return the marks of the walk as JSON values for the pages, with their version."""
         files = mark_files(self.folder)
         content = _content(files, self.folder, folder)
         version = version_of(files)
@@ -120,10 +114,7 @@ class Walk:
         self._store_history()
 
     def _store_history(self) -> None:
-        """Write the edits that can be undone or redone to the file `history`, which a restarted workbench reads.
-
-        Nothing is written without such a file, or if it cannot be written.
-        """
+        """Write the edits that can be undone or redone to the file `history`, which a restarted workbench reads."""
         if self.history is not None:
             stacks = [[[{n: c.decode() for n, c in f.items()}, v] for f, v in s] for s in (self._undo, self._redo)]
             with suppress(OSError):
@@ -176,10 +167,7 @@ class Walks:
 
 
 def _shown(name: Path) -> str:
-    """Return the name of a walk in the list: its path in the folder of the workbench.
-
-    A file in a folder of its own name, such as walk/walk.csv, has the name of that folder.
-    """
+    """Return the name of a walk in the list: its path in the folder, or that of a folder of its own name."""
     return str(name.parent) if name.parent.name == name.stem else str(name)
 
 

@@ -79,10 +79,7 @@ class _Opened:
 
 
 class Worker:
-    """Object in a worker process whose methods answer the requests of the workbench.
-
-    The recording of the last request stays in memory.
-    """
+    """Object in a worker process whose methods answer requests. The recording of the last one stays in memory."""
 
     def __init__(self, cache: Path) -> None:
         self.cache = cache
@@ -116,10 +113,7 @@ class Worker:
         return summary
 
     def compare(self, path: str, variants: Sequence[tuple[str, str]]) -> dict[str, Any]:
-        """Return the key of a cached report that shows a walk with several recipes and weightings, as {"key": key}.
-
-        `variants` are pairs of a recipe and a weighting.
-        """
+        """Return the key of a cached report with pairs of a recipe and a weighting for a walk, as {"key": key}."""
         checksum = checksum_of(Path(path))
         names = json.dumps(list(variants))
         key = hashlib.sha256(f"{self._key(Path(path), checksum)} {names}".encode()).hexdigest()[:32]
@@ -174,10 +168,7 @@ class Worker:
         return {"step_length_m": session.step_length_m, "std": session.std, "n_fixes": session.n_fixes}
 
     def check(self, path: str) -> dict[str, Any]:
-        """Return the number of recordings in a new file or folder, as {"n": number}.
-
-        Any error, with its reason, if the first of them cannot be read.
-        """
+        """Return the number of recordings in a new file or folder, as {"n": number}, if the first can be read."""
         found = recordings_in(path) or [Path(path)]
         read(found[0])
         return {"n": len(found)}
