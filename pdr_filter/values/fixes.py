@@ -642,7 +642,7 @@ def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
 
 
 def check_fix(fix: object, has_plan: bool) -> None:
-    """Raise ValueError unless a filter, with a particle filter on a plan if `has_plan`, can use an object as a fix."""
+    """Raise ValueError unless the filter can use an object as a fix. A GridFix needs a plan (`has_plan`)."""
     if not isinstance(fix, OWN_FIXES):
         _check_measurement(fix)
     if isinstance(fix, GridFix) and not has_plan:

@@ -77,7 +77,10 @@ def _is_unknown_table(members: Members, name: str) -> bool:
 
 
 def _detect_alone(members: Members) -> str:
-    """Return the format of a single file: "generic_csv" if a column mapping lies beside it, with two exceptions."""
+    """Return the format of a single file.
+
+    It is "generic_csv" if a column mapping lies beside the file, unless the format has its own TOML file.
+    """
     path, name = members.path, members.names[0]
     found = detect_file(members, name)
     if mapping_beside(path).is_file() and mapping_beside(path) != path:

@@ -44,7 +44,7 @@ class Database:
 
 @contextmanager
 def open_database(members: Members, name: str) -> Generator[Database]:
-    """Context manager that opens a SQLite database in memory. RecordingError if it is damaged or none."""
+    """Context manager that opens a SQLite database in memory. RecordingError if it is damaged or another file."""
     where = members.where(name)
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
     if not content.startswith(SQLITE):

@@ -109,7 +109,7 @@ def read_generic_csv(path: str | Path) -> Recording:
 
 
 def read_mapped(path: Path, mapping: Mapping) -> Recording:
-    """Read a recording from tables whose columns a mapping describes, each of which must be there once."""
+    """Read a recording from tables whose columns a mapping describes. RecordingError if a column is missing."""
     parsed = Parsed(path, "generic CSV")
     with open_members(path) as members:
         sheets = sheets_of(members, mapping.separator or None, parsed.notes)
@@ -205,7 +205,7 @@ def _is_text(name: str, members: Members) -> bool:
 
 
 def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
-    """Return the error for tables without a known sensor, with a mapping to complete, or the missing line of names."""
+    """Return the error message for tables without a known sensor, which asks for a mapping or for column names."""
     sheet = sheets[0]
     if all(name.startswith("column ") for name in sheet.fields):
         head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""

@@ -239,7 +239,7 @@ def _time_unit(ticks: FloatArray) -> str:
 def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, where: str) -> list[_Stream]:
     """Return the streams that give the specific force: the accelerometer, or linear acceleration and gravity.
 
-    If there is neither, the linear acceleration alone. RecordingError without any, or if its unit is unknown.
+    Without them it is the linear acceleration alone. RecordingError if there is none, or if its unit is unknown.
     """
     app = "this table" if dialect is None else f"this looks like {dialect.app}, whose table"
     found = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
@@ -301,7 +301,7 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
 
 
 def _with_force_unit(s: _Stream) -> _Stream:
-    """Return an acceleration with its unit, by the size of the constant part if nothing states it; "" if none fits."""
+    """Return an acceleration with its unit, by its constant part if nothing states it. The unit may stay empty."""
     if s.is_unit_declared:
         return s
     constant = s.constant
@@ -313,7 +313,10 @@ def _with_force_unit(s: _Stream) -> _Stream:
 
 
 def _has_gravity(s: _Stream) -> bool:
-    """Return True if an acceleration contains gravity, or would in g if it states m/s2, which is refused later."""
+    """Return True if an acceleration contains gravity.
+
+    It is also True if the header states m/s2 for values in g, which the checks of every reader refuse later.
+    """
     low, high = _G_OF_GRAVITY
     if s.constant * s.factor >= _LEAST_GRAVITY_MPS2:
         return True
@@ -378,7 +381,7 @@ def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
 
 
 def _force(forces: Sequence[_Stream]) -> FloatArray:
-    """Return the sum of accelerations (N, 3) in m/s2 at the times of the first: the specific force with gravity."""
+    """Return the sum of accelerations (N, 3) in m/s2, such as linear one and gravity, at the times of the first."""
     at_s = forces[0].time_s
     total = np.zeros_like(forces[0].values)
     for s in forces:
