@@ -182,9 +182,8 @@ def _parts_in(path: Path) -> list[str]:
 
 
 @lru_cache(maxsize=20_000)
-def _parts_of_version(path: Path, n_bytes: int, changed_ns: int) -> tuple[str, ...]:
+def _parts_of_version(path: Path, *version: int) -> tuple[str, ...]:
     """Return `parts_of` a file of this size and time of change, cached because folders are scanned repeatedly."""
-    del n_bytes, changed_ns
     return tuple(parts_of(path))
 
 

@@ -202,8 +202,7 @@ def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence
     first = min((p for p in places if p >= 0), default=0)
 
     def order(time: int) -> tuple[bool, bool, bool, int]:
-        name = sheet.fields[time]
-        of = _sensor_of_time(name)
+        of = _sensor_of_time(sheet.fields[time])
         is_other = bool(of) and of != quantity
         # shared times: numbers before dates; own times: the nearest one before the sensor
         return is_other, of != quantity, time in sheet.dates, (first - time) if first - time > 0 else 1000 + time
