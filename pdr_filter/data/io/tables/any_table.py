@@ -72,7 +72,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
             sheets[i] = sheet.using(used, parsed.notes)
         shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
         dialect = dialect_of(shown)
-        if dialect is None or dialect.sign is None:
+        if dialect.sign is None:
             said = said_platform(members, "\n".join(sheet.about for sheet in sheets))
             if platform and said and said != platform:
                 raise RecordingError(
@@ -80,7 +80,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
                 )
             platform = platform or said or None
         found = guess(sheets, groups, dialect, platform, where)
-        parsed.instead = parsed.instead if dialect is None else dialect.instead
+        parsed.instead = dialect.instead
         fill_streams(parsed, found.mapping, sheets)
         parsed.source = found.source
         read_experiment(members, parsed)
