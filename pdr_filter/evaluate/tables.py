@@ -55,10 +55,8 @@ def latex(
 
     Parameters
     ----------
-    rows : Table or sequence of mapping
-        Table with named columns, or a mapping from column names to values for each row.
-    digits : int, default 2
-        Number of decimals of floats.
+    rows, digits : as in `markdown`
+        Table to write, and number of decimals of floats.
     caption : str, optional
         Caption in LaTeX. With a caption, the result is a `table` that contains the `tabular`.
     label : str, optional

@@ -24,7 +24,7 @@ END_STEP_FACTORS = (0.45, 0.8, 0.95)
 class ContextGait:
     """Movement of a typical person in one context. The resulting motion of the phone is in `strides`."""
 
-    frequency_hz: float = 0.0  # of the steps
+    frequency_hz: float = 0.0
     length_offset: float = 0.0  # step length = height * (length_offset + length_slope_s * frequency); stairs: tread
     length_slope_s: float = 0.0
     rise_m: float = 0.0  # height gained in each step
@@ -315,7 +315,7 @@ class StepPlan:
     leg_end_s: FloatArray
     leg: IntArray  # (K,), as all following
     start_s: FloatArray
-    contact_s: FloatArray  # of the foot, which ends the step
+    contact_s: FloatArray  # ends the step
     length_m: FloatArray
     rise_m: FloatArray
     first: BoolArray  # step of a bout

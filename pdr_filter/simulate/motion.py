@@ -241,7 +241,7 @@ def body_path(time_s: FloatArray, plan: StepPlan, travel_rad: FloatArray) -> Flo
 
 
 def rides(time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], travel_rad: FloatArray) -> FloatArray:
-    """Return the displacement (east, north, up) by lifts and escalators, (N, 3), at constant speed between ramps."""
+    """Return the displacement (east, north, up) by lifts and escalators, (N, 3). Their speed is mostly constant."""
     moved = np.zeros((len(time_s), 3))
     for leg, start_s, end_s in zip(legs, plan.leg_start_s, plan.leg_end_s, strict=True):
         if leg.ride_up_m or leg.ride_m:

@@ -104,7 +104,7 @@ def random_deviations(ways: ComplexArray, rest: FloatArray, rng: np.random.Gener
 
 
 def write_measured(tables: dict[tuple[str, str], Strides]) -> None:
-    """Write the measured tables, by place and context, to `MEASURED`, in half precision, which exceeds theirs."""
+    """Write the measured tables, by place and context, to `MEASURED`. Half precision exceeds their accuracy."""
     rows: dict[str, NDArray[np.float16]] = {}
     for (place, context), table in tables.items():
         for field in fields(Strides):

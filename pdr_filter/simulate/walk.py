@@ -181,7 +181,7 @@ def demo_walk(seed: int = 0) -> Recording:
 
 
 def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carrying]) -> list[tuple[str, Carrying]]:
-    """Return the carrying mode of each leg, and the place of the phone in it. ValueError if it has none."""
+    """Return carrying mode and place of the phone for each leg. ValueError for a carrying mode without a place."""
     found: list[tuple[str, Carrying]] = []
     for leg in legs:
         carrying_mode = leg.carrying_mode or carrying_mode
@@ -197,7 +197,7 @@ def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carryi
 def _streams(
     motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
 ) -> tuple[Samples, Samples, Samples, Samples | None]:
-    """Return accelerometer, gyroscope, magnetometer and, with its errors, barometer, each with its own clock."""
+    """Return accelerometer, gyroscope, magnetometer and barometer samples, if any, each with its own clock."""
     end_s = float(motion.plan.leg_end_s[-1])
 
     def clock(rate: float, start_s: float) -> FloatArray:

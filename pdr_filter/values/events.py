@@ -32,9 +32,9 @@ class Undecided:
 class Climb:
     """Climb rate over one window, and the height at its end."""
 
-    time_s: float  # of the last sample of the window; the rate, a mean over it, refers to half a window earlier
+    time_s: float  # last sample of the window; the rate is a mean, so it refers to half a window earlier
     climb_rate_mps: float  # up positive
     std_mps: float
     n_samples: int
-    height_m: float  # of the mean pressure of the last hop above the level of 1013.25 hPa
-    height_std_m: float  # due to the sensor alone
+    height_m: float  # mean of the last hop, above the level of 1013.25 hPa
+    height_std_m: float  # the part of the sensor alone

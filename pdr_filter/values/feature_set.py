@@ -98,7 +98,7 @@ class FunctionFeatures:
 
     @classmethod
     def of(cls, function: FeatureFunction) -> FunctionFeatures:
-        """Return the features of a function, which is called once, on noise, for their names. ValueError for none."""
+        """Return the features of a function. It is called once, on noise, to get their names. ValueError for none."""
         noise = np.random.default_rng(0).normal(size=(len(WINDOW_SIGNALS), 200))
         found = function(dict(zip(WINDOW_SIGNALS, noise, strict=True)))
         if not (isinstance(found, Mapping) and found):  # pyright: ignore[reportUnnecessaryIsInstance]

@@ -498,19 +498,13 @@ class RangeFix:
 
         Parameters
         ----------
-        position_m : array_like, shape (2,)
-            Predicted east and north, m.
-        heading_rad : float
-            Predicted walking direction, rad. It has no effect.
+        position_m, heading_rad : array_like, shape (2,), and float
+            Predicted east and north, m, and walking direction, rad, which has no effect.
 
         Returns
         -------
-        residual : ndarray, shape (1,)
-            Predicted minus measured distance, m.
-        jacobian : ndarray, shape (1, 2)
-            Derivatives of the residual with respect to east and north.
-        cov : ndarray, shape (1, 1)
-            Variance of the range, m^2.
+        tuple of ndarray, shape (1,), (1, 2) and (1, 1)
+            Predicted minus measured distance, m, its derivatives by east and north, and the variance of the range, m^2.
         """
         residual_m, direction = range_residuals(
             np.asarray(position_m, dtype=float), self.anchor_m[:2], self.up_m, self.range_m
@@ -642,7 +636,7 @@ def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
 
 
 def check_fix(fix: object, has_plan: bool) -> None:
-    """Raise ValueError unless a filter, with a particle filter on a plan if `has_plan`, can use an object as a fix."""
+    """Raise ValueError unless the filter can use an object as a fix. A GridFix needs a plan (`has_plan`)."""
     if not isinstance(fix, OWN_FIXES):
         _check_measurement(fix)
     if isinstance(fix, GridFix) and not has_plan:
@@ -821,12 +815,8 @@ class FixResult:
         ----------
         fix : PositionFix, GridFix, HeadingFix, RangeFix, SpeedFix, Standstill or Measurement
             The fix.
-        used_s : float
-            Time at which the filter processed the fix, s.
-        outcome : str
-            Outcome, as described for the attribute.
-        nis : float, optional
-            Normalised innovation squared. The default is NaN.
+        used_s, outcome, nis : float, str and float
+            Values of the attributes. The default of `nis` is NaN.
 
         Returns
         -------

@@ -51,10 +51,8 @@ class HeadingDrift:
 
         Parameters
         ----------
-        elapsed_s : float or ndarray
-            Elapsed time, s.
-        unknown_s : float or ndarray
-            Part of the elapsed time without angular rate, s.
+        elapsed_s, unknown_s : float or ndarray
+            Elapsed time, and its part without angular rate, s.
         yaw_bias_std_radps : float or ndarray
             Standard deviation of the gyroscope bias about the vertical, rad/s.
         besides_rad2_per_s : float or ndarray, default 0.0
@@ -62,10 +60,8 @@ class HeadingDrift:
 
         Returns
         -------
-        measured_rad2 : float or ndarray
-            Variance gained while the angular rate was measured, rad^2.
-        unmeasured_rad2 : float or ndarray
-            Variance gained while it was not measured, rad^2.
+        tuple of float or ndarray
+            Variance gained while the angular rate was measured, and while it was not, rad^2.
         """
         unknown: Any = min(unknown_s, elapsed_s) if isinstance(elapsed_s, float) else np.minimum(unknown_s, elapsed_s)
         rate = self.random_walk_rad_per_sqrt_s**2 + 2 * self.bias_correlation_s * yaw_bias_std_radps**2

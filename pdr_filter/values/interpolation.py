@@ -16,7 +16,7 @@ def interpolated_rows(at_s: FloatArray | float, time_s: FloatArray, values: Floa
 
 
 def interpolated_near(at_s: FloatArray, time_s: FloatArray, values: FloatArray, max_gap_s: float) -> FloatArray:
-    """Return linearly interpolated values (M, d), NaN where the nearest row (N, d), in any order, is beyond a gap."""
+    """Return interpolated values (M, d), with NaN where the nearest row is further away than `max_gap_s`."""
     if len(time_s) == 0 or len(at_s) == 0:
         return np.full((len(at_s), values.shape[1]), np.nan)
     result = interpolated_rows(at_s, time_s, values)

@@ -11,7 +11,7 @@ import numpy as np
 
 
 def as_plain(value: Any) -> Any:
-    """Return a value or dataclass as dictionaries, lists, texts and numbers, None for those that are not finite."""
+    """Return a value or dataclass as dictionaries, lists, texts and numbers. NaN and infinity become None."""
     if is_dataclass(value):
         return {f.name: as_plain(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, np.ndarray | np.generic):

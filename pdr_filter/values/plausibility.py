@@ -33,7 +33,7 @@ def wrong_angular_rate(median_radps: float) -> str:
 def wrong_rate(rate_hz: float, is_unit_declared: bool = False) -> str:
     """Return the likely error of the sampling rate of an accelerometer, or an empty string if it is plausible.
 
-    It is not the unit of the times if that is declared.
+    If the unit of the times is declared, another unit is not considered.
     """
     low, high = limits.RATE_RANGE_HZ
     if low <= rate_hz <= high:
@@ -53,14 +53,14 @@ def wrong_rate(rate_hz: float, is_unit_declared: bool = False) -> str:
 
 
 def unit_of_rate(rate_hz: float) -> str:
-    """Return the unit of times, such as "milliseconds", that explains a low sampling rate, or ""."""
+    """Return the unit of times, such as "milliseconds", that explains a sampling rate that is too low, or ""."""
     low, high = limits.RATE_RANGE_HZ
     fits = [unit for unit, factor in TIME_UNITS.items() if low <= rate_hz * factor <= high]
     return fits[0] if fits and rate_hz < low else ""
 
 
 def wrong_time(time_s: float) -> str:
-    """Return why a time cannot be in seconds since 1970 or later, or "" if it can, or is NaN or infinite."""
+    """Return why a time cannot be in seconds, since 1970 or any other time. "" if it can, and for NaN or infinity."""
     if not limits.MAX_EPOCH_S < abs(time_s) < math.inf:
         return ""
     return f"time_s must be in seconds, got {time_s:.6g}; divide milliseconds by 1e3, nanoseconds by 1e9"

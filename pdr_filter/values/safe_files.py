@@ -67,7 +67,7 @@ def inside(path: Path, *folders: Path) -> Path:
 
 
 def beside(path: Path, name: str) -> Path:
-    """Return the path of the file `name` beside `path` or its target. RecordingError if that is a link elsewhere."""
+    """Return the path of the file `name` in the folder of `path`. RecordingError for a link to another folder."""
     return inside(path.with_name(name), path.parent, path.resolve().parent)
 
 

@@ -44,7 +44,7 @@ def of_csv_cell(cell: str) -> str:
 
 
 def file_name(name: str) -> str:
-    """Return a file name for the name of a recording: without folders, with a checksum for the end of a long one."""
+    """Return a file name for the name of a recording, without folders. A checksum replaces the end of a long name."""
     clean = re.sub(r'[/\\:*?"<>|]', "_", printable(name)).strip(". ") or "recording"
     if len(clean.encode()) <= _MAX_FILE_NAME_BYTES:
         return clean

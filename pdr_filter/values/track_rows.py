@@ -81,7 +81,7 @@ class TrackRows:
 
     @property
     def distance_m(self) -> float:
-        """Walked distance after the last step, m, as in `walked_m`."""
+        """Walked distance after the last step, m. With "imm" it differs from the sum of the step lengths."""
         return float(self.walked_m[-1]) if self.n_steps else 0.0
 
     @property
@@ -287,7 +287,7 @@ class TrackRows:
 
     @property
     def is_level(self) -> bool:
-        """True unless the height changes by over one metre and two standard deviations, or the storey."""
+        """True if no change of height exceeds one metre and two standard deviations, and the storey is the same."""
         is_significant = np.abs(self.height_m) > np.maximum(1.0, 2.0 * self.height_std_m)
         return not (is_significant.any() or self.floor_passages or (self.floor != self.floor[:1]).any())
 
@@ -380,7 +380,7 @@ class TrackRows:
 
     @property
     def seconds_without_steps(self) -> float:
-        """Time in windows with a context of steps but without a step, as in a vehicle or a moving hand, s."""
+        """Time in windows that have no step, but a context with steps: in a vehicle or in a moving hand, s."""
         seconds, _, walked = self._of_windows()
         return float(seconds[~walked].sum())
 

@@ -159,7 +159,7 @@ class WifiScan:
 
 
 def loudness(rssi_dbm: FloatArray) -> FloatArray:
-    """Return the squared level above the limit of reception: 1 at -30 dBm, at least 1e-6; the nearest weigh most."""
+    """Return the squared level above the limit of reception: 1 at -30 dBm, and at least 1e-6."""
     return np.clip((rssi_dbm - _SILENT_DBM) / (_LOUD_DBM - _SILENT_DBM), 1e-3, None) ** 2
 
 

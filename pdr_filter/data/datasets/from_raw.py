@@ -91,7 +91,7 @@ def humolire(raw: Path) -> Iterator[Recording]:
 
 
 def motionsense(raw: Path) -> Iterator[Recording]:
-    """Yield the recordings of the first twelve people of MotionSense, who are those of the documentation."""
+    """Yield the recordings of the first twelve people of MotionSense. Figures in the documentation are for them."""
     people = {row["code"]: row for row in _csv(raw / "data_subjects_info.csv")}
     for path in sorted(raw.rglob("sub_*.csv")):
         code, trial = path.stem.removeprefix("sub_"), path.parent.name

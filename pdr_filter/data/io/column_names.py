@@ -300,7 +300,7 @@ def _accuracy(name: str, unit: str) -> int | None:
 
 @lru_cache(maxsize=256)  # detection and reading ask for the same names
 def column_of(place: int, name: str) -> Column:
-    """Return quantity, axis and unit in the name of column number `place`, "" for what it does not state."""
+    """Return the quantity, axis and unit that a column name states. `place` is the index of the column."""
     unit_found = _UNIT.search(name) or _UNIT_WORD.search(name.rstrip())
     unit = normal_unit(unit_found[1]).replace("_", "") if unit_found else ""
     unit = _UNIT_OF_WORD.get(unit, unit)
@@ -335,7 +335,10 @@ def column_of(place: int, name: str) -> Column:
 
 
 def _axes_of(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield each axis that a name may state at its end (accx, alpha to gamma, too) or start, with the other words."""
+    """Yield each axis that the words of a column name may state, with the remaining words.
+
+    It is sought at the end of the last word (accx, or alpha to gamma), and then at the start of the first word (xacc).
+    """
     if not words:
         return
     first, last = words[0], words[-1]
@@ -359,7 +362,10 @@ def is_time(name: str) -> bool:
 
 
 def column_of_nanoseconds(fields: Sequence[str], place: int) -> int | None:
-    """Return the index of the nanoseconds of a column of whole seconds, as stamp.nsecs of ROS, or None."""
+    """Return the index of the column of nanoseconds that belongs to a column of whole seconds, or None.
+
+    ROS writes a time as stamp.secs and stamp.nsecs.
+    """
     found = _WHOLE_SECONDS.fullmatch(fields[place])
     names = [] if found is None else [f"{found[1]}{nano}{found[2]}".lower() for nano in ("n", "nano")]
     return next((i for i, name in enumerate(fields) if name.lower() in names), None)

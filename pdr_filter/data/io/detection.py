@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from codecs import BOM_UTF8
 from contextlib import suppress
 from functools import partial
 from pathlib import Path, PurePosixPath
@@ -68,8 +69,7 @@ def _detect_among(members: Members) -> str:
 
 def _is_unknown_table(members: Members, name: str) -> bool:
     """Return True for a text with numbers in no known layout, which the table reader refuses with the reason."""
-    head = members.head(name)
-    if not name.lower().endswith(TEXTS) or head.startswith((b"time_s,", b"\xef\xbb\xbftime_s,")):
+    if not name.lower().endswith(TEXTS) or members.head(name).removeprefix(BOM_UTF8).startswith(b"time_s,"):
         return False
     with suppress(RecordingError):
         return text_sheet(members, name) is not None
@@ -77,7 +77,10 @@ def _is_unknown_table(members: Members, name: str) -> bool:
 
 
 def _detect_alone(members: Members) -> str:
-    """Return the format of a single file: "generic_csv" if a column mapping lies beside it, with two exceptions."""
+    """Return the format of a single file.
+
+    It is "generic_csv" if a column mapping lies beside the file, unless the format has its own TOML file.
+    """
     path, name = members.path, members.names[0]
     found = detect_file(members, name)
     if mapping_beside(path).is_file() and mapping_beside(path) != path:
@@ -109,7 +112,7 @@ def detect_file(members: Members, name: str) -> str:
         return "indoor_location"
     if get_sensor_data.is_get_sensor_data(head):
         return "get_sensor_data"
-    line = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].decode("latin-1").rstrip("\r")
+    line = head.removeprefix(BOM_UTF8).split(b"\n", 1)[0].decode("latin-1").rstrip("\r")
     if sensor_logger.is_sensor_logger(line):
         return "sensor_logger"
     is_own = line.startswith("time_s,")

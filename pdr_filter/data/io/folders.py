@@ -25,7 +25,10 @@ _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 
 
 def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
-    """Return the absolute paths of the recordings in given files and folders, each once; an empty folder is one."""
+    """Return the absolute paths of all recordings that the given paths stand for, each once and in order.
+
+    A folder stands for all recordings in it (`recordings_in`), or for itself if there is none.
+    """
     found: list[Path] = []
     for path in [paths] if isinstance(paths, str | Path) else paths:
         path = Path(path)
@@ -94,7 +97,7 @@ def only_recording_in(path: Path) -> Path:
 
 
 def parts_of(path: Path) -> list[str]:
-    """Return the names of the recordings in a file with several, to append to its path; empty for one recording."""
+    """Return the names of the recordings in a file, which continue its path. Empty for a file with one recording."""
     if not path.exists():
         return []
     with open_members(path) as members:
@@ -164,7 +167,10 @@ def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -
 
 
 def _parts_in(path: Path) -> list[str]:
-    """Return the relative names of the recordings in a file or a folder, "." for the folder; empty if unreadable."""
+    """Return the names of the recordings in a file or folder, relative to it. "." is the folder itself.
+
+    The list is empty for a file with a single recording, and if a file cannot be read.
+    """
     try:
         if path.is_file():
             found = path.stat()
@@ -176,14 +182,13 @@ def _parts_in(path: Path) -> list[str]:
 
 
 @lru_cache(maxsize=20_000)
-def _parts_of_version(path: Path, n_bytes: int, changed_ns: int) -> tuple[str, ...]:
-    """Return `parts_of` a file of this size and time of change, cached, because programs scan large folders again."""
-    del n_bytes, changed_ns
+def _parts_of_version(path: Path, *version: int) -> tuple[str, ...]:
+    """Return `parts_of` a file of this size and time of change, cached because folders are scanned repeatedly."""
     return tuple(parts_of(path))
 
 
 def _is_known(path: Path) -> bool:
-    """Return True for a text file that looks like a recording by itself, and for one that cannot be read."""
+    """Return True for a text file with a recording of its own, and for one that cannot be read."""
     if path.suffix.lower() not in _TEXTS:
         return False
     try:

@@ -107,7 +107,7 @@ class TextTable:
         texts: Sequence[int] = (),
         decimal: str = ".",
     ) -> NumberTable:
-        """Return columns as floats, one as integers (zeros without `whole`) and some as texts. Works once."""
+        """Return columns as floats, one as integers, and some as texts. The table can be parsed only once."""
         names = tuple(self.fields[place] for place in places)
         layout = Layout(tuple(places), whole, self.separator, decimal, names, tuple(texts))
         return parse_blocks(chain([self.first_rows], self._rest), layout, self.where, notes)
@@ -207,7 +207,10 @@ def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], lin
 
 
 def _by_arrow(block: bytes, layout: Layout, columns: Sequence[int]) -> list[NDArray[Any]]:
-    """Return columns of a large, plain block by pyarrow, with the bits of numpy in a third of the time, or fail."""
+    """Return columns of a large block by pyarrow, with the bits of numpy in a third of the time.
+
+    ImportError, KeyError or ValueError without pyarrow, or if anything in the block is unusual.
+    """
     if len(block) < LARGE_BYTES or not block.isascii() or b'"' in block or len(set(columns)) < len(columns):
         raise ValueError
     import pyarrow as pa
@@ -229,7 +232,7 @@ def _by_arrow(block: bytes, layout: Layout, columns: Sequence[int]) -> list[NDAr
 
 
 def _by_numpy(block: bytes, layout: Layout, columns: Sequence[int]) -> list[NDArray[Any]]:
-    """Return columns of numbers, or empty fields if no whole numbers are asked for. ValueError for anything else."""
+    """Return columns of a block of numbers. Fields may be empty if `layout.whole` is None. ValueError for texts."""
     text = block.decode("utf-8-sig")
     if layout.decimal != ".":
         text = text.replace(layout.decimal, ".")
@@ -347,7 +350,7 @@ def to_number(field: str) -> float | None:
 
 
 def whole_number(field: str) -> int | None:
-    """Return a whole number with all digits, without its fraction, None if unknown. ValueError for other text."""
+    """Return the whole number in a field with all digits, or None if it is unknown. ValueError for other texts."""
     field = field.strip()
     if not field or field in ("nan", "NaN", *UNKNOWN):
         return None

@@ -113,9 +113,9 @@ def _check_columns(header: list[str], where: str) -> None:
 
 
 def _clock_offset_s(values: FloatArray, tag: str, where: str, notes: list[str]) -> float:
-    """Return the median of app time minus sensor time, s, which are the first two columns. NaN if unknown.
+    """Return the median difference of app time and sensor time in s, or NaN if it is unknown.
 
-    RecordingError if the rates of the two clocks differ.
+    `values` (N, d) begin with both times. RecordingError if the rates of the two clocks differ.
     """
     known = np.isfinite(values[:, :2]).all(axis=1)
     app_s, sensor_s = values[known, 0], values[known, 1]

@@ -47,7 +47,7 @@ ARRAYS = {
 def read_ronin(path: str | Path) -> Recording:
     """Return the recording in an hdf5 file of RoNIN or in its folder; the visual position is `truth.position`.
 
-    The calibration in info.json is applied if it exists. RecordingError for missing arrays, or other shapes.
+    The calibration in info.json is applied if it exists. RecordingError if an array is missing or has another shape.
     """
     path = Path(path)
     file = inside(path / "data.hdf5", path) if path.is_dir() else path
@@ -159,7 +159,7 @@ def _inside_file(data: Any, name: str, file: Path) -> Any:
 
 
 def _check_storage(found: Any, name: str, file: Path) -> None:
-    """Raise RecordingError for unknown filters, and for a data set far larger than its file, as if unwritten."""
+    """Raise RecordingError for an unknown compression, and for a data set that is much larger than its file."""
     filters: Any = found.id.get_create_plist()
     names = [filters.get_filter(i)[0] for i in range(filters.get_nfilters())]
     if not set(names) <= set(FILTERS) or len(set(names)) < len(names):

@@ -55,8 +55,7 @@ def read_ros_bag(path: str | Path) -> Recording:
         topics: dict[str, _Topic] = {}
         seen: dict[str, str] = {}
         for name in _bags(members) or list(members.names[:1]):
-            head = members.head(name)
-            messages = _of_mcap if head.startswith(MCAP) else _of_database
+            messages = _of_mcap if members.head(name).startswith(MCAP) else _of_database
             for topic, kind, received_ns, content in messages(members, name, seen):
                 if topic not in topics and len(topics) >= _MAX_TOPICS:
                     raise RecordingError(f"{members.where(name)}: more than {_MAX_TOPICS} topics; cut the bag")

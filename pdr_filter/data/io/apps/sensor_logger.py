@@ -81,7 +81,10 @@ def is_sensor_logger(header: str) -> bool:
 
 
 def is_without_seconds_elapsed(members: Members) -> bool:
-    """Return True for an export of 2021, without elapsed seconds: time, x, y, z, and metadata with the platform."""
+    """Return True for an export of 2021, which has no column of elapsed seconds.
+
+    It has an Accelerometer.csv with the columns time, x, y, z, and metadata that name the platform.
+    """
     by_stem = {PurePosixPath(name).stem.lower(): name for name in members.names if name.lower().endswith(".csv")}
     if not {"metadata", "accelerometer"} <= by_stem.keys():
         return False
@@ -90,13 +93,16 @@ def is_without_seconds_elapsed(members: Members) -> bool:
 
 
 def looks_like_export(head: bytes) -> bool:
-    """Return True if a file begins like JSON or pushed messages of Sensor Logger, or like a database."""
+    """Return True if a file begins like an export in one file: JSON, pushed messages, or a database."""
     is_json = head.lstrip()[:1] == b"[" and b'"sensor"' in head[:4096]
     return is_json or is_push(head) or head.startswith(SQLITE)
 
 
 def sessions_of(members: Members) -> list[str]:
-    """Return the names of the sessions in a file of pushed messages, unless its path names one; empty for others."""
+    """Return the names of the sessions (recordings) in a file of messages that Sensor Logger pushed.
+
+    The list is empty for any other file, and if the path already names a session.
+    """
     name = members.names[0]
     if members.inside or not is_push(members.head(name)):
         return []
@@ -236,7 +242,7 @@ def _at_times(sensor: NumberTable, time_ns: IntArray) -> FloatArray:
 
 
 def _requested_hz(export: _Export) -> dict[str, float]:
-    """Return the sampling rates in Hz that the user chose in the app, by sensor, without "as fast as possible"."""
+    """Return the sampling rates in Hz that the user chose in the app, by sensor. "As fast as possible" has none."""
     names = [name.replace(" ", "") for name in export.about("sensors").split("|")]
     periods = export.about("sampleRateMs").split("|")
     rates: dict[str, float] = {}
@@ -302,7 +308,7 @@ def _read_tables(members: Members) -> _Export:
 def _member(names: Sequence[str], sensor: str, members: Members) -> str:
     """Return the file of a sensor, or an empty string if there is none.
 
-    Its exact name is preferred to one within others, as `walk_Gravity (1).csv`. RecordingError if several fit.
+    A file with the exact name is preferred to one such as `walk_Gravity (1).csv`. RecordingError if several files fit.
     """
     stems = {name: PurePosixPath(name).stem.lower() for name in names}
     exact = [name for name, stem in stems.items() if stem == sensor.lower()]
@@ -370,7 +376,10 @@ def _begun_ns(times: Iterable[tuple[str, str]]) -> int | None:
 
 
 def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: list[str]) -> NumberTable:
-    """Return a table without rows from 60 s before the start, which a phone has stored, with a note."""
+    """Return a table without the values that the phone stored over 60 s before the recording, with a note.
+
+    `begun_ns` is the start of the recording. If it is None, the table is unchanged.
+    """
     if begun_ns is None:
         return sensor
     kept = sensor.whole.astype(np.float64) >= begun_ns - STALE_S * 1e9
@@ -381,7 +390,7 @@ def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: 
 
 
 def _annotations(rows: list[list[str]]) -> list[tuple[int, str]]:
-    """Return time (ns since 1970) and text of the annotations in table rows below a header with time and text."""
+    """Return time (ns since 1970) and text of the annotations in rows below a header, without rows of no time."""
     if not rows or "time" not in rows[0] or "text" not in rows[0]:
         return []
     at, text = rows[0].index("time"), rows[0].index("text")

@@ -13,7 +13,7 @@ from pdr_filter.values import FloatArray, limits
 
 
 class TaggedLog:
-    """Text file in which a field of each line is its type. `header` has the text of the first comment lines."""
+    """Text file in which each line names the type of its data. `header` has the comment lines at its start."""
 
     def __init__(self, members: Members, comment: str) -> None:
         self.name = members.only_text()
@@ -24,7 +24,7 @@ class TaggedLog:
         self._members = members
 
     def header_values(self, separator: str = "\n") -> dict[str, str]:
-        """Return the first value of each `key: value` in the comment lines, with `separator` between pairs."""
+        """Return the values of `key: value` pairs in the comment lines. The first value of a key counts."""
         values: dict[str, str] = {}
         for line in self.header:
             for part in line.split(separator):
@@ -95,7 +95,11 @@ def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
 
 
 def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str, int]) -> bytes | None:
-    """Return the last line with a line feed, b"" for another type, and None if it has fewer fields than its type."""
+    """Return the last line of a file with a line feed, or None if it was cut off.
+
+    It is then shorter than the previous line of its type, `n_fields`. The result is b"" for a type that is not in
+    there.
+    """
     fields = line.split(separator)
     tag = fields[tag_field].decode("latin-1") if len(fields) > tag_field else ""
     if tag not in n_fields:
@@ -104,7 +108,7 @@ def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str,
 
 
 def _after_first(bytes_: NDArray[np.uint8], starts: NDArray[np.int64], separator: bytes) -> NDArray[np.int64]:
-    """Return the index at which the second field of each line begins, or a later one if it has one field."""
+    """Return the index of the byte at which the second field of each line begins. Each line should have two."""
     at = np.append(np.flatnonzero(bytes_ == separator[0]), len(bytes_))
     return at[np.searchsorted(at, starts)] + 1
 

@@ -89,7 +89,7 @@ class Members:
         return f"{self.path}" if self.path.name == name else f"{self.path}: {name}"
 
     def only_text(self) -> str:
-        """Return the name of the file itself, or of the only text among several. RecordingError otherwise."""
+        """Return the name of the only file that can be a log or a table. RecordingError if there is not one."""
         names = [name for name in self.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(self.names)
         if len(names) != 1:
             raise RecordingError(
@@ -128,7 +128,7 @@ class Members:
         return content
 
     def pieces(self, name: str) -> Iterator[bytes]:
-        """Yield a text in pieces without byte order mark, which end anywhere in a line. RecordingError if binary."""
+        """Yield a text file in pieces, which may end anywhere in a line. RecordingError for a binary file."""
         for i, part in enumerate(self.parts(name)):
             # UTF-16 without byte order mark, UTF-32 and binary files have zero bytes
             if i == 0 and b"\x00" in part[:4096]:
@@ -138,7 +138,7 @@ class Members:
             yield part.removeprefix(b"\xef\xbb\xbf") if i == 0 else part
 
     def blocks(self, name: str) -> Iterator[bytes]:
-        """Yield a text in blocks of complete lines with line feeds. A last line without one is a block of its own."""
+        """Yield a text in blocks of complete lines, which end in line feeds. The last line may lack its line feed."""
         rest = b""
         for part in self.pieces(name):
             if b"\r" in part or rest.endswith(b"\r"):
@@ -230,7 +230,10 @@ def open_members(path: Path) -> Generator[Members]:
 
 @contextmanager
 def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) -> Generator[Members]:
-    """Open the files in a zip file, or in the zip file inside it that is alone there or that `inside` names."""
+    """Open the files in a zip file.
+
+    If it only contains another zip file, or `inside` names one in it, the files in that one are opened.
+    """
     try:
         archive = zipfile.ZipFile(file)
     except _ZIP_ERRORS as error:
@@ -269,7 +272,7 @@ def zips_among(names: Sequence[str]) -> list[str]:
 def outside(path: Path) -> tuple[Path, str]:
     """Split a path into a file or folder that exists on disk, and the rest of the path inside it.
 
-    The rest of `export.zip/walk_2` is `walk_2`, that of the trial `walk1` of files such as `walk1_acc.csv` is `walk1`.
+    `export.zip/walk_2` has the rest `walk_2`. A trial `walk1` stands for files such as `walk1_acc.csv` in its folder.
     """
     if not path.exists():
         for parent in path.parents:
@@ -321,9 +324,9 @@ def _files_below(path: Path) -> dict[str, Path]:
 
 
 def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
-    """Return new names by the old ones for files of sensors that are alone in folders named after them.
+    """Return new names for files of sensors that each have a folder of their own, by their old names.
 
-    `Accelerometer/data.csv` becomes `Accelerometer.csv`.
+    `Accelerometer/data.csv` becomes `Accelerometer.csv` if it is the only table in its folder.
     """
     by_folder: dict[PurePosixPath, list[PurePosixPath]] = {}
     for name in map(PurePosixPath, names):

@@ -108,7 +108,7 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
 
 
 def _folder(members: Members) -> str:
-    """Return the folder of the only accelerometer.csv among the files, with its slash, or "". Else RecordingError."""
+    """Return the folder of the recording inside a zip file, with its slash. RecordingError unless there is one."""
     path = members.path
     if not members.is_container and path.name == REQUIRED:
         raise RecordingError(
@@ -178,7 +178,7 @@ def _is_usable(name: str) -> bool:
 def _read_stream(
     members: Members, name: str, columns: tuple[str, ...], notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return times (N,) in s and values (N, d) of one sensor, none if empty, except for accelerometer.csv."""
+    """Return times (N,) in s and values (N, d) of one sensor. An empty file gives no rows, unless it is required."""
     rows = TextTable(members.blocks(name), members.where(name), ",")
     if rows.is_empty and PurePosixPath(name).name != REQUIRED:
         return np.empty(0), np.empty((0, len(columns)))

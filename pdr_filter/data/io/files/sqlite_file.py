@@ -32,8 +32,7 @@ class Database:
         asked = f"SELECT {', '.join(map(_quoted, columns))} FROM {_quoted(table)}"
         if where is not None:
             asked += f" WHERE {_quoted(where[0])} = {where[1]:d}"
-        found = self._connection.execute(f"{asked} LIMIT {limits.MAX_ARRAY_ROWS + 1}")
-        rows = found.fetchall()
+        rows = self._connection.execute(f"{asked} LIMIT {limits.MAX_ARRAY_ROWS + 1}").fetchall()
         if len(rows) > limits.MAX_ARRAY_ROWS:
             raise RecordingError(f"{self.where}: {table} has more than {limits.MAX_ARRAY_ROWS} rows; cut the recording")
         return rows
@@ -44,7 +43,7 @@ class Database:
 
 @contextmanager
 def open_database(members: Members, name: str) -> Generator[Database]:
-    """Context manager that opens a SQLite database in memory. RecordingError if it is damaged or none."""
+    """Context manager that opens a SQLite database in memory. RecordingError if it is damaged or another file."""
     where = members.where(name)
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
     if not content.startswith(SQLITE):

@@ -72,7 +72,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
             sheets[i] = sheet.using(used, parsed.notes)
         shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
         dialect = dialect_of(shown)
-        if dialect is None or dialect.sign is None:
+        if dialect.sign is None:
             said = said_platform(members, "\n".join(sheet.about for sheet in sheets))
             if platform and said and said != platform:
                 raise RecordingError(
@@ -80,7 +80,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
                 )
             platform = platform or said or None
         found = guess(sheets, groups, dialect, platform, where)
-        parsed.instead = parsed.instead if dialect is None else dialect.instead
+        parsed.instead = dialect.instead
         fill_streams(parsed, found.mapping, sheets)
         parsed.source = found.source
         read_experiment(members, parsed)
@@ -109,7 +109,7 @@ def read_generic_csv(path: str | Path) -> Recording:
 
 
 def read_mapped(path: Path, mapping: Mapping) -> Recording:
-    """Read a recording from tables whose columns a mapping describes, each of which must be there once."""
+    """Read a recording from tables whose columns a mapping describes. RecordingError if a column is missing."""
     parsed = Parsed(path, "generic CSV")
     with open_members(path) as members:
         sheets = sheets_of(members, mapping.separator or None, parsed.notes)
@@ -205,7 +205,7 @@ def _is_text(name: str, members: Members) -> bool:
 
 
 def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
-    """Return the error for tables without a known sensor, with a mapping to complete, or the missing line of names."""
+    """Return the error message for tables without a known sensor, which asks for a mapping or for column names."""
     sheet = sheets[0]
     if all(name.startswith("column ") for name in sheet.fields):
         head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""

@@ -29,7 +29,7 @@ _PLATFORM = re.compile(
 class Dialect:
     """How to recognise the tables of an app, and what their headers leave open."""
 
-    app: str
+    app: str  # empty if unknown
     shows: str  # regular expression, looked for in the lines above the table, its header and the names of the files
     instead: str = "the accelerometer with gravity"  # what to record where acceleration lacks gravity
     units: Mapping[str, str] = field(default_factory=lambda: _SI)  # where the header says none
@@ -101,9 +101,13 @@ DIALECTS = (
 )
 
 
-def dialect_of(text: str) -> Dialect | None:
-    """Return the app that wrote a table, by the lines above it, its header and the names of the files, or None."""
-    return next((dialect for dialect in DIALECTS if re.search(dialect.shows, text, re.IGNORECASE)), None)
+# Of a table whose app is unknown: nothing but the header states anything.
+UNKNOWN_APP = Dialect("", "", units={}, sign=None)
+
+
+def dialect_of(text: str) -> Dialect:
+    """Return the app that wrote a table, by the lines above it, its header and the names of the files."""
+    return next((dialect for dialect in DIALECTS if re.search(dialect.shows, text, re.IGNORECASE)), UNKNOWN_APP)
 
 
 def said_platform(members: Members, about: str = "") -> str:

@@ -82,7 +82,10 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
 
 
 def _times(sheet: Sheet, is_named: bool) -> list[int]:
-    """Return the indices of the columns of times, not of nanoseconds of whole seconds: dates, names, or a unit."""
+    """Return the indices of the columns of times, without nanoseconds that belong to whole seconds.
+
+    They are dates and names of times, or else the first column with a unit of time in brackets.
+    """
     times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
     nanoseconds = {column_of_nanoseconds(sheet.fields, i) for i in times}
     times = [i for i in times if i not in nanoseconds]
@@ -105,7 +108,7 @@ def _numbers(sheet: Sheet) -> list[int]:
 
 
 def _without_names(sheet: Sheet, times: Sequence[int]) -> list[Column]:
-    """Return the axes or value of the sensor that the file names, in the columns of numbers after the first time."""
+    """Return the columns of a table without column names: those after the time, for the sensor of the file name."""
     quantity, _ = quantity_of_file(sheet.name)
     axes = _AXES if quantity in VECTORS else ("",)
     after = [i for i in _numbers(sheet) if i > times[0]][: len(axes)] if times else []
@@ -129,7 +132,8 @@ def _unit(sheet: Sheet, quantity: str, axes: Sequence[Column]) -> str:
 def _vectors(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:
     """Return quantity, axes and preference of the sensors with three axes, in the order of the table.
 
-    RecordingError if a named accelerometer lacks an axis. Axes whose names state no sensor may come again for another.
+    RecordingError if an accelerometer lacks an axis. Axes whose names state no sensor may appear again, for the next
+    one.
     """
     # Names such as ax and wx, which distinguish sensors, state more than the name of the file.
     is_distinct = len({column.quantity for column in columns if column.quantity in VECTORS}) > 1
@@ -198,8 +202,7 @@ def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence
     first = min((p for p in places if p >= 0), default=0)
 
     def order(time: int) -> tuple[bool, bool, bool, int]:
-        name = sheet.fields[time]
-        of = _sensor_of_time(name)
+        of = _sensor_of_time(sheet.fields[time])
         is_other = bool(of) and of != quantity
         # shared times: numbers before dates; own times: the nearest one before the sensor
         return is_other, of != quantity, time in sheet.dates, (first - time) if first - time > 0 else 1000 + time

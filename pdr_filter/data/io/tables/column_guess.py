@@ -92,16 +92,15 @@ class _Stream:
 
 
 def guess(
-    sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect | None, platform: str | None, where: str
+    sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect, platform: str | None, where: str
 ) -> Guess:
     """Return the guessed mapping of the columns of these tables.
 
-    `dialect` is the app, if known. `platform` ("ios" or "android") decides the sign of the acceleration if the app does
+    `dialect` is the app. `platform` ("ios" or "android") decides the sign of the acceleration if the app does
     not. `where` names the file in messages. RecordingError if there is no acceleration, if its unit is unknown, if it
     is in g with an unknown sign, or if a table has neither times nor a known rate.
     """
-    app = "" if dialect is None else dialect.app
-    result = Guess(Mapping(()), source=f"table of {app}" if app else "table")
+    result = Guess(Mapping(()), source=f"table of {dialect.app}" if dialect.app else "table")
     rate_hz = _rate_of_rows(sheets, groups, dialect, where)
     streams = [_stream(group, sheets[group.sheet], dialect, rate_hz) for group in groups]
     streams = [s for s in streams if len(s.values)]
@@ -122,12 +121,8 @@ def guess(
             )
             if quantity == "location" and near.sheet is forces[0].sheet and _common_s(near, forces[0]) <= 0:
                 # A clock that began elsewhere: what counts is when the rows of the table have another place.
-                near = _stream(
-                    replace(near.group, time=forces[0].group.time, time_unit=forces[0].time_unit),
-                    near.sheet,
-                    None,
-                    rate_hz,
-                )
+                on_clock = replace(near.group, time=forces[0].group.time, time_unit=forces[0].time_unit)
+                near = _stream(on_clock, near.sheet, dialect, rate_hz)
             chosen.append(_with_unit(near, force, time_s, result))
     left_out = sorted({s.sheet.name for s in streams} - {s.sheet.name for s in chosen})
     if left_out:
@@ -180,29 +175,27 @@ def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
     return time, time_unit, ["?"] * 3, "m/s2"
 
 
-def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect | None, where: str) -> float:
+def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect, where: str) -> float:
     """Return the sampling rate in Hz of tables without a column of times, or zero if all tables have one.
 
     It is in the lines above the first table, or usual for the app, else RecordingError.
     """
     if all(group.time is not None for group in groups):
         return 0.0
-    if dialect is not None and (period_ms := dialect.period_of(sheets[groups[0].sheet].about)):
+    if period_ms := dialect.period_of(sheets[groups[0].sheet].about):
         return 1000 / period_ms
     sheet = next(sheets[group.sheet] for group in groups if group.time is None)
     names = ", ".join(sheet.fields)[:200]
-    app = f"this looks like {dialect.app}, but there is" if dialect else "there is"
+    app = f"this looks like {dialect.app}, but there is" if dialect.app else "there is"
     raise RecordingError(
         f"{sheet.where}: {app} no column of times (columns: {names}); export it with times, or give column or rate: "
         'pdr-filter convert FILE --map MAP.toml with "[time]" and \'column = "..."\' or "rate_hz = ..." in it'
     )
 
 
-def _stream(group: Group, sheet: Sheet, dialect: Dialect | None, rate_hz: float) -> _Stream:
+def _stream(group: Group, sheet: Sheet, dialect: Dialect, rate_hz: float) -> _Stream:
     ticks, values = sheet.stream(group.places, group.time)
-    declared = group.unit
-    if not declared and dialect is not None:
-        declared = dialect.units.get(group.quantity, "")
+    declared = group.unit or dialect.units.get(group.quantity, "")
     is_time_declared = bool(group.time is None or group.time_unit or group.time in sheet.dates)
     if group.time is None:
         unit, time_s = "s", ticks.astype(np.float64) / rate_hz
@@ -236,12 +229,12 @@ def _time_unit(ticks: FloatArray) -> str:
     return next((unit for unit, s in TIME_UNITS.items() if low <= per_tick / s <= high), "s")
 
 
-def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, where: str) -> list[_Stream]:
+def _forces(streams: Sequence[_Stream], dialect: Dialect, result: Guess, where: str) -> list[_Stream]:
     """Return the streams that give the specific force: the accelerometer, or linear acceleration and gravity.
 
-    If there is neither, the linear acceleration alone. RecordingError without any, or if its unit is unknown.
+    Without them it is the linear acceleration alone. RecordingError if there is none, or if its unit is unknown.
     """
-    app = "this table" if dialect is None else f"this looks like {dialect.app}, whose table"
+    app = f"this looks like {dialect.app}, whose table" if dialect.app else "this table"
     found = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
     if not found:
         others = ", ".join(sorted({s.group.quantity for s in streams})) or "none"
@@ -290,8 +283,8 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
         result.evidence.append(_force_words(best))
         return [best]
     seen = (linear or found)[0]
-    app = "this looks like a table" if dialect is None else f"this looks like {dialect.app}"
-    instead = "the accelerometer itself" if dialect is None else dialect.instead
+    app = f"this looks like {dialect.app or 'a table'}"
+    instead = dialect.instead if dialect.app else "the accelerometer itself"
     if not linear and seen.group.quantity == GRAVITY:
         raise RecordingError(f"{where}: {app} of gravity alone ({seen.group.name}); export {instead} instead")
     raise RecordingError(
@@ -301,7 +294,7 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
 
 
 def _with_force_unit(s: _Stream) -> _Stream:
-    """Return an acceleration with its unit, by the size of the constant part if nothing states it; "" if none fits."""
+    """Return an acceleration with its unit, by its constant part if nothing states it. The unit may stay empty."""
     if s.is_unit_declared:
         return s
     constant = s.constant
@@ -313,7 +306,10 @@ def _with_force_unit(s: _Stream) -> _Stream:
 
 
 def _has_gravity(s: _Stream) -> bool:
-    """Return True if an acceleration contains gravity, or would in g if it states m/s2, which is refused later."""
+    """Return True if an acceleration contains gravity.
+
+    It is also True if the header states m/s2 for values in g, which the checks of every reader refuse later.
+    """
     low, high = _G_OF_GRAVITY
     if s.constant * s.factor >= _LEAST_GRAVITY_MPS2:
         return True
@@ -378,7 +374,7 @@ def _as_rate(s: _Stream, time_s: FloatArray, force: FloatArray) -> _Stream:
 
 
 def _force(forces: Sequence[_Stream]) -> FloatArray:
-    """Return the sum of accelerations (N, 3) in m/s2 at the times of the first: the specific force with gravity."""
+    """Return the sum of accelerations (N, 3) in m/s2, such as linear one and gravity, at the times of the first."""
     at_s = forces[0].time_s
     total = np.zeros_like(forces[0].values)
     for s in forces:
@@ -393,12 +389,12 @@ def _is_of_earth(s: _Stream) -> bool:
     return s.group.quantity != FIELD or low <= median_norm(s.values) * s.factor <= high
 
 
-def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:
+def _sign(dialect: Dialect, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:
     """Return the factor 1 or -1 that gives acceleration and gravity Android's sign, by the app or the platform.
 
     Without both it is 1, with a note. RecordingError if both decide, or if values in g have an unknown sign.
     """
-    if dialect is not None and dialect.sign is not None:
+    if dialect.sign is not None:
         if platform is not None:
             raise RecordingError(
                 f"{where}: {dialect.app} writes the same sign whatever the platform is; leave platform out"
@@ -408,7 +404,7 @@ def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Strea
     if platform is not None:
         result.evidence.append(f"sign: that of {platform}, as given or as the metadata say")
         return -1 if platform == "ios" else 1
-    if dialect is None and forces[0].unit in ("g", "mg"):
+    if not dialect.app and forces[0].unit in ("g", "mg"):
         raise RecordingError(
             f"{where}: acceleration in g, and nothing shows its sign, which is Apple's or Android's: a phone lying "
             "face up reads -1 or +1 on z; say it with pdr-filter convert FILE --platform ios, or --platform android, "

@@ -76,7 +76,7 @@ class Mapping:
 
 
 def mapping_beside(path: Path) -> Path:
-    """Return the path of the column mapping beside walk.csv: walk.csv.toml if it exists, else walk.toml, if or not."""
+    """Return the path of the column mapping of walk.csv: walk.csv.toml if that exists, otherwise walk.toml."""
     longer = beside(path, path.name + ".toml")
     return longer if longer.is_file() else beside(path, path.with_suffix(".toml").name)
 

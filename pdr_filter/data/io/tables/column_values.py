@@ -19,9 +19,9 @@ LEAST_S = 10.0
 
 
 def constant_part(time_s: FloatArray, values: FloatArray) -> float:
-    """Return the median norm of the mean vectors of windows of 2 s: of an accelerometer, gravity.
+    """Return the median norm of the mean vectors of windows of 2 s. For an accelerometer it is the size of gravity.
 
-    Rows with NaN, and windows of fewer than 5 rows if others have more, are skipped. NaN without a complete row.
+    Rows with NaN, and windows with few rows, are skipped. NaN if there is no complete row.
     """
     time_s, values = _complete(time_s, values)
     if not len(values):

@@ -45,7 +45,7 @@ _MOST_DAYS = 32  # in a block of rows; each takes a look at all of them
 
 
 def is_date(text: str) -> bool:
-    """Return True for a date with a time of day, a time of day, minutes and seconds, or a duration as 0.02 sec."""
+    """Return True for a date with a time of day, a time of day, mm:ss, or a duration such as 0.02 sec."""
     return _found_in(text.strip()) is not None
 
 
@@ -130,9 +130,9 @@ def _digits(fields: NDArray[np.uint8], begin: int, end: int) -> IntArray | None:
 
 
 def _days(fields: NDArray[np.uint8], found: re.Match[str]) -> IntArray | None:
-    """Return the start of the day of each date in ns since 1970, zeros without a date, None for over 32 days.
+    """Return the start of the day of each date in ns since 1970, or zeros for times of day.
 
-    `fields` (N, width) holds the characters of the dates, `found` the form of the first.
+    `fields` (N, width) holds the characters, `found` the form of the first date. None for more than 32 different days.
     """
     days = np.zeros(len(fields), dtype=np.int64)
     left = np.ones(len(fields), dtype=bool)

@@ -47,7 +47,7 @@ def is_json(head: bytes) -> bool:
 def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> list[Sheet]:
     """Return the tables in a JSON text, one for each sensor. Tables without numbers are left out.
 
-    If it is damaged, the rows before that are returned with a note; without `notes` or any object, RecordingError.
+    Rows before a damage are returned with a note. RecordingError if there are none, or if `notes` is None.
     """
     where = members.where(name)
     tables: dict[str, _Columns] = {}
@@ -79,7 +79,7 @@ def json_fields(members: Members, name: str) -> list[Sheet]:
 def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = None) -> Iterator[Row]:
     """Iterate over the JSON objects in a text, which are elements of an array or follow one another.
 
-    Damage ends them with a note, or with RecordingError if `notes` is None, if no object comes before it, or if the
+    Objects before a damage are returned, with a note. RecordingError if there is none, if `notes` is None, or if the
     text is not UTF-8.
     """
     decoder, utf_8 = json.JSONDecoder(), codecs.getincrementaldecoder("utf-8")()
@@ -274,7 +274,7 @@ def table_of_rows(rows: Sequence[Row], columns: Sequence[str], where: str, notes
 
 
 def _wholes(texts: list[str]) -> list[int | None]:
-    """Convert texts of numbers to integers without fractions, and empty ones or null to None. ValueError for others."""
+    """Convert texts of numbers to integers, without fractions, or None for empty texts and words such as null."""
     return [*map(int if _WHOLE.fullmatch(",".join(texts)) else whole_number, texts)]
 
 

@@ -56,7 +56,7 @@ class Sheet:
         return cls(name, where, tuple(columns), parse, dates=frozenset(dates), exact=frozenset(exact))
 
     def using(self, places: Set[int | None], notes: list[str]) -> Sheet:
-        """Return a sheet that parses the given columns together, with repairs in `notes`. -1 and None are none."""
+        """Return a sheet that parses the given columns together and adds repairs to `notes`. -1 is ignored."""
         used = {place for place in places if place is not None and place >= 0}
         beside = {place for p in used if (place := column_of_nanoseconds(self.fields, p)) is not None}
         return replace(self, used=(used | beside) - self.dates, notes=notes)

@@ -22,7 +22,7 @@ def plain(value: Any) -> Any:
 
 
 def print_sheets() -> None:
-    """Write names and rows of the sheets of a spreadsheet on standard input as JSON. Argument: the most sheets."""
+    """Read a spreadsheet from standard input, and write its sheets as JSON. The argument is their largest number."""
     from python_calamine import CalamineWorkbook
 
     with contextlib.suppress(ImportError, ValueError, OSError):  # not on every system

@@ -18,7 +18,7 @@ from pdr_filter.values.errors import RecordingError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MappedStream:
-    """Values (N, d) of a stream at times (N,) in ticks of `unit_s` seconds, integers if a float would lose digits."""
+    """Values (N, d) of a stream at times (N,) in ticks of `unit_s` seconds. Integer ticks keep all digits."""
 
     ticks: IntArray | FloatArray
     unit_s: float
@@ -108,7 +108,7 @@ def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArr
 
 
 def is_new_position(values: FloatArray) -> BoolArray:
-    """Return a mask of rows (latitude, longitude, ...) that are known, not (0, 0), and not as the row before."""
+    """Return a mask of the rows whose location is known, is not (0, 0), and differs from that of the row before."""
     changes = np.ones(len(values), dtype=bool)
     changes[1:] = (values[1:, :2] != values[:-1, :2]).any(axis=1)
     return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)

@@ -49,7 +49,7 @@ class TextRows:
     only: tuple[int, str] | None = None  # a column and its text in the selected rows
 
     def __call__(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
-        """Return the columns `numbers` as floats, and `whole` as integers: nanoseconds of dates, zeros for None."""
+        """Return the columns `numbers` as floats, and the column `whole` as integers. Dates become nanoseconds."""
         names = tuple(self.fields[i] for i in numbers)
         layout = Layout(tuple(numbers), whole, self.separator, self.decimal, names)
         if whole is None or whole not in self.dates:
@@ -79,7 +79,7 @@ class TextRows:
             raise RecordingError(f"{self.where}: {error}") from error
 
     def _rows(self) -> Iterator[bytes]:
-        """Yield the rows in blocks of bytes: those of `only`, if set, and with one blank if blanks separate fields."""
+        """Yield the rows of the table in blocks of bytes: all, or those with the text of `only`."""
         left = self.n_before
         for block in self.blocks():
             at = 0
@@ -118,7 +118,7 @@ class TextRows:
 
 
 def by_text(sheet: Sheet, column: int) -> list[Sheet]:
-    """Split the sheet of a text file by the values of a column, such as the sensor; empty if it has over 40."""
+    """Split the sheet of a text file by the texts in a column, such as sensors. Empty for more than 40 texts."""
     if not isinstance(rows := sheet.parse, TextRows):
         return []
     return [replace(sheet, name=name, parse=replace(rows, only=(column, name))) for name in rows.texts_of(column)]
@@ -151,7 +151,7 @@ def _begins(block: bytes, first: bytes) -> list[int]:
 
 
 def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[bytes]:
-    """Yield the blocks of table number n, from 0, of several in a text, whose headers begin with the bytes `first`."""
+    """Yield the blocks of table number n, from 0, in a text with several. Headers begin with the bytes `first`."""
     at = -1
     for block in members.blocks(member):
         begins = _begins(block, first)
