@@ -118,6 +118,11 @@ class StreamState:
         intervals_s = np.diff(np.unique(self.recent_s))
         return float(1.0 / np.median(intervals_s)) if len(intervals_s) else np.nan
 
+    @property
+    def emptied(self) -> StreamState:
+        """Buffer without samples, which keeps the counts of samples."""
+        return StreamState(self.rows[:0], n_received=self.n_received, n_late=self.n_late, n_sorted=self.n_sorted)
+
 
 @dataclass(frozen=True, eq=False)
 class MergerState:
@@ -275,7 +280,8 @@ class StreamMerger:
                 late_s = (float(np.fmin(begin_s, time_s)), float(np.fmax(end_s, time_s))) if late else _NO_LATE
                 state = replace_unchecked(state, late_s=late_s)
                 if late_s[1] - late_s[0] > _SET_BACK_S:
-                    return self._without_late(self._state_after_restart(state), sensor, rows[i:])
+                    emptied = MergerState(tuple(stream.emptied for stream in state.streams))
+                    return self._without_late(emptied, sensor, rows[i:])
         return state, rows[~is_late], n_sorted
 
     def _late_rows(self, state: MergerState, sensor: Sensor, rows: FloatArray) -> tuple[BoolArray, int]:
@@ -294,13 +300,6 @@ class StreamMerger:
         latest_s = latest_before(np.where(time_s > whole_s, -np.inf, time_s), min(newest_s, whole_s))
         is_late = is_behind(time_s, latest_s, self.reorder_s) | (time_s <= released_s)
         return is_late, int((~is_late & (time_s < latest_s)).sum())
-
-    def _state_after_restart(self, state: MergerState) -> MergerState:
-        """Return the initial state, with the counts of samples of the present state."""
-        pairs = zip(self.init().streams, state.streams, strict=True)
-        counts = ((new, {n: getattr(s, n) for n in ("n_received", "n_late", "n_sorted")}) for new, s in pairs)
-        kept = (replace_unchecked(new, **count) for new, count in counts)
-        return MergerState(tuple(kept))
 
     def _n_whole(self, stream: StreamState, n: int, before_s: float, others_s: float = -np.inf) -> int:
         """Return how many of the first n rows of a sensor precede the first hole that may still be filled.
@@ -346,10 +345,8 @@ class StreamMerger:
             return state, _NOTHING
         leaving, left = force.rows[:n], force.rows[n:]
         time_s = leaving[:, 0]
-        rate, field_ut = (
-            at_times(s.rows[:, 0], s.rows[:, 1:], time_s, self.max_gap_s)
-            for s in (state.stream("gyroscope"), state.stream("magnetometer"))
-        )
+        others = (state.stream(sensor).rows for sensor in ("gyroscope", "magnetometer"))
+        rate, field_ut = (at_times(rows[:, 0], rows[:, 1:], time_s, self.max_gap_s) for rows in others)
         block = ImuBlock(time_s, leaving[:, 1:], rate, field_ut)
         if n:
             state = replace_unchecked(state, released_s=float(time_s[-1]))

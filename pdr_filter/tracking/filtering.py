@@ -181,14 +181,19 @@ def init_filter(config: Config) -> State:
     )
 
 
+def check_unfinished(state: State, what: str) -> None:
+    """Raise ValueError if the filter is finished and takes no more samples, locations or fixes."""
+    if state.finished:
+        raise ValueError(f"the filter is finished: start a new one for further {what}")
+
+
 def update_filter(config: Config, state: State, block: ImuBlock, provisional: bool = False) -> tuple[State, Output]:
     """Return the new state and the output after a block of samples of any length.
 
     With `provisional`, the output has a provisional update of each step that is not final when it is detected. The
     result depends on samples and fixes only, and not on the division into blocks. ValueError after `finish_filter`.
     """
-    if state.finished:
-        raise ValueError("the filter is finished: start a new one for further samples")
+    check_unfinished(state, "samples")
     whole = Output()
     for part in parts(block):
         sensing, events = config.sensing.update(state.sensing, part)
@@ -208,8 +213,7 @@ def update_streams(
     `samples` has times (N,) and values (N, d) for each sensor. They wait for the samples of the other sensors.
     `provisional` is an argument of `update_filter`. ValueError after `finish_filter`.
     """
-    if state.finished:
-        raise ValueError("the filter is finished: start a new one for further samples")
+    check_unfinished(state, "samples")
     merger, merged = config.merger.together(state.merger, samples)
     return _with_merged(config, replace_unchecked(state, merger=merger), merged, provisional)
 

@@ -25,6 +25,7 @@ from pdr_filter.tracking.filtering import (
     add_fixes,
     add_location,
     add_pressure,
+    check_unfinished,
     estimate_on_plan,
     finish_filter,
     init_filter,
@@ -270,8 +271,7 @@ class OnlineFilter:
         ValueError
             If the pressures are in Pa or kPa, if shapes are wrong, or if the filter is finished.
         """
-        if self.state.finished:
-            raise ValueError("the filter is finished: start a new one for further samples")
+        check_unfinished(self.state, "samples")
         time, pressure = _checked_pressure(time_s, pressure_hpa)
         if not self.state.merger.is_used:
             self.state = add_pressure(self.config, self.state, time, pressure)
@@ -389,8 +389,7 @@ class OnlineFilter:
         ValueError
             If the filter is finished, if its configuration or floor plan has no geographic frame, or if lengths differ.
         """
-        if self.state.finished:
-            raise ValueError("the filter is finished: start a new one for further locations")
+        check_unfinished(self.state, "locations")
         if self.config.model.frame.is_joined:
             raise ValueError(
                 "locations need a filter in the world frame, got a configuration in the frame of the start: use "
@@ -458,8 +457,7 @@ class OnlineFilter:
             If the filter is finished, or if the time of the fix (the end of a standstill) is before the first sample,
             more than a minute before the last sample, or more than a minute after it. The filter does not change then.
         """
-        if self.state.finished:
-            raise ValueError("the filter is finished: start a new one for further fixes")
+        check_unfinished(self.state, "fixes")
         check_fix(fix, self.config.on_plan is not None)
         fix, conditioner = on_track_clock(fix, self.state.clock_offset_s), self.state.sensing.conditioner
         seen = conditioner.report
@@ -659,9 +657,8 @@ def _parts_of(state: State) -> str:
 
 def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return times and pressures (N,) of a barometer, or raise ValueError for wrong units or shapes."""
-    columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
-    time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
-    time, pressure = checked_pressure(time, pressure)
+    time, pressure = as_floats(time_s, "time_s"), as_floats(pressure_hpa, "pressure_hpa")
+    time, pressure = checked_pressure(np.atleast_1d(time), np.atleast_1d(pressure))
     return time, pressure
 
 

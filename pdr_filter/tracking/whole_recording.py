@@ -269,11 +269,11 @@ def outputs(
     barometer, climbs = _climbs(config, recording)
     waiting_climbs = WaitingClimbs(barometer, tuple(climbs))
     state = add_fixes(config, replace(init_filter(config), waiting_climbs=waiting_climbs), fixes)
-    if (with_location or with_hills) and (location := recording.location) is not None:
-        if with_location:
-            state = add_location(config, state, location)
-        elif (origin := origin_of(location)) is not None:
-            state = add_terrain_locations(config, state, origin, location)
+    location = recording.location
+    if location is not None and with_location:
+        state = add_location(config, state, location)
+    elif location is not None and with_hills and (origin := origin_of(location)) is not None:
+        state = add_terrain_locations(config, state, origin, location)
     for part in _parts(merge_streams(recording), progress):
         state, output = update_filter(config, state, part)
         yield state, output
@@ -295,12 +295,12 @@ def track_of_outputs(
     late = (FixResult.of(fix, end_s, "waiting") for fix in state.waiting_fixes)
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
-    misplaced = (
-        f"the sensor was worn on the foot, but recipe {config.name!r} is for a carried phone: steps and step lengths "
-        'are wrong; use a recipe for the foot, such as recipes.zhou2019(placement="foot")',
-    )
-    if config.on_foot or not recording.is_on_foot:
-        misplaced = ()
+    misplaced = list[str]()
+    if recording.is_on_foot and not config.on_foot:
+        misplaced.append(
+            f"the sensor was worn on the foot, but recipe {config.name!r} is for a carried phone: steps and step "
+            'lengths are wrong; use a recipe for the foot, such as recipes.zhou2019(placement="foot")'
+        )
     frame = state.pedestrian.frame
     origin = (state.locations.origin or place) if frame.is_known else None
     if origin is not None:

@@ -274,10 +274,8 @@ class StepGate(StepStage[StepGateState]):
         self, state: StepGateState, steps: Sequence[Step], numbers: Sequence[int], intervals_s: Sequence[list[float]]
     ) -> list[float]:
         """Return the log odds of walking of each step given its own evidence; 0 if its window is too short."""
-        rows = [self._row(state, step) for step in steps]
-        windows = [
-            self._window(state, *arguments) for arguments in zip(rows, numbers, map(slowness, intervals_s), strict=True)
-        ]
+        around = zip((self._row(state, step) for step in steps), numbers, map(slowness, intervals_s), strict=True)
+        windows = [self._window(state, *arguments) for arguments in around]
         usable = [i for i, window in enumerate(windows) if len(window) >= MIN_ROWS]
         log_odds = np.zeros(len(steps))
         if usable:
