@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import windows_of
+from helpers import true_position_m, windows_of
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
@@ -176,12 +176,7 @@ def test_the_exponential_of_the_entropy_is_the_effective_number_of_modes(track: 
 
 
 def test_fixes_are_reported_with_their_innovations_and_rejected_ones_with_their_times(walk: Recording) -> None:
-    truth = walk.truth.position
-    fixes = [
-        PositionFix(t, np.array([np.interp(t, truth.time_s, truth.east_m), np.interp(t, truth.time_s, truth.north_m)]),
-                    4.0 * np.eye(2))
-        for t in (10.0, 20.0, 30.0)
-    ]  # fmt: skip
+    fixes = [PositionFix(t, true_position_m(walk, t), 4.0 * np.eye(2)) for t in (10.0, 20.0, 30.0)]
     wild = PositionFix(25.0, np.array([500.0, 500.0]), np.eye(2))
     track = pdr.track(walk, fixes=[*fixes, wild])
     assert [f.accepted for f in track.fixes] == [True, True, False, True]

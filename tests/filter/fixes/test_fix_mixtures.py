@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers import nees_of
 from scipy.stats import chi2
 from sensed_walk import SensedWalk, Tracked
 
@@ -103,7 +104,7 @@ def test_any_mixture_of_fixes_leaves_valid_covariances_that_hold_the_truth_and_i
         known = track.time_s > min(track.times_of("used"), default=np.inf) + 10.0
         error = (track.position_m - poor_walk.at(track.time_s))[known]
         if len(error):
-            nees.append(float(np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.cov_m2[known]), error).mean()))
+            nees.append(float(nees_of(error, track.cov_m2[known]).mean()))
         if frame == "start":  # in which dead reckoning has no unknown rotation
             assert np.mean(poor_walk.errors_m(track) ** 2) < np.mean(alone_m**2)
     # the expected mean is two; the errors of one walk are correlated, and wrong fixes increase them
@@ -320,11 +321,7 @@ def test_frozen_locations_are_detected_online_in_alignment_and_in_smoothing(walk
     smoothed = pdr.smooth(recording, fixes)
     assert (smoothed.observations.weight[is_held] == 0.0).all()
     assert any("repeats the last position" in note for note in smoothed.notes)
-    assert whole_error_m(whole, smoothed.track).max() < 8.0
-
-
-def whole_error_m(walk: SensedWalk, track: pdr.Track) -> np.ndarray:
-    return np.linalg.norm(track.position_m - walk.at(track.time_s), axis=1)
+    assert np.linalg.norm(smoothed.track.position_m - whole.at(smoothed.track.time_s), axis=1).max() < 8.0
 
 
 # --- late fixes -------------------------------------------------------------------------------------------------------
@@ -337,6 +334,5 @@ def test_a_fix_within_the_age_limit_is_used_whatever_its_delay(walk: SensedWalk,
     fixes = [replace(f, received_time_s=f.time_s + late_s) for f in every(walk, 10.0, rng)[:20]]
     track = walk.tracked(fixes, walk.config)
     assert track.outcomes.count("used") >= 19
-    error = track.position_m - walk.at(track.time_s)
-    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.cov_m2), error)
+    nees = nees_of(track.position_m - walk.at(track.time_s), track.cov_m2)
     assert np.mean(nees < chi2.isf(0.05, 2)) > 0.85

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import cut_randomly, pushed
+from helpers import cut_randomly, push_part, pushed, true_position_m
 
 import pdr_filter as pdr
 from pdr_filter.filter.chain.handler import part_of
@@ -166,8 +166,7 @@ def located(recording: Recording, accuracy_m: float) -> Recording:
     truth = recording.truth.position
     assert truth is not None
     time_s = np.arange(0.5, float(truth.time_s[-1]), 1.0)
-    way_m = [np.interp(time_s, truth.time_s, row) for row in (truth.east_m, truth.north_m)]
-    degrees = np.array(way_m) / 111_195.0
+    degrees = true_position_m(recording, time_s).T / 111_195.0
     rows = [degrees[1], degrees[0], np.zeros(len(time_s)), np.full(len(time_s), accuracy_m)]
     return replace(recording, location=Samples(time_s, np.column_stack(rows)))
 
@@ -238,12 +237,7 @@ def test_hills_do_not_depend_on_the_blocks_of_samples_and_locations(hill: Record
             latitude_deg, longitude_deg, _, accuracy_m = location.values[rows[0]].T
             online.push_location(location.time_s[rows[0]], latitude_deg, longitude_deg, accuracy_m)
             online.push_pressure(pressure.time_s[rows[1]], pressure.values[rows[1], 0])
-            found += [
-                u.floor
-                for u in online.push(
-                    block.time_s[rows[2]], block.specific_force_mps2[rows[2]], block.angular_rate_radps[rows[2]]
-                )
-            ]
+            found += [u.floor for u in push_part(online, block, rows[2])]
         floors.append(found + [u.floor for u in online.finish()])
         assert len(part_of(online.state.chain, HeightTrack).locations) <= 26
     assert floors[0] == floors[1]
@@ -412,12 +406,6 @@ def test_a_fix_with_a_storey_renumbers_all_storeys(stairs: Recording) -> None:
 def test_a_storey_of_a_rejected_fix_is_not_used(stairs: Recording) -> None:
     track = pdr.track(stairs, fixes=[PositionFix(15.0, np.array([0.0, 900.0]), np.eye(2), floor=4)])
     assert track.floor.max() == 1
-
-
-@pytest.mark.parametrize("floor", [1.5, np.nan])
-def test_a_storey_that_is_not_an_integer_is_refused(floor: float) -> None:
-    with pytest.raises(ValueError, match="floor must be a whole number"):
-        PositionFix(1.0, np.zeros(2), np.eye(2), floor=floor)  # type: ignore[arg-type]
 
 
 # --- online and offline ---------------------------------------------------------------------------------------------

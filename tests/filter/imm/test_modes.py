@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from pdr_filter.filter.chain.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.imm.motion_model import IRREGULAR, Mode, MotionNoise
-from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.imm.weighting import ModeEvidence, carrying_log_evidence
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
@@ -201,13 +200,3 @@ def test_two_modes_of_one_context_share_its_evidence_and_fixes_distinguish_them(
     north_m = 0.9 * len(updates)
     state, _, _ = tracker.on_fix(state, PositionFix(6.0, np.array([0.0, north_m]), 0.04 * np.eye(2)))
     assert state.pedestrian.estimates.prob[1] > 0.99
-
-
-def test_mean_stays_are_those_of_the_terrain_labels_and_level_walking_is_most_frequent() -> None:
-    transitions = context_transitions()
-    np.testing.assert_allclose(transitions.sum(axis=1), 1.0)
-    stays = dict(zip(CONTEXTS, 1 / (1 - transitions.diagonal()), strict=True))
-    assert 10 < stays["downstairs"] < stays["upstairs"] < 13  # flights of 5.8 and 6.6 s
-    assert 50 < stays["walking"] < 60  # 33 s
-    long_run = np.linalg.matrix_power(transitions, 1000)[0]
-    assert long_run[CONTEXTS.index("walking")] > 0.7

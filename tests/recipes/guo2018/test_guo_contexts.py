@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, uniform_block
+from helpers import uniform_block
 from joblib import parallel_config
 from scipy.spatial.transform import Rotation
 
@@ -23,7 +23,6 @@ from pdr_filter.recipes.guo2018.features import NAMES, AmbientSamples, MotionLev
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, WindowContext
-from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Recording
 
 STAGE = PoseContext()
@@ -59,15 +58,6 @@ def attitude_of(block: UniformBlock, up: tuple[float, float, float] = (0.0, 0.6,
     direction = np.array(up) + wobble
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     return AttitudeBlock(np.zeros(n), np.zeros((n, 2)), direction, np.zeros(n))
-
-
-def part_of(attitude: AttitudeBlock, a: int, b: int) -> AttitudeBlock:
-    return AttitudeBlock(
-        attitude.vertical_mps2[a:b],
-        attitude.horizontal_mps2[a:b],
-        attitude.up_sensor[a:b],
-        attitude.device_heading_rad[a:b],
-    )
 
 
 # --- the level of motion --------------------------------------------------------------------------------------------
@@ -142,23 +132,6 @@ def test_what_shakes_more_than_anybody_walks_is_not_walking() -> None:
     shaken = moving(5)
     shaken = replace(shaken, specific_force_mps2=30.0 * shaken.specific_force_mps2)
     assert all(w.prob[STATIONARY] == 1.0 for _, w in STAGE.update(STAGE.init(), shaken, attitude_of(shaken))[1])
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_windows_do_not_depend_on_how_the_samples_arrive_nor_on_a_pause_in_a_file(seed: int) -> None:
-    block = moving(seed)
-    attitude = attitude_of(block)
-    edges = [0, *sorted(set(np.random.default_rng(seed).integers(1, 1200, 50).tolist())), 1200]
-    whole = STAGE.update(STAGE.init(), block, attitude)[1]
-    state, found = STAGE.init(), []
-    for piece, a, b in zip(cut_uniform(block, edges[1:-1]), edges[:-1], edges[1:], strict=True):
-        state = serialise.from_bytes(serialise.to_bytes(state))
-        state, windows = STAGE.update(state, piece, part_of(attitude, a, b))
-        found += windows
-    assert [last for last, _ in found] == [last for last, _ in whole]
-    for (_, one), (_, other) in zip(found, whole, strict=True):
-        np.testing.assert_array_equal(one.prob, other.prob)
-        np.testing.assert_array_equal(one.carrying_prob, other.carrying_prob)
 
 
 @dataclass(frozen=True)

@@ -90,8 +90,3 @@ def test_after_a_gap_windows_start_again_and_none_spans_it() -> None:
     second = list(feature_windows(FeatureWindows(features=TABLE_II), [alone]))
     for a, b in zip(found[3:], second, strict=True):
         np.testing.assert_array_equal(a.features, b.features)
-
-
-def test_a_hop_longer_than_the_window_is_refused() -> None:
-    with pytest.raises(ValueError, match="hop_s must be positive and at most window_s"):
-        FeatureWindows(features=TABLE_II, window_s=1.0, hop_s=2.0)

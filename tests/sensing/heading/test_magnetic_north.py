@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -202,16 +203,8 @@ def test_the_result_does_not_depend_on_the_blocks(edges: list[int]) -> None:
 
 def test_without_a_magnetic_field_north_is_unknown() -> None:
     block, attitude, steps = way(TURNS)
-    unknown = UniformBlock(
-        block.time_s,
-        block.specific_force_mps2,
-        block.angular_rate_radps,
-        block.angular_rate_known,
-        block.turn_known,
-        np.zeros_like(block.magnetic_field_ut),
-        np.zeros(len(block.time_s), dtype=bool),
-        0.0,
-    )
+    nowhere = np.zeros(len(block.time_s), dtype=bool)
+    unknown = replace(block, magnetic_field_ut=np.zeros_like(block.magnetic_field_ut), magnetic_field_known=nowhere)
     assert all(math.isinf(s.north_std_rad) for s in found(unknown, attitude, steps))
 
 
