@@ -215,20 +215,6 @@ def test_the_standard_deviation_of_the_heading_rate_shrinks_and_is_about_the_ver
     assert np.sqrt(up @ cov @ up) == pytest.approx(attitude.yaw_bias_std_radps[-1], rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_walking_in_pieces_is_walking_as_a_whole(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    block, _, _ = a_walk(60, seed, rng.normal(scale=0.02, size=3))
-    block = replace(block, angular_rate_known=block.time_s < 50, magnetic_field_known=(block.time_s % 30) > 3)
-    state, [whole] = attitude_of(block)
-    cuts = [*range(0, 6000, 10)] if seed == 0 else list(rng.integers(0, 6000, 300))
-    pieces_state, pieces = attitude_of(block, cuts)
-    for name in AttitudeBlock.__slots__:
-        np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in pieces]), getattr(whole, name))
-    np.testing.assert_array_equal(pieces_state.bias.mean, state.bias.mean)
-    np.testing.assert_array_equal(pieces_state.bias.cov, state.bias.cov)
-
-
 def test_a_step_changes_neither_the_samples_nor_the_old_state() -> None:
     estimator = AttitudeEstimator()
     block = samples(np.array([0.0, 0.6, 0.8]), np.full(200, 0.1))

@@ -39,15 +39,13 @@ def test_now_does_not_change_the_filter_and_is_repeatable() -> None:
     assert online.save() == blob
 
 
-@pytest.mark.parametrize("until_s", [8.0, 12.3, 15.0, np.inf])
+@pytest.mark.parametrize("until_s", [12.3, np.inf])
 def test_after_the_end_nothing_is_provisional(until_s: float) -> None:
     online = pdr.OnlineFilter()
     assert any(now.is_provisional for now in walked(online, until_s))
     online.finish()
     now = online.now()
-    assert not now.is_provisional
-    assert now.provisional_steps == ()
-    assert now.walking_speed_mps == 0.0
+    assert (now.is_provisional, now.provisional_steps, now.walking_speed_mps) == (False, (), 0.0)
     np.testing.assert_array_equal(now.position_m, online.position_m)
     np.testing.assert_array_equal(now.position_cov_m2, online.position_cov_m2)
 
@@ -220,8 +218,7 @@ def test_the_deviation_is_that_of_the_steps_again_when_they_are_known() -> None:
 
 
 @pytest.mark.parametrize("weighting", ["wc", "hc"])
-@pytest.mark.parametrize("cut", [7, 100])
-def test_the_deviation_is_the_same_for_any_blocks_and_after_save_and_resume(weighting: str, cut: int) -> None:
+def test_the_deviation_is_the_same_for_any_blocks_and_after_save_and_resume(weighting: str) -> None:
     def shown(cut: int, resumes: bool) -> list[float]:
         online, found = pdr.OnlineFilter(recipes.default().with_weighting(weighting)), []
         for start in range(0, 1400, 700):
@@ -231,7 +228,7 @@ def test_the_deviation_is_the_same_for_any_blocks_and_after_save_and_resume(weig
             found.append(online.now().position_std_m)
         return found
 
-    assert shown(cut, resumes=True) == shown(350, resumes=False)
+    assert shown(7, resumes=True) == shown(350, resumes=False)
 
 
 def grown(recording: pdr.Recording, until_s: float) -> list[tuple[pdr.Now, float, float, float]]:

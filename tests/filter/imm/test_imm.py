@@ -6,7 +6,6 @@ import pytest
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import multivariate_normal
 
 from pdr_filter.filter.imm.imm import mix, mixed_values, predict, smoothed_mode_prob, update
 from pdr_filter.values.mixtures import combine, posterior_prob
@@ -78,23 +77,6 @@ def test_a_hundred_steps_agree_with_filterpy(n_modes: int) -> None:
     assert len(visited) > 1  # the test needs a problem with mode switches
 
 
-@settings(max_examples=50, deadline=None)
-@given(seed=SEEDS, n=st.integers(1, 5), d=st.integers(1, 3))
-def test_the_update_is_the_kalman_update(seed: int, n: int, d: int) -> None:
-    rng = np.random.default_rng(seed)
-    mean, cov = rng.normal(size=(3, n)), random_cov(rng, n, 3)
-    H_, [R_], z = rng.normal(size=(d, n)), random_cov(rng, d), rng.normal(size=d)
-    updated_mean, updated_cov, log_likelihood, nis = update(mean, cov, z, H_, R_)
-    for j in range(3):
-        S = H_ @ cov[j] @ H_.T + R_
-        K = cov[j] @ H_.T @ np.linalg.inv(S)
-        y = z - H_ @ mean[j]
-        np.testing.assert_allclose(updated_mean[j], mean[j] + K @ y, atol=1e-9)
-        np.testing.assert_allclose(updated_cov[j], (np.eye(n) - K @ H_) @ cov[j], atol=1e-9)
-        assert log_likelihood[j] == pytest.approx(multivariate_normal(H_ @ mean[j], S).logpdf(z), abs=1e-8)
-        assert nis[j] == pytest.approx(y @ np.linalg.inv(S) @ y, abs=1e-8)
-
-
 def test_a_thousand_precise_updates_leave_the_covariance_symmetric_and_positive() -> None:
     rng = np.random.default_rng(0)
     mean, cov = np.zeros((1, 4)), np.tile(np.diag([1e6, 1e6, 1.0, 1e-4]), (1, 1, 1))
@@ -106,44 +88,7 @@ def test_a_thousand_precise_updates_leave_the_covariance_symmetric_and_positive(
         assert np.linalg.eigvalsh(0.5 * (cov[0] + cov[0].T)).min() >= 0
 
 
-@settings(max_examples=30, deadline=None)
-@given(seed=SEEDS)
-def test_the_linear_prediction_is_that_of_each_mode(seed: int) -> None:
-    mean, cov, _, _ = random_modes(seed)
-    rng = np.random.default_rng(seed)
-    F_, Q = rng.normal(size=(4, 3, 3)), random_cov(rng, 3, 4)
-    predicted_mean, predicted_cov = predict(mean, cov, F_, Q)
-    for j in range(4):
-        np.testing.assert_allclose(predicted_mean[j], F_[j] @ mean[j], atol=1e-12)
-        np.testing.assert_allclose(predicted_cov[j], F_[j] @ cov[j] @ F_[j].T + Q[j], atol=1e-12)
-
-
 # --- mixing and combining -------------------------------------------------------------------------------------------
-
-
-def literal_mix(mean: np.ndarray, cov: np.ndarray, prob: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mixing by Blom and Bar-Shalom, written as loops."""
-    n_modes, n = mean.shape
-    mixed_mean, mixed_cov = np.zeros((n_modes, n)), np.zeros((n_modes, n, n))
-    for j in range(n_modes):
-        c_j = sum(M[i, j] * prob[i] for i in range(n_modes))
-        for i in range(n_modes):
-            mixed_mean[j] += M[i, j] * prob[i] / c_j * mean[i]
-        for i in range(n_modes):
-            y = mean[i] - mixed_mean[j]
-            mixed_cov[j] += M[i, j] * prob[i] / c_j * (cov[i] + np.outer(y, y))
-    return mixed_mean, mixed_cov
-
-
-@settings(max_examples=50, deadline=None)
-@given(seed=SEEDS, n_modes=st.integers(2, 6))
-def test_mixing_equals_its_equations_written_as_loops(seed: int, n_modes: int) -> None:
-    mean, cov, prob, M = random_modes(seed, n_modes)
-    mixed_mean, mixed_cov, predicted = mix(mean, cov, prob, M)
-    expected_mean, expected_cov = literal_mix(mean, cov, prob, M)
-    np.testing.assert_allclose(mixed_mean, expected_mean, atol=1e-10)
-    np.testing.assert_allclose(mixed_cov, expected_cov, atol=1e-10)
-    np.testing.assert_allclose(predicted, prob @ M, atol=1e-14)
 
 
 @settings(max_examples=20, deadline=None)

@@ -13,11 +13,9 @@ from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 
 from pdr_filter.filter.imm.motion_model import (
-    EAST,
     HEADING_OFFSET,
     LOG_SCALE,
     MAX_HEADING_VARIANCE,
-    NORTH,
     Directions,
     Mode,
     MotionNoise,
@@ -68,26 +66,6 @@ def advance_one(
 # --- direction of a step --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("heading_rad", "east_m", "north_m"),
-    [(0.0, 0.0, 0.7), (np.pi / 2, 0.7, 0.0), (np.pi, 0.0, -0.7), (-np.pi / 2, -0.7, 0.0), (2.5 * np.pi, 0.7, 0.0)],
-    ids=["north", "east", "south", "west", "unwrapped east"],
-)
-def test_a_step_leads_in_the_direction_of_the_heading(heading_rad: float, east_m: float, north_m: float) -> None:
-    mean, _ = advance_one(np.array([3.0, -4.0, 0.0, 0.0]), step=a_step(heading_rad=heading_rad))
-    np.testing.assert_allclose(mean, [3.0 + east_m, -4.0 + north_m, 0.0, 0.0], atol=1e-12)
-
-
-def test_device_heading_state_offset_and_the_offset_of_the_mode_add_up() -> None:
-    mean, _ = advance_one(np.array([0.0, 0.0, 0.2, 0.0]), step=a_step(heading_rad=0.3), offset_rad=0.4)
-    np.testing.assert_allclose(mean[:2], [0.7 * np.sin(0.9), 0.7 * np.cos(0.9)])
-
-
-def test_the_scale_multiplies_the_length() -> None:
-    mean, _ = advance_one(np.array([0.0, 0.0, 0.0, np.log(1.1)]))
-    assert mean[NORTH] == pytest.approx(0.77)
-
-
 # --- uncertainty of a step ------------------------------------------------------------------------------------------
 
 
@@ -113,24 +91,6 @@ def test_the_jacobian_equals_finite_differences(
     np.testing.assert_allclose(cov, J @ P @ J.T, atol=1e-4)
 
 
-@pytest.mark.parametrize("heading_rad", [0.0, 0.8, -2.0])
-def test_length_noise_lies_along_and_heading_noise_across_the_step(heading_rad: float) -> None:
-    _, cov = advance_one(
-        np.array([0.0, 0.0, 0.0, np.log(2.0)]),
-        step=a_step(heading_rad=heading_rad),
-        length_m=0.7,
-        length_var_m2=0.05**2,
-        heading_var_rad2=0.1**2,
-    )
-    along = np.array([np.sin(heading_rad), np.cos(heading_rad)])
-    across = np.array([np.cos(heading_rad), -np.sin(heading_rad)])
-    P = cov[:2, :2]
-    assert along @ P @ along == pytest.approx((2 * 0.05) ** 2)
-    assert across @ P @ across == pytest.approx((2 * 0.7 * 0.1) ** 2)
-    assert along @ P @ across == pytest.approx(0.0, abs=1e-15)
-    np.testing.assert_allclose(cov[2:, :], 0.0)
-
-
 def test_a_step_in_a_turn_may_lead_in_any_direction_within_the_turn() -> None:
     step = replace(a_step(heading_rad=0.8, duration_s=0.5), turn_rate_radps=0.4)
     _, cov = advance_one(np.zeros(4), step=step, length_m=0.7)
@@ -140,26 +100,6 @@ def test_a_step_in_a_turn_may_lead_in_any_direction_within_the_turn() -> None:
     whirled = replace(step, turn_rate_radps=40.0)
     _, cov = advance_one(np.zeros(4), step=whirled, length_m=0.7)
     assert np.trace(cov[:2, :2]) == pytest.approx(0.7**2 * np.pi**2 / 12)
-
-
-def test_n_equal_steps_add_up_in_closed_form() -> None:
-    """Straight to the north, independent errors grow with n, errors of the common heading and scale with n squared."""
-    n, length, var_l, var_psi, var_h, var_s = 50, 0.7, 0.06**2, 0.1**2, 0.15**2, 0.08**2
-    mean, cov = np.zeros(4), np.diag([0.0, 0.0, var_h, var_s])
-    for _ in range(n):
-        mean, cov = advance_one(mean, cov, length_m=length, length_var_m2=var_l, heading_var_rad2=var_psi)
-    assert mean[NORTH] == pytest.approx(n * length)
-    assert cov[NORTH, NORTH] == pytest.approx(n * var_l + (n * length) ** 2 * var_s)
-    assert cov[EAST, EAST] == pytest.approx(n * length**2 * var_psi + (n * length) ** 2 * var_h)
-    assert cov[EAST, HEADING_OFFSET] == pytest.approx(n * length * var_h)
-    assert cov[NORTH, LOG_SCALE] == pytest.approx(n * length * var_s)
-
-
-def test_heading_and_scale_drift_with_time_and_steps() -> None:
-    noise = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.02), log_scale_drift_per_sqrt_step=0.003)
-    _, cov = advance_one(np.zeros(4), step=a_step(duration_s=0.5), noise=noise)
-    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(0.02**2 * 0.5)
-    assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.003**2)
 
 
 def test_the_estimated_scale_decays_towards_the_population_prior() -> None:

@@ -209,14 +209,6 @@ def test_every_provisional_update_is_followed_by_one_final_update_of_its_index(w
         assert first.step == last.step == step
 
 
-def test_imm_reports_every_step_once_and_at_once() -> None:
-    steps, windows = random_walk(3)
-    state, updates = run(tracker("imm"), in_order(steps, windows))
-    assert [u.index for u in updates] == list(range(len(steps)))
-    assert all(u.is_final for u in updates)
-    np.testing.assert_array_equal(position_of(state)[0], updates[-1].position_m)
-
-
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
 def test_a_certain_context_gives_the_length_and_direction_of_its_mode(weighting: str) -> None:
     sideways = CONTEXTS.index("sideways")
@@ -269,6 +261,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         of_parameters = np.sqrt(length_var - residual_var)  # an error of the whole person, which adds up over the steps
         consider_error_m += scale * np.array([length * of_along * u, length * of_across * v, of_parameters * u])
         seen = P[:2, :2] + sum(np.outer(e, e) for e in consider_error_m)
+        assert (update.index, update.is_final) == (k, True)
         np.testing.assert_allclose(update.position_m, x[:2], atol=1e-9)
         np.testing.assert_allclose(update.position_cov_m2, seen, atol=1e-9)
         if k % 5 == 4:

@@ -246,19 +246,6 @@ def test_a_mode_with_prior_zero_becomes_probable_only_by_a_transition() -> None:
         assert (update.mode_prob[5] > 0) == reachable
 
 
-def test_a_fix_a_thousand_kilometres_away_is_rejected_unless_its_deviation_is_that_large() -> None:
-    steps, prob = walk(9, 20)
-    tracker = memoryless()
-    state, _ = run(tracker, steps, windows_of(prob))
-    far_m = np.array([1e6, -1e6])
-    rejected, outcome, nis = tracker.on_fix(state, PositionFix(20.0, far_m, np.eye(2)))
-    assert outcome == "rejected" and nis > 1e9
-    np.testing.assert_array_equal(rejected.pedestrian.estimates.prob, state.pedestrian.estimates.prob)
-    accepted, outcome, _ = tracker.on_fix(state, PositionFix(20.0, far_m, 1e12 * np.eye(2)))
-    assert outcome == "used"
-    assert_sane(accepted)
-
-
 @settings(max_examples=30, deadline=None)
 @given(
     seed=SEEDS,

@@ -105,20 +105,6 @@ def test_full_turns_of_roll_change_nothing(turns: int, seed: int) -> None:
     np.testing.assert_allclose(pose_features(turned), pose_features(window), atol=1e-9)
 
 
-def test_a_window_is_not_changed_by_describing_it() -> None:
-    window = np.random.default_rng(0).uniform(-9, 9, (4, 60))
-    before = window.copy()
-    pose_features(window)
-    np.testing.assert_array_equal(window, before)
-
-
-def test_windows_of_six_tenths_of_a_second_follow_each_other() -> None:
-    found = windows_of(PoseWindows(), *samples(250))
-    assert [index for index, _ in found] == [59, 119, 179, 239]
-    np.testing.assert_allclose([w.time_s for _, w in found], [0.6, 1.2, 1.8, 2.4])
-    np.testing.assert_allclose([w.start_s for _, w in found], [0.0, 0.6, 1.2, 1.8], atol=1e-12)
-
-
 def test_a_window_holds_the_features_and_the_level_of_its_own_samples() -> None:
     block, attitude = samples(240)
     rows = np.stack(pitch_and_roll(attitude.up_sensor))

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import against_foot_switches, contacts_of, count_error, cut_uniform, detect, times_s, uniform_block
-from scipy.spatial.transform import Rotation
 
 from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.guo2018.contexts import PoseContext
@@ -152,19 +151,6 @@ def test_the_last_step_before_the_end_is_given_when_the_segment_is_closed() -> N
 
 
 # --- invariance -----------------------------------------------------------------------------------------------------
-
-
-def test_in_a_pocket_it_does_not_matter_how_the_phone_lies() -> None:
-    block = noisy_walk(6)
-    turned = Rotation.random(random_state=1)
-    other = replace(
-        block,
-        specific_force_mps2=turned.apply(block.specific_force_mps2),
-        angular_rate_radps=turned.apply(block.angular_rate_radps),
-    )
-    n = len(block.time_s)
-    first, second = (times_s(detect(DETECTOR, [b], [modes("pocket", n)])[1]) for b in (block, other))
-    np.testing.assert_allclose(first, second, atol=1e-6)
 
 
 # --- real recordings ------------------------------------------------------------------------------------------------

@@ -10,12 +10,10 @@ from helpers import (
     count_error,
     cut_uniform,
     detect,
-    flat_attitude,
     times_s,
     uniform_block,
 )
 from scipy.signal import butter, sosfilt, sosfiltfilt
-from scipy.spatial.transform import Rotation
 
 from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.susi2013.contexts import MotionModes
@@ -177,18 +175,6 @@ def noisy_walk(seed: int) -> tuple[UniformBlock, ContextBlock]:
     n = len(block.time_s)
     block.angular_rate_known[600:700] = False
     return block, ContextBlock(np.full(n, WALKING), np.where(np.arange(n) // 350 % 2 == 0, SWINGING, TEXTING))
-
-
-def test_how_the_device_is_turned_in_the_hand_does_not_matter() -> None:
-    block, modes = noisy_walk(9)
-    turn = Rotation.from_euler("xyz", [0.4, -1.1, 2.0])
-    attitude = flat_attitude(block.specific_force_mps2[:, 2])
-    expected = times_s(detect(DETECTOR, [block], [modes])[1])
-    block.specific_force_mps2[:] = turn.apply(block.specific_force_mps2)
-    block.angular_rate_radps[:] = turn.apply(block.angular_rate_radps)
-    detector = NormMinimaStepDetector()
-    found = times_s(detector.update(detector.init(), block, attitude, modes)[1])
-    np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 # --- with the motion modes: simulated and real walks ----------------------------------------------------------------

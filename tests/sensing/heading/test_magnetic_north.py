@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import a_step, cut_uniform
+from helpers import a_step
 from scipy.stats import multivariate_normal
 
 from pdr_filter.sensing.attitude import AttitudeBlock
@@ -179,26 +179,6 @@ def test_a_lift_on_the_way_increases_the_standard_deviation() -> None:
     quiet, last = found(*way(TURNS, 0.7))[-1], found(*way(TURNS, 0.7, place_ut=place_ut))[-1]
     assert last.north_std_rad > 2.0 * quiet.north_std_rad
     assert abs(error_rad(last, 0.7)) < 2.0 * last.north_std_rad
-
-
-@pytest.mark.parametrize("edges", [[10], [30, 770, 780, 1990], list(range(0, 6000, 70))])
-def test_the_result_does_not_depend_on_the_blocks(edges: list[int]) -> None:
-    block, attitude, steps = way(TURNS, 0.7, np.array([3.0, -4.0, 2.0]))
-    whole = found(block, attitude, steps)
-    state, streamed, n = STAGE.init(), list[Step](), 0
-    for part in cut_uniform(block, edges):
-        m = n + len(part.time_s)
-        state, now = STAGE.update(
-            state,
-            part,
-            AttitudeBlock(
-                np.zeros(m - n), np.zeros((m - n, 2)), np.zeros((m - n, 3)), np.zeros(m - n), quat=attitude.quat[n:m]
-            ),
-            unknown_contexts(m - n),
-            [(k, s) for k, s in steps if n <= k < m],
-        )
-        streamed, n = [*streamed, *(s for _, s in now)], m
-    assert [(s.north_rad, s.north_std_rad) for s in streamed] == [(s.north_rad, s.north_std_rad) for s in whole]
 
 
 def test_without_a_magnetic_field_north_is_unknown() -> None:

@@ -27,7 +27,6 @@ from pdr_filter.sensing.steps.walking_evidence import (
     slowness,
 )
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step
-from pdr_filter.values import serialisation as serialise
 
 STEP_LATENCY_S = 0.88
 GATE = StepGate()
@@ -106,20 +105,6 @@ def repetition(signals: FloatArray, n_lags: int = 57) -> FloatArray:
     """Repetition (B,) of vectors (B, N, 3); the repetition of their first axis alone differs."""
     of_all = np.concatenate([signals, signals[:, :, :1]], axis=2).swapaxes(1, 2)
     return autocorrelation_peaks(of_all - of_all.mean(axis=2, keepdims=True), n_lags)[:, 0]
-
-
-def test_an_exact_repetition_has_correlation_one_and_noise_a_small_one() -> None:
-    t = np.arange(88) / 25
-    waves = np.cos(2 * np.pi * np.array([0.7, 1.1, 1.8, 2.7, 4.5])[:, None] * t)
-    assert (repetition(waves[:, :, None] * [0.6, 0.0, 0.8]) > 0.97).all()
-    noise = np.random.default_rng(0).normal(size=(200, 88, 1)) * [0.0, 1.0, 0.0]
-    assert np.median(repetition(noise)) < 0.45
-
-
-def test_a_turn_of_the_phone_does_not_repeat() -> None:
-    t = np.arange(88) / 25
-    assert repetition(np.tanh(3 * (t - 1.8))[None, :, None] * [0.0, 0.6, 0.8]) < 0.25
-    assert repetition(np.ones((1, 88, 3))) == 0.0
 
 
 @given(seed=st.integers(0, 1000), n_lags=st.integers(20, 49))
@@ -238,16 +223,6 @@ def test_after_a_pause_a_new_bout_begins() -> None:
     first = [2.0 + 0.5 * i for i in range(6)]
     few = [first[-1] + 2.6 + 0.5 * i for i in range(3)]
     assert times_of(passed(told_gate([9.0] * 9), first + few)) == first
-
-
-@given(log_odds=st.lists(st.floats(-9.0, -1.0), min_size=1, max_size=40))
-def test_steps_caused_by_handling_never_pass(log_odds: list[float]) -> None:
-    assert passed(told_gate(log_odds), [2.0 + 0.5 * i for i in range(len(log_odds))]) == []
-
-
-@given(gaps_s=st.lists(st.floats(2.6, 6.0), min_size=1, max_size=12))
-def test_isolated_steps_never_pass(gaps_s: list[float]) -> None:
-    assert passed(told_gate([9.0] * len(gaps_s)), list(2.0 + np.cumsum(gaps_s))) == []
 
 
 def test_rejected_steps_inside_a_bout_belong_to_it() -> None:
@@ -400,24 +375,6 @@ def test_steps_come_out_once_in_order_and_not_before_they_are_known(steps: tuple
     assert (np.diff(known_s) >= 0).all()
     assert (known_s >= found_s + STEP_LATENCY_S - 0.01).all()
     assert set(found_s) <= set(times_s)
-
-
-@settings(deadline=None, max_examples=30)
-@given(seed=st.integers(0, 1000), edges=st.lists(st.integers(1, 1999), max_size=40))
-def test_the_same_steps_pass_however_the_samples_are_cut_and_the_state_is_saved(seed: int, edges: list[int]) -> None:
-    rng = np.random.default_rng(seed)
-    times_s = list(1.0 + np.cumsum(rng.uniform(0.4, 0.7, 28)))
-    block, steps = walk_block(times_s, 20.0, seed=seed), known_steps(times_s)
-    state, whole = advance(GATE, [block], steps)
-    whole += GATE.finish(state, [])[1]
-    cut_state, pieces, n = GATE.init(), [], 0
-    for part in cut_uniform(block, edges):
-        known = [s for s in steps if n <= s[0] < n + len(part.time_s)]
-        cut_state = serialise.from_bytes(serialise.to_bytes(cut_state))
-        cut_state, out = update(GATE, cut_state, part, known)
-        pieces, n = [*pieces, *out], n + len(part.time_s)
-    assert [*pieces, *GATE.finish(cut_state, [])[1]] == whole
-    assert len(whole) > 10
 
 
 @settings(deadline=None)
