@@ -291,6 +291,24 @@ def assert_one_step_at_each(contacts_s: FloatArray, found_s: FloatArray, toleran
     assert len(found_s) <= len(contacts_s) + 2
 
 
+def assert_last_steps_at_their_times(
+    detector: Any,
+    contacts_s: FloatArray,
+    block: UniformBlock,
+    contexts: Sequence[ContextBlock] | None = None,
+    tolerance_s: float = 0.06,
+) -> list[Step]:
+    """At the end the steps that were not known yet come; these are returned."""
+    state, found = detect(detector, [block], contexts)
+    last = detector.finish(state)
+    assert len(last) > 0
+    every = times_s([*found, *last])
+    assert (np.diff(every) > 0).all()
+    assert_one_step_at_each(contacts_s, every, tolerance_s)
+    assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
+    return [step for _, step in last]
+
+
 def contacts_of(recording: Recording, sensing: Sensing) -> FloatArray:
     """Times of the steps that a front end detects in a recording."""
     return np.array([e.time_s for _, e in sensed(sensing, [merge_streams(recording)]) if isinstance(e, Step)])

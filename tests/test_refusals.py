@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import cache, partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.pedestrian.person import Session
 from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, known_length
 from pdr_filter.imm import JumpMarkovModel
+from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.recipes.guo2018.features import PoseWindows, pose_features
 from pdr_filter.recipes.guo2018.steps import PoseStepDetector
 from pdr_filter.recipes.martinelli2018.features import NAMES as MARTINELLI_NAMES
@@ -89,6 +91,8 @@ a_jump_model = partial(
 a_familiarity = partial(Familiarity, axes=EYE, variance=np.ones(2), limit=1.0)
 a_regression = partial(SoftmaxRegression, weights=np.zeros((2, 3)), intercept=ZEROS)
 nees = partial(consistency.nees, np.zeros((3, 2)))
+RECORDING = simulate([Leg("walking", distance_m=10.0)], seed=1)
+A_FIX = PositionFix(5.0, ZEROS, EYE)
 A_WALK = [Leg("walking", duration_s=5)]
 A_LINE = np.cumsum(np.ones((5, 2)), axis=0)
 
@@ -282,7 +286,11 @@ EVALUATE: list[Refusal] = [
     (distance.percent_error, {"estimate_m": [1.0], "true_m": [0.0]}, "true_m must be positive"),
     (partial(distance.distance_table, [1.0, 2.0], [1.0, 1.0]), {"context": ["walking"]}, "one value for each"),
     (steps.count_error_percent, {"n_found": 3, "n_true": 0}, "n_true must be positive"),
-    (partial(steps.matched_steps, [1.0], [2.0, 1.0]), {"tolerance_s": 0.25}, "found_s must be ascending"),
+    (
+        partial(steps.matched_steps, np.ones(1), np.array([2.0, 1.0])),
+        {"tolerance_s": 0.25},
+        "found_s must be ascending",
+    ),
     (scores, {"found_s": np.array([NAN])}, "found_s must be ascending without NaN"),
     *of(scores, "tolerance_s", tolerance_s=(-0.1, NAN)),
     (partial(tracks.end_error_percent, A_LINE), {"reference_m": 0 * A_LINE}, "path length of zero"),
@@ -364,6 +372,39 @@ SIMULATE: list[Refusal] = [
     (Gait, {"height_m": 175.0}, "metres"),
     *of(Gait, "metres|positive|0 or more", length_factor=(100.0, 0.0), frequency_std=(-1.0,)),
 ]
+TAKERS = (pdr.track, pdr.detect_steps, pdr.classify, pdr.smooth)
+WITH_RECORDING = [partial(taker, RECORDING) for taker in TAKERS]
+of_track, *_, of_smoothing = WITH_RECORDING
+HEIGHTS = (175, 0.0, -1.7, NAN, "1.8")
+NO_RECORDING = r"recording must be a Recording, .* pdr_filter\.read"
+NO_PLAN = r"plan must be a FloorPlan, got 'mall\.geojson': read one .* pdr_filter\.FloorPlan\.read"
+FACES: list[Refusal] = [
+    *(row for call in TAKERS for row in of(call, NO_RECORDING, recording=("walk.zip", Path("walk.zip"), None))),
+    (pdr.calibrate, {"recordings": "walk.zip"}, r"recording must be a Recording, got 'walk\.zip'"),
+    *(
+        row
+        for call in (*WITH_RECORDING, pdr.OnlineFilter)
+        for row in of(call, "config must be a Config", config=("default", recipes.default))
+    ),
+    *of(pdr.OnlineFilter, "height_m must be the height of a person in metres", height_m=HEIGHTS),
+    *of(lambda height_m: pdr.track(RECORDING.of_height(height_m)), "height_m", height_m=HEIGHTS),
+    *of(partial(pdr.batch.track, [], out="never.csv"), "height_m", height_m=HEIGHTS),
+    (recipes.default, {"subject": 1.8}, r"subject must be a Subject, got 1\.8"),
+    *((call, {"plan": "mall.geojson"}, NO_PLAN) for call in (of_track, of_smoothing, pdr.OnlineFilter)),
+    *((call, {"fixes": A_FIX}, r"sequence, got one PositionFix: give \[fix\]") for call in (of_track, of_smoothing)),
+    *(
+        (call, {"calibration": {}}, r"calibration must be a Calibration, or the path of a saved one, got \{\}")
+        for call in (of_track, of_smoothing)
+    ),
+    (of_smoothing, {"fixes": [pdr.GridFix(5.0, ZEROS, 1.0, np.zeros((2, 2)))]}, "particle filter on a floor plan"),
+    (of_smoothing, {"fixes": [(5.0, 0.0)]}, "PositionFix"),
+    (of_smoothing, {"loop_closures": "wlan"}, "loop_closures"),
+    (partial(of_smoothing, loop_closures=[LoopClosure(1.0, 9.0, 1.0)]), {"anchor_interval_s": NAN}, "anchor_interval"),
+    *of(of_smoothing, "start_heading_std_rad", start_heading_std_rad=(NAN, -1.0)),
+    *of(partial(pdr.batch.calibrate, ["/nowhere.zip"]), "anchor_std_m must", anchor_std_m=(-1.0, NAN)),
+    (partial(pdr.batch.calibrate, ["/nowhere.zip"]), {"loss": "l1"}, "loss must"),
+    (partial(pdr.batch.calibrate, ["/nowhere.zip"]), {"file_format": "x"}, "format is"),
+]
 # Calls of a filter: the name of the method, its arguments, and a part of the message.
 PUSHES: list[tuple[str, tuple[Any, ...], str]] = [
     ("push", (np.zeros((3, 1)), np.zeros((3, 3))), "must be"),
@@ -385,7 +426,7 @@ PUSHES: list[tuple[str, tuple[Any, ...], str]] = [
 
 @pytest.mark.parametrize(
     ("call", "wrong", "message"),
-    [*SENSING, *FIXES, *FILTER, *EVALUATE, *CLASSIFIERS, *RECIPES, *SIMULATE],
+    [*SENSING, *FIXES, *FILTER, *EVALUATE, *CLASSIFIERS, *RECIPES, *SIMULATE, *FACES],
 )
 def test_wrong_arguments_are_refused(call: Callable[..., Any], wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):

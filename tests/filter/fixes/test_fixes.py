@@ -277,22 +277,6 @@ def test_across_a_gap_a_correlated_fix_counts_as_a_position_and_not_as_a_displac
     np.testing.assert_array_equal(state.pedestrian.estimates.mean[:, 2], heading)
 
 
-def test_the_innovations_of_correlated_fixes_are_independent_with_the_stated_variance() -> None:
-    rng, nis = np.random.default_rng(7), []
-    for _ in range(60):
-        tracker, state = standing_pedestrian(6.0)
-        truth = rng.normal(scale=6.0, size=2)
-        error = rng.normal(scale=4.0, size=2)
-        for t in np.arange(0.0, 80.0, 8.0):
-            fix = PositionFix(float(t), truth + error, 16.0 * np.eye(2), correlation_s=20.0)
-            state, _, value = tracker.on_fix(state, fix)
-            nis.append(value)
-            error = np.exp(-0.4) * error + np.sqrt(1 - np.exp(-0.8)) * rng.normal(scale=4.0, size=2)
-    n = len(nis)
-    assert chi2.ppf(0.001, 2 * n) < sum(nis) < chi2.isf(0.001, 2 * n)
-    assert abs(np.corrcoef(nis[:-1], nis[1:])[0, 1]) < 4 / np.sqrt(n)
-
-
 def test_displacements_between_correlated_fixes_estimate_the_step_scale_as_two_more_states_would() -> None:
     """On a straight walk with a known heading only the scale is estimated, from the displacements alone."""
     tracker, state = standing_pedestrian(3.0)

@@ -7,6 +7,7 @@ import pytest
 import pywt
 from helpers import (
     against_foot_switches,
+    assert_last_steps_at_their_times,
     assert_one_step_at_each,
     bumps,
     contacts_of,
@@ -160,16 +161,9 @@ def test_at_the_end_the_last_steps_are_found_at_their_times(
     frequency_hz: float, amplitude_mps2: float, after_last_s: float
 ) -> None:
     contacts_s, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
-    magnitude = magnitude[: int(100 * (contacts_s[-1] + after_last_s))]
-    detector, block = WaveletStepDetector(), uniform_block(magnitude)
-    state, found = detect(detector, [block])
-    last = detector.finish(state)
-    assert len(last) > 0
-    every = times_s([*found, *last])
-    assert_one_step_at_each(contacts_s, every, 0.06)
-    assert (np.diff(every) > 0).all()
-    assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
-    np.testing.assert_allclose([s.duration_s for _, s in last][:1], 1 / frequency_hz, atol=0.03)
+    block = uniform_block(magnitude[: int(100 * (contacts_s[-1] + after_last_s))])
+    last = assert_last_steps_at_their_times(WaveletStepDetector(), contacts_s, block)
+    assert last[0].duration_s == pytest.approx(1 / frequency_hz, abs=0.03)
 
 
 # --- real recordings ------------------------------------------------------------------------------------------------

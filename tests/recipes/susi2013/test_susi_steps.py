@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import (
     against_foot_switches,
+    assert_last_steps_at_their_times,
     contacts_of,
     count_error,
     cut_uniform,
@@ -154,27 +155,11 @@ def test_a_second_bump_that_rises_little_above_the_mean_makes_no_second_step(
 def test_at_the_end_the_last_steps_are_found_at_their_times(carrying_mode: int, after_last_s: float) -> None:
     contacts_s, block = walk(1.8)
     block = cut_uniform(block, [int(100 * (contacts_s[-1] + after_last_s))])[0]
-    detector = NormMinimaStepDetector()
-    state, found = detect(DETECTOR, [block], [modes_like(block, carrying_mode=carrying_mode)])
-    last = detector.finish(state)
-    assert len(last) >= 2
-    every = times_s([*found, *last])
-    assert_one_step_at_each(contacts_s, every, 0.06)
-    assert (np.diff(every) > 0).all()
-    assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
+    modes = modes_like(block, carrying_mode=carrying_mode)
+    assert len(assert_last_steps_at_their_times(NormMinimaStepDetector(), contacts_s, block, [modes])) >= 2
 
 
 # --- invariance -----------------------------------------------------------------------------------------------------
-
-
-def noisy_walk(seed: int) -> tuple[UniformBlock, ContextBlock]:
-    rng = np.random.default_rng(seed)
-    _, block = walk(rng.uniform(1.2, 2.4))
-    block.specific_force_mps2[:] += rng.normal(size=block.specific_force_mps2.shape)
-    block.angular_rate_radps[:] += 0.5 * rng.normal(size=block.angular_rate_radps.shape)
-    n = len(block.time_s)
-    block.angular_rate_known[600:700] = False
-    return block, ContextBlock(np.full(n, WALKING), np.where(np.arange(n) // 350 % 2 == 0, SWINGING, TEXTING))
 
 
 # --- with the motion modes: simulated and real walks ----------------------------------------------------------------

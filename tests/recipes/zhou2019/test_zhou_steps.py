@@ -1,12 +1,12 @@
 from __future__ import annotations
 
-from dataclasses import astuple, fields, replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import against_foot_switches, contacts_of, count_error, cut_uniform, flat_attitude, times_s, uniform_block
+from helpers import against_foot_switches, contacts_of, count_error, flat_attitude, times_s, uniform_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import firwin
@@ -203,22 +203,6 @@ def test_what_waited_too_long_is_forgotten() -> None:
 
 
 # --- time, blocks, saving -------------------------------------------------------------------------------------------
-
-CONTEXT_OF_WALK = np.repeat([UNKNOWN, STATIONARY, WALKING, RUNNING, STATIONARY, WALKING], 400)
-WALK = np.concatenate([sway(10.0, 1.7, 3.0, 2.0), sway(6.0, 2.6, 10.0, 2.0)])
-
-
-def rows(found: list[tuple[int, Step]]) -> list[tuple[object, ...]]:
-    return [(known, *map(repr, astuple(step))) for known, step in found]
-
-
-@settings(max_examples=12, deadline=None)
-@given(edges=st.lists(st.integers(0, 2399), max_size=80), detector=st.sampled_from([CARRIED, FOOT]))
-def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], detector: ReferenceLineStepDetector) -> None:
-    block = uniform_block(WALK)
-    whole = detect(detector, [block], CONTEXT_OF_WALK)[1]
-    assert rows(detect(detector, cut_uniform(block, edges), CONTEXT_OF_WALK)[1]) == rows(whole)
-    assert len(whole) > 5
 
 
 @pytest.mark.parametrize(("context", "frequency_hz", "cutoff_hz"), [(WALKING, 1.8, 4.25), (RUNNING, 2.8, 10.25)])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers import (
     against_foot_switches,
+    assert_last_steps_at_their_times,
     assert_one_step_at_each,
     bumps,
     contacts_of,
@@ -183,13 +184,7 @@ def test_at_the_end_the_last_steps_are_found_at_their_times(
 ) -> None:
     contacts_s, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
     block = uniform_block(magnitude[: int(100 * (contacts_s[-1] + after_last_s))])
-    state, found = detect(DETECTOR, [block])
-    last = DETECTOR.finish(state)
-    assert len(last) > 0
-    every = times_s([*found, *last])
-    assert (np.diff(every) > 0).all()
-    assert_one_step_at_each(contacts_s, every, 0.08)
-    assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
+    assert_last_steps_at_their_times(DETECTOR, contacts_s, block, tolerance_s=0.08)
 
 
 # --- real recordings ------------------------------------------------------------------------------------------------
