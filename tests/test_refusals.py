@@ -287,7 +287,7 @@ EVALUATE: list[Refusal] = [
     (partial(distance.distance_table, [1.0, 2.0], [1.0, 1.0]), {"context": ["walking"]}, "one value for each"),
     (steps.count_error_percent, {"n_found": 3, "n_true": 0}, "n_true must be positive"),
     (
-        partial(steps.matched_steps, np.ones(1), np.array([2.0, 1.0])),
+        partial(steps.matched_steps, ZEROS, np.array([2.0, 1.0])),
         {"tolerance_s": 0.25},
         "found_s must be ascending",
     ),
