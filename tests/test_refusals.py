@@ -224,6 +224,7 @@ FIXES: list[Refusal] = [
     (Georeference, {"start": "hall"}, "start is a position on a floor plan, got 'hall' without plan"),
     (Georeference, {"gnss": "align", "north": "magnetic"}, "both define north"),
     (Georeference, {"heading_rad": 0.1, "north": "magnetic"}, "both define north"),
+    (Georeference, {"origin": Origin(*HERE, turn_rad=0.3), "north": "magnetic"}, "both define north"),
     (Georeference, {"heading_rad": 0.1, "origin": Origin(*HERE, turn_rad=0.1)}, "define the same angle: leave one"),
     (a_wifi, {"time_s": ZEROS}, "give equal lengths"),
     (a_wifi, {"bssid": np.array([1 << 48])}, "48 bits"),

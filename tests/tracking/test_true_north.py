@@ -273,10 +273,6 @@ def test_a_given_origin_defines_the_declination_and_a_given_heading_replaces_nor
     assert (track.frame, track.knows_north) == ("north", True)
     change_rad = wrap_angle(track.walking_heading_rad - nowhere.walking_heading_rad)
     np.testing.assert_allclose(change_rad, HERE.declination_rad(), atol=1e-3)
-    with pytest.raises(ValueError, match="both define north"):
-        pdr.track(walk, heading_rad=0.3, north="magnetic")
-    with pytest.raises(ValueError, match="both define north"):
-        pdr.track(walk, origin=replace(HERE, turn_rad=0.3), north="magnetic")
 
 
 def test_only_locations_rotate_the_track_of_a_recipe_without_walking_directions(walk: Recording) -> None:

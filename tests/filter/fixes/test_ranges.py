@@ -47,20 +47,23 @@ def without_fixes(seed: int) -> pdr.Track:
     return pdr.track(walk(seed))
 
 
+def a_range(
+    recording: pdr.Recording, time_s: float, anchor_m: Sequence[float], error_m: float, std_m: float = 0.3
+) -> pdr.RangeFix:
+    distance_m = float(np.linalg.norm(true_position_m(recording, time_s) - np.asarray(anchor_m)[:2]))
+    return pdr.RangeFix(time_s, np.array(anchor_m), max(distance_m + error_m, 0.0), std_m)
+
+
 def ranges(
     recording: pdr.Recording, anchors: Sequence[Sequence[float]], seed: int, reflected: float = 0.0
 ) -> list[pdr.RangeFix]:
     """Return a range to each anchor every two seconds with noise of 0.3 m. Reflected ones are 3 m too long."""
-    rng, truth, fixes = np.random.default_rng(seed), recording.truth.position, list[pdr.RangeFix]()
-    assert truth is not None
-    for time_s in np.arange(1.0, truth.time_s[-1], 2.0):
-        for anchor_m in anchors:
-            distance_m = float(np.linalg.norm(true_position_m(recording, time_s) - np.asarray(anchor_m)[:2]))
-            extra_m = 3.0 if rng.random() < reflected else 0.0
-            fixes.append(
-                pdr.RangeFix(time_s, np.array(anchor_m), max(distance_m + 0.3 * rng.normal() + extra_m, 0), 0.3)
-            )
-    return fixes
+    rng = np.random.default_rng(seed)
+    return [
+        a_range(recording, time_s, anchor_m, 3.0 * (rng.random() < reflected) + 0.3 * rng.normal())
+        for time_s in np.arange(1.0, recording.truth.position.time_s[-1], 2.0)
+        for anchor_m in anchors
+    ]
 
 
 def errors(track: pdr.Track, recording: pdr.Recording) -> tuple[float, float]:
@@ -295,11 +298,8 @@ def test_stored_ranges_are_in_order_of_time_and_cover_the_whole_time_at_a_high_r
 
 def test_frequent_ranges_place_a_track_in_an_unknown_frame() -> None:
     recording = walk(4)
-    rng, fixes = np.random.default_rng(0), list[pdr.RangeFix]()
-    for time_s in np.arange(2.0, 30.0, 0.2):
-        for anchor_m in ANCHORS:
-            distance_m = float(np.linalg.norm(true_position_m(recording, time_s) - np.asarray(anchor_m)))
-            fixes.append(pdr.RangeFix(time_s, np.array(anchor_m), max(distance_m + 2.0 * rng.normal(), 0.0), 2.0))
+    rng, times_s = np.random.default_rng(0), np.arange(2.0, 30.0, 0.2)
+    fixes = [a_range(recording, t, anchor_m, 2.0 * rng.normal(), 2.0) for t in times_s for anchor_m in ANCHORS]
     track = pdr.track(recording, config=pdr.recipes.default().in_world_frame(), fixes=fixes)
     assert track.frame == "fixes"
 
@@ -308,11 +308,8 @@ def test_after_a_time_behind_walls_correct_ranges_are_used_again() -> None:
     recording = walk(4)
     rng, fixes = np.random.default_rng(0), list[pdr.RangeFix]()
     for time_s in np.arange(1.0, 100.0, 1.0):
-        distance_m = float(np.linalg.norm(true_position_m(recording, time_s) - ANCHORS[0]))
         extra_m = rng.exponential(8.0) + 4.0 if 15.0 < time_s < 60.0 else 0.0
-        fixes.append(
-            pdr.RangeFix(time_s, np.array(ANCHORS[0]), max(distance_m + 0.3 * rng.normal() + extra_m, 0.0), 0.3)
-        )
+        fixes.append(a_range(recording, time_s, ANCHORS[0], 0.3 * rng.normal() + extra_m))
     after = [fix for fix in pdr.track(recording, fixes=fixes).fixes if fix.time_s > 61.0]
     assert sum(fix.outcome == "used" for fix in after) > 0.8 * len(after)
 

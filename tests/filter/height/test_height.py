@@ -43,6 +43,11 @@ def stairs() -> Recording:
 
 
 @pytest.fixture(scope="module")
+def tracked(stairs: Recording) -> Track:
+    return pdr.track(stairs)
+
+
+@pytest.fixture(scope="module")
 def in_pocket() -> Recording:
     return walk(*AROUND, *storey("upstairs"), *AROUND, *storey("downstairs"), *AROUND, carrying_mode="pocket")
 
@@ -94,23 +99,19 @@ def ways(track: Track) -> list[tuple[int, int, str]]:
 # --- climbs ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("carrying_mode", ["texting", "pocket"])
-def test_stairs_lead_to_the_next_storey_and_back(stairs: Recording, in_pocket: Recording, carrying_mode: str) -> None:
-    recording = stairs if carrying_mode == "texting" else in_pocket
-    track = pdr.track(recording)
-    assert ways(track) == [(0, 1, "stairs"), (1, 0, "stairs")]
-    assert np.sqrt(np.mean(error_m(track, recording) ** 2)) < 0.3
-    labels = recording.truth.labels
-    assert labels is not None
-    for change, first, last in zip(track.floor_changes(), (3, 8), (5, 10), strict=True):
-        assert change.start_s == pytest.approx(labels.start_s[first], abs=4.0)
-        assert change.end_s == pytest.approx(labels.end_s[last], abs=4.0)
-    held = {f: track.floor[(track.time_s > a) & (track.time_s < b)] for f, a, b in ((0, 6, 25), (1, 42, 58))}
-    assert all((rows == f).all() for f, rows in held.items())
-
-
-def test_errors_of_heights_agree_with_their_standard_deviation(stairs: Recording, in_pocket: Recording) -> None:
-    nees = [np.mean((error_m(t, r) / t.height_std_m) ** 2) for r in (stairs, in_pocket) for t in [pdr.track(r)]]
+def test_stairs_lead_to_the_next_storey_and_back(stairs: Recording, tracked: Track, in_pocket: Recording) -> None:
+    nees: list[float] = []
+    for recording, track in ((stairs, tracked), (in_pocket, pdr.track(in_pocket))):
+        assert ways(track) == [(0, 1, "stairs"), (1, 0, "stairs")]
+        error = error_m(track, recording)
+        assert np.sqrt(np.mean(error**2)) < 0.3
+        nees.append(np.mean((error / track.height_std_m) ** 2))
+        labels = recording.truth.labels
+        for change, first, last in zip(track.floor_changes(), (3, 8), (5, 10), strict=True):
+            assert change.start_s == pytest.approx(labels.start_s[first], abs=4.0)
+            assert change.end_s == pytest.approx(labels.end_s[last], abs=4.0)
+        held = {f: track.floor[(track.time_s > a) & (track.time_s < b)] for f, a, b in ((0, 6, 25), (1, 42, 58))}
+        assert all((rows == f).all() for f, rows in held.items())
     assert 0.05 < np.mean(nees) < 3.0
 
 
@@ -187,16 +188,10 @@ def test_a_climb_with_a_long_displacement_of_accurate_locations_is_a_hill(hill: 
     assert outdoors.height_m[-1] > 4.0
 
 
-def test_inaccurate_locations_do_not_identify_hills(hill: Recording) -> None:
+def test_only_accurate_locations_identify_hills_and_stairs_stay_stairs(hill: Recording, stairs: Recording) -> None:
     assert ways(pdr.track(located(hill, 30.0))) == [(0, 1, "stairs")]
-
-
-def test_stairs_with_accurate_locations_lead_to_another_storey(stairs: Recording) -> None:
-    assert ways(pdr.track(located(stairs, 5.0))) == [(0, 1, "stairs"), (1, 0, "stairs")]
-
-
-def test_locations_used_for_alignment_only_identify_hills_as_well(hill: Recording) -> None:
     assert ways(pdr.track(located(hill, 5.0), gnss="align")) == []
+    assert ways(pdr.track(located(stairs, 5.0))) == [(0, 1, "stairs"), (1, 0, "stairs")]
 
 
 def test_a_smoothed_hill_never_changes_the_storey(hill: Recording) -> None:
@@ -205,19 +200,16 @@ def test_a_smoothed_hill_never_changes_the_storey(hill: Recording) -> None:
     assert set(track.floor) == {0}
 
 
-def test_a_smoothed_walk_changes_the_storey_only_during_its_floor_changes(stairs: Recording) -> None:
-    track = pdr.track(stairs)
-    floor = track.floor.copy()
+def test_a_smoothed_walk_changes_the_storey_only_during_its_floor_changes(tracked: Track) -> None:
+    floor = tracked.floor.copy()
     floor[[3, -3]] = 5
-    after = with_arrivals(replace(track, floor=floor))
-    np.testing.assert_array_equal(after.floor, track.floor)
+    np.testing.assert_array_equal(with_arrivals(replace(tracked, floor=floor)).floor, tracked.floor)
 
 
-def test_a_fix_after_the_last_step_numbers_the_storey_of_the_last_step(stairs: Recording) -> None:
-    track, far = pdr.track(stairs), np.zeros(2)
-    fixes = [PositionFix(time_s, far, np.eye(2), floor=floor) for time_s, floor in ((0.0, 3), (1e6, 4))]
-    named = with_named_floors(track, fixes)
-    np.testing.assert_array_equal(named.floor[:-1], track.floor[:-1] - track.floor[0] + 3)
+def test_a_fix_after_the_last_step_numbers_the_storey_of_the_last_step(tracked: Track) -> None:
+    fixes = [PositionFix(time_s, np.zeros(2), np.eye(2), floor=floor) for time_s, floor in ((0.0, 3), (1e6, 4))]
+    named = with_named_floors(tracked, fixes)
+    np.testing.assert_array_equal(named.floor[:-1], tracked.floor[:-1] - tracked.floor[0] + 3)
     assert named.floor[-1] == 4
 
 
@@ -369,19 +361,18 @@ def test_two_given_storeys_measure_the_climb_between_them(stairs: Recording) -> 
     assert track.floor[np.searchsorted(track.time_s, 12.0)] == 3
 
 
-def test_a_given_storey_that_the_barometer_contradicts_leaves_the_height(stairs: Recording) -> None:
+def test_a_given_storey_that_the_barometer_contradicts_leaves_the_height(stairs: Recording, tracked: Track) -> None:
     fixes = [PositionFix(t, np.zeros(2), 1e4 * np.eye(2), floor=floor) for t, floor in ((8.0, 3), (14.0, 8))]
-    with_fixes, without = pdr.track(stairs, fixes=fixes), pdr.track(stairs)
-    np.testing.assert_allclose(with_fixes.height_m, without.height_m, atol=0.05)
+    with_fixes = pdr.track(stairs, fixes=fixes)
+    np.testing.assert_allclose(with_fixes.height_m, tracked.height_m, atol=0.05)
     assert with_fixes.floor[np.searchsorted(with_fixes.time_s, 15.0)] == 8
 
 
-def test_an_unknown_storey_is_given_as_unknown(stairs: Recording, tmp_path: Path) -> None:
-    track = pdr.track(stairs)
-    vague = replace(track, height_std_m=np.full(track.n_steps, 5.0))
-    assert (track.floor_prob > 0.99).all()
+def test_an_unknown_storey_is_given_as_unknown(tracked: Track, tmp_path: Path) -> None:
+    vague = replace(tracked, height_std_m=np.full(tracked.n_steps, 5.0))
+    assert (tracked.floor_prob > 0.99).all()
     assert (vague.floor_prob < 0.5).all()
-    assert (track.summary()["end_floor"], vague.summary()["end_floor"]) == (0, None)
+    assert (tracked.summary()["end_floor"], vague.summary()["end_floor"]) == (0, None)
     rows = np.genfromtxt(vague.to_csv(tmp_path / "track.csv"), delimiter=",", names=True)
     assert np.isnan(rows["floor"]).all()
     floors = json.loads(vague.to_geojson(tmp_path / "track.geojson", origin=(48.0, 11.0)).read_text())
@@ -464,11 +455,8 @@ def test_visited_storeys_determine_the_height_of_the_next_one() -> None:
     assert storey_number(low, -1.0) == pytest.approx(-1.0 / ((3.8 + 2 * 2.7) / 3))
 
 
-def test_a_landing_is_never_a_storey_however_long_the_stay() -> None:
+def test_a_landing_is_never_a_storey_however_long_the_stay_nor_is_a_stay_without_steps() -> None:
     at_landing = FloorState(floor=1, level_since_s=0.0, n_level_steps=20)
     assert with_new_level(at_landing, 60.0, 1.9, 0.1).levels == FloorState().levels
     assert [level.floor for level in with_new_level(at_landing, 60.0, 3.0, 0.1).levels] == [0, 1]
-
-
-def test_a_stay_without_steps_does_not_add_a_level() -> None:
-    assert len(with_new_level(FloorState(floor=1, level_since_s=0.0), 60.0, 3.0, 0.1).levels) == 1
+    assert len(with_new_level(replace(at_landing, n_level_steps=0), 60.0, 3.0, 0.1).levels) == 1

@@ -131,19 +131,10 @@ def test_every_model_gives_the_value_of_its_equation() -> None:
         assert length == pytest.approx(value, rel=1e-12)
 
 
-def test_the_models_of_zhou_et_al_have_the_equations_of_the_numbers_in_the_paper() -> None:
-    step = step_of(frequency_hz=2.0, variance=4.0, magnitude=(7.0, 15.0), mean_abs=8.0)
-    peak = 15.0 - STANDARD_GRAVITY_MPS2
-    for length, value in [
-        (length_of(zhou2019.M1(), step, 0.3, 0.2), 0.3 + 0.2 * 2),
-        (length_of(zhou2019.M2(), step, 0.3, 0.2, 0.01), 0.3 + 0.2 * 2 + 0.01 * 4),
-        (length_of(zhou2019.M3(), step, 0.3, 0.4, 0.05), 0.3 + 0.4 / 2 + 0.05 * peak),
-        (length_of(zhou2019.M4(), step, 0.4), 0.4 * (15 - 7) ** 0.25),
-        (length_of(zhou2019.M5(1.8), step, 0.3), 0.3 * 1.8 * 2**0.5),
-        (length_of(zhou2019.M6(), step, 0.35), 0.35 * 8 ** (1 / 3)),
-        (length_of(zhou2019.M7(), step, 0.2, 0.4, 0.1, 0.05), 0.2 + 0.4 / 2 + 0.1 / 2**0.5 + 0.05 * peak),
-    ]:
-        assert length == pytest.approx(value, rel=1e-12)
+def test_the_models_of_zhou_et_al_have_the_numbers_of_the_paper() -> None:
+    of_paper = [getattr(zhou2019, f"M{k}") for k in range(1, 8)]
+    first = [FrequencyStepLength, FrequencyVarianceStepLength, PeriodPeakStepLength, MagnitudeRangeStepLength]
+    assert of_paper == [*first, TianStepLength, KimStepLength, ZhouWalkingStepLength]
 
 
 def test_the_printed_constants_give_the_lengths_of_men_and_women() -> None:
@@ -219,20 +210,8 @@ def test_steps_at_a_turn_rate_of_one_radian_a_second_are_a_fifth_shorter() -> No
 
 
 @every_model
-@settings(max_examples=25)
-@given(step=steps, data=st.data())
-def test_a_jacobian_is_the_finite_difference_of_the_length(
-    model: StepLengthModel, step: Step, data: st.DataObject
-) -> None:
-    theta = data.draw(arrays(float, model.n_params, elements=numbers))
-    _, jacobian = length_and_jacobian(model, step, theta)
-    # central differences of a polynomial of the second degree are exact but for rounding
-    h = 1e-3
-    numeric = [
-        (length_of(model, step, *(theta + h * e)) - length_of(model, step, *(theta - h * e))) / (2 * h)
-        for e in np.eye(model.n_params)
-    ]
-    np.testing.assert_allclose(jacobian, numeric, rtol=1e-7, atol=1e-7)
+def test_every_model_passes_the_checks_for_models_of_users(model: StepLengthModel) -> None:
+    pdr.testing.verify_step_length(model)
 
 
 @given(steps, arrays(float, (5, 3), elements=numbers))
