@@ -179,7 +179,7 @@ def test_the_subset_with_the_highest_evidence_is_found(seed: int) -> None:
 
 def test_fast_and_plain_training_agree() -> None:
     gaps: list[float] = []
-    for seed, width_share in itertools.product(range(4), [0.5, 1.0, 2.0, 4.0]):
+    for seed, width_share in itertools.product(range(2), [0.5, 1.0, 2.0, 4.0]):
         likelihood, functions = moons(100, width_share, seed)
         plain = rvm_reference.train_plain(functions.T, likelihood.target, tol=1e-3)
         fast = train_rvm(likelihood, functions, tol=1e-3, max_passes=300).posterior
