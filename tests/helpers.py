@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,8 +24,18 @@ from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Event, Sensing
+from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_contexts
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, ImuBlock, Step, Windows
+from pdr_filter.values import (
+    CARRYING_MODES,
+    CONTEXTS,
+    STANDARD_GRAVITY_MPS2,
+    FloatArray,
+    ImuBlock,
+    Step,
+    Windows,
+    wrap_angle,
+)
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.serialisation import to_bytes
 
@@ -46,7 +56,7 @@ def imu(
     )
 
 
-def part_of(block: ImuBlock, part: slice) -> ImuBlock:
+def part_of(block: ImuBlock, part: slice | np.ndarray) -> ImuBlock:
     return ImuBlock(*(getattr(block, f.name)[part] for f in fields(ImuBlock)))
 
 
@@ -96,6 +106,16 @@ def pushed(
     if before:
         before(online, np.inf)
     return online, [*updates, *online.finish()]
+
+
+def streamed(
+    walk: Recording, config: pdr.Config, fixes: Iterable[Any] = (), seed: int = 1, n_resumed: int = 0
+) -> tuple[pdr.OnlineFilter, list[pdr.StepUpdate]]:
+    """The finished filter and its updates for fixes added beforehand and samples in random blocks."""
+    online = pdr.OnlineFilter(config)
+    for fix in fixes:
+        online.add_fix(fix)
+    return pushed(online, cut_randomly(pdr.merge_streams(walk), seed), n_resumed=n_resumed)
 
 
 def condition(conditioner: Conditioner, blocks: Sequence[ImuBlock]) -> tuple[ConditionerState, list[UniformBlock]]:
@@ -190,6 +210,123 @@ def walk_of_bumps(
     contacts_s = 3.0 + np.arange(n) / frequency_hz
     time_s = (np.arange(int((contacts_s[-1] + 3.0) * rate_hz)) + 0.5) / rate_hz
     return contacts_s, bumps(time_s, contacts_s, amplitude_mps2, frequency_hz)
+
+
+def true_position_m(recording: Recording, time_s: FloatArray | float) -> FloatArray:
+    """True positions (..., 2) at some times."""
+    truth = recording.truth.position
+    return np.stack([np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")], axis=-1)
+
+
+def clockwise(angle_rad: float) -> FloatArray:
+    """Matrix (2, 2) that rotates vectors (east, north) clockwise."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, s], [-s, c]])
+
+
+def nees_of(error: FloatArray, cov: FloatArray) -> FloatArray:
+    """Normalised squared errors (K,) of errors (K, n) with covariances (K, n, n)."""
+    return np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov), error)
+
+
+def push_part(
+    online: pdr.OnlineFilter, samples: ImuBlock, part: slice | np.ndarray = slice(None)
+) -> list[pdr.StepUpdate]:
+    """Push a part of merged samples into a filter, without their magnetic field."""
+    block = part_of(samples, part)
+    return online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps)
+
+
+@dataclass(frozen=True)
+class OfHeading:
+    """Measurement of the walking heading by a class of a user, without a base class."""
+
+    time_s: float
+    heading_rad: float
+    std_rad: float = 0.1
+    received_time_s: float | None = None
+
+    def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        error = float(wrap_angle(heading_rad - self.heading_rad))
+        return np.array([error]), np.array([[0.0, 0.0, 1.0]]), np.array([[self.std_rad**2]])
+
+
+def block_of(force: FloatArray, rate: FloatArray | None = None) -> UniformBlock:
+    """Uniform samples at 100 Hz of specific force and angular rate (N, 3)."""
+    return replace(uniform_block(np.zeros(len(force)), rate=rate), specific_force_mps2=force)
+
+
+def conditioned(recording: Recording) -> list[UniformBlock]:
+    return condition(Conditioner(), [merge_streams(recording)])[1]
+
+
+def run_stage(stage: Any, blocks: Sequence[UniformBlock]) -> tuple[Any, list[tuple[int, Any]]]:
+    """State and windows of a stage for a phone that lies face up."""
+    state, found = stage.init(), []
+    for block in blocks:
+        state, windows = stage.update(state, block, flat_attitude(block.specific_force_mps2[:, 2]))
+        found += windows
+    return state, found
+
+
+def detect(
+    detector: Any, blocks: Sequence[UniformBlock], contexts: Sequence[ContextBlock] | None = None
+) -> tuple[Any, list[tuple[int, Step]]]:
+    """State and steps of a detector for a phone that lies face up, by default in unknown contexts."""
+    state, found = detector.init(), []
+    for block, known in zip(blocks, contexts or [unknown_contexts(len(b.time_s)) for b in blocks], strict=True):
+        state, steps = detector.update(state, block, flat_attitude(block.specific_force_mps2[:, 2]), known)
+        found += steps
+    return state, found
+
+
+def times_s(found: Sequence[tuple[int, Step]]) -> FloatArray:
+    return np.array([step.time_s for _, step in found])
+
+
+def assert_one_step_at_each(contacts_s: FloatArray, found_s: FloatArray, tolerance_s: float) -> None:
+    """Each contact has its step; a detector may add one before the first and after the last."""
+    inside = (found_s > contacts_s[0] - tolerance_s) & (found_s < contacts_s[-1] + tolerance_s)
+    np.testing.assert_allclose(found_s[inside], contacts_s, atol=tolerance_s)
+    assert len(found_s) <= len(contacts_s) + 2
+
+
+def assert_last_steps_at_their_times(
+    detector: Any,
+    contacts_s: FloatArray,
+    block: UniformBlock,
+    contexts: Sequence[ContextBlock] | None = None,
+    tolerance_s: float = 0.06,
+) -> list[Step]:
+    """At the end the steps that were not known yet come; these are returned."""
+    state, found = detect(detector, [block], contexts)
+    last = detector.finish(state)
+    assert len(last) > 0
+    every = times_s([*found, *last])
+    assert (np.diff(every) > 0).all()
+    assert_one_step_at_each(contacts_s, every, tolerance_s)
+    assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
+    return [step for _, step in last]
+
+
+def contacts_of(recording: Recording, sensing: Sensing) -> FloatArray:
+    """Times of the steps that a front end detects in a recording."""
+    return np.array([e.time_s for _, e in sensed(sensing, [merge_streams(recording)]) if isinstance(e, Step)])
+
+
+def count_error(recording: Recording, found_s: FloatArray) -> float:
+    """Relative error of the number of steps in the only segment of a recording."""
+    [segment] = recording.truth.segments
+    n = ((found_s > segment.start_s - 0.3) & (found_s < segment.end_s + 0.3)).sum()
+    return float(n / segment.n_steps - 1)
+
+
+def against_foot_switches(recording: Recording, found_s: FloatArray) -> tuple[float, FloatArray]:
+    """Relative error of the number of steps, and the times of the nearest steps less those of foot switches."""
+    truth_s = np.asarray(recording.truth.steps.time_s)
+    found_s = found_s[(found_s > truth_s[0] - 0.3) & (found_s < truth_s[-1] + 0.3)]
+    nearest_s = found_s[np.abs(found_s[:, None] - truth_s).argmin(axis=0)]
+    return len(found_s) / len(truth_s) - 1, nearest_s - truth_s
 
 
 def steps_of(recording: Recording) -> list[Step]:

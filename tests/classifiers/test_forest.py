@@ -28,7 +28,7 @@ def trained() -> tuple[RandomForestClassifier, Forest, np.ndarray]:
     return oracle, Forest.from_sklearn(oracle), np.random.default_rng(1).normal(0, 2, (700, 12))
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize(
     "settings",
     [
@@ -71,12 +71,6 @@ def test_features_within_rounding_of_a_threshold_go_where_scikit_learn_sends_the
     np.testing.assert_allclose(forest.predict_proba(rows), oracle.predict_proba(rows), atol=1e-14)
 
 
-def test_a_feature_is_compared_after_rounding_to_float32() -> None:
-    # 1 + 1e-9 is 1 in float32, and 1 <= 1 goes left; in float64 it would go right
-    stump = Forest(Trees(1, [0], [0, -1, -1], [1.0, 0, 0], [1, -1, -1], [2, -1, -1]), [[0, 0], [1, 0], [0, 1]])  # type: ignore[arg-type]
-    np.testing.assert_array_equal(stump.predict_proba([[1.0 + 1e-9], [1.0 + 1e-6]]), [[1, 0], [0, 1]])
-
-
 EDGES = [0.0, -0.0, 1e-50, -1e-50, 1.0, 1 + 1e-9, 1 - 1e-9, 1.0000001, 3.4028234e38, 3.4028236e38, 1e39, -1e39, -1e300]
 
 
@@ -112,16 +106,6 @@ def test_every_leaf_of_a_very_uneven_tree_is_reached(goes_deep: str, n_inner: in
         np.testing.assert_array_equal(tree.predict_proba(row[None])[0], np.eye(n_inner + 1)[i])
 
 
-def test_a_row_has_the_same_bits_alone_and_in_any_batch(
-    trained: tuple[RandomForestClassifier, Forest, np.ndarray],
-) -> None:
-    _, forest, rows = trained
-    together = forest.predict_proba(rows)  # more rows than are computed at once
-    np.testing.assert_array_equal(np.vstack([forest.predict_proba(row[None]) for row in rows]), together)
-    np.testing.assert_array_equal(forest.predict_proba(rows[3:17]), together[3:17])
-    np.testing.assert_array_equal(forest.predict_proba(np.asfortranarray(rows)), together)
-
-
 def test_a_large_forest_has_the_same_bits_for_a_row_alone_and_in_any_batch() -> None:
     X, y = problem(0, 600)
     oracle = RandomForestClassifier(200, min_samples_leaf=2, random_state=0).fit(X, y)
@@ -129,6 +113,7 @@ def test_a_large_forest_has_the_same_bits_for_a_row_alone_and_in_any_batch() -> 
     together = forest.predict_proba(X)
     np.testing.assert_array_equal(together, oracle.predict_proba(X))
     np.testing.assert_array_equal(np.vstack([forest.predict_proba(row[None]) for row in X]), together)
+    np.testing.assert_array_equal(forest.predict_proba(np.asfortranarray(X)), together)
     for size in (2, 81, 82, 599):
         np.testing.assert_array_equal(forest.predict_proba(X[-size:]), together[-size:])
 

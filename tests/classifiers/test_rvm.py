@@ -13,9 +13,7 @@ from sklearn.datasets import make_blobs, make_classification, make_moons
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import LogisticRegression
 from sklearn.metrics import log_loss
-from sklearn.model_selection import GroupKFold, cross_val_score
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.model_selection import GroupKFold
 from sklearn.utils.estimator_checks import check_estimator
 from threadpoolctl import threadpool_limits
 
@@ -60,19 +58,6 @@ def test_it_is_a_scikit_learn_estimator(kernel: str, multi_class: str) -> None:
         check_estimator(RelevanceVectorClassifier(kernel=kernel, multi_class=multi_class, max_samples=40))
 
 
-def test_it_works_in_a_pipeline_and_in_cross_validation() -> None:
-    X, y = six_classes(300)
-    pipeline = make_pipeline(StandardScaler(), RelevanceVectorClassifier())
-    scores = cross_val_score(pipeline, 1e3 * X, np.array(list("abcdef"))[y], cv=3, scoring="neg_log_loss")
-    assert (scores > -1.1).all()  # -1.8 is a guess
-
-
-def test_labels_independent_of_the_features_have_equal_probabilities() -> None:
-    X = np.tile([[1.0], [-1.0]], (50, 1))
-    p = RelevanceVectorClassifier(kernel="linear").fit(X, np.repeat([0, 1], 50)).predict_proba(X[:3])
-    np.testing.assert_allclose(p, 0.5, atol=0.02)
-
-
 # --- the classifier ---------------------------------------------------------------------------------------------
 
 
@@ -90,14 +75,6 @@ def test_it_is_sparse_and_nearly_as_good_as_the_best_possible_rule() -> None:
     assert len(classifier.relevance_vectors_) <= 15
     assert classifier.score(X_test, y_test) > 0.89  # 0.92 is the best possible
     assert log_loss(y_test, classifier.predict_proba(X_test)) < 0.28
-
-
-def test_two_moons_need_few_vectors() -> None:
-    X, y = make_moons(200, noise=0.2, random_state=0)
-    X_test, y_test = make_moons(2000, noise=0.2, random_state=1)
-    classifier = RelevanceVectorClassifier(kernel_width=0.7).fit(X, y)
-    assert len(classifier.relevance_vectors_) <= 20
-    assert classifier.score(X_test, y_test) > 0.95
 
 
 def test_separable_data_are_separated_and_the_weights_stay_finite() -> None:
@@ -216,14 +193,6 @@ def test_each_class_is_trained_against_all_others() -> None:
     np.testing.assert_allclose(p, expected, atol=1e-10)
 
 
-def test_swapping_two_classes_swaps_their_probabilities() -> None:
-    X, y = make_moons(120, noise=0.3, random_state=0)
-    p = RelevanceVectorClassifier(tol=1e-3).fit(X, y).predict_proba(X)
-    np.testing.assert_allclose(
-        RelevanceVectorClassifier(tol=1e-3).fit(X, 1 - y).predict_proba(X), p[:, ::-1], atol=1e-2
-    )
-
-
 def test_with_two_classes_both_forms_are_the_same() -> None:
     X, y = make_moons(120, noise=0.3, random_state=0)
     one = RelevanceVectorClassifier().fit(X, y).predict_proba(X)
@@ -242,10 +211,9 @@ def test_the_multinomial_machines_end_at_the_mode_of_the_joint_posterior() -> No
         assert 0.5 * gradient @ newton < 0.05  # nats that the best step could still gain
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("multi_class", ["one_against_all", "multinomial"])
-def test_six_classes_are_distinguished(seed: int, multi_class: str) -> None:
-    X, y = six_classes(1200, seed)
+def test_six_classes_are_distinguished(multi_class: str) -> None:
+    X, y = six_classes(1200)
     classifier = RelevanceVectorClassifier(multi_class=multi_class).fit(X[:500], y[:500])
     oracle = LogisticRegression(max_iter=2000).fit(X[:500], y[:500])
     loss = log_loss(y[500:], classifier.predict_proba(X[500:]))
@@ -253,7 +221,7 @@ def test_six_classes_are_distinguished(seed: int, multi_class: str) -> None:
     assert (classifier.machine_.weights != 0).sum(axis=1).max() <= 60
 
 
-@pytest.mark.parametrize("share", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("share", [0.5, 4.0])
 def test_wide_kernels_do_not_diverge(share: float) -> None:
     X, y = six_classes(700)
     width = share * median_distance(X[:400])
@@ -313,22 +281,6 @@ def test_constant_features_change_nothing() -> None:
     np.testing.assert_allclose(same, 1 / 3, atol=0.03)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_features_that_are_not_finite_are_refused(bad: float) -> None:
-    X, y = three_blobs(n=60)
-    classifier = RelevanceVectorClassifier().fit(X, y)
-    X[3, 1] = bad
-    with pytest.raises(ValueError, match=r"NaN|infinity"):
-        RelevanceVectorClassifier().fit(X, y)
-    with pytest.raises(ValueError, match=r"NaN|infinity"):
-        classifier.predict_proba(X)
-
-
-def test_one_class_is_refused() -> None:
-    with pytest.raises(ValueError, match="at least two classes, got one class"):
-        RelevanceVectorClassifier().fit(np.eye(3), ["walking"] * 3)
-
-
 def test_the_width_chosen_by_cross_validation_has_the_lowest_log_loss() -> None:
     X, y = three_blobs(n=100)
     groups = np.repeat(np.arange(20), 5)
@@ -384,33 +336,6 @@ def test_a_hundred_thousand_rows_stay_within_the_budgets() -> None:
     assert classifier.score(X[:500], y[:500]) > 0.8
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"kernel": "poly"}, "kernel must be"),
-        ({"kernel_width": -1.0}, "kernel_width"),
-        ({"kernel_width": "scale"}, "kernel_width"),
-        ({"multi_class": "ovo"}, "multi_class"),
-        ({"max_samples": 0}, "max_samples"),
-        ({"max_basis": 0}, "max_basis"),
-        ({"max_iter": 0}, "max_iter"),
-        ({"tol": 0.0}, "tol"),
-        ({"class_weight": "even"}, "class_weight"),
-        ({"class_weight": 2.0}, "class_weight"),
-        ({"class_weight": {0: -1.0}}, "class_weight"),
-    ],
-)
-def test_impossible_settings_are_named(settings: dict, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        RelevanceVectorClassifier(**settings).fit(*three_blobs(n=60))
-
-
-@pytest.mark.parametrize("weight", [np.full(60, np.nan), -np.ones(60), np.zeros(60), np.ones(59)])
-def test_impossible_weights_are_refused(weight: np.ndarray) -> None:
-    with pytest.raises(ValueError, match="sample_weight"):
-        RelevanceVectorClassifier().fit(*three_blobs(n=60), sample_weight=weight)
-
-
 # --- what is stored ---------------------------------------------------------------------------------------------
 
 
@@ -462,25 +387,3 @@ def test_a_row_has_the_same_bits_alone_and_in_any_batch(blobs: tuple[RelevanceVe
 def test_a_feature_that_is_not_finite_is_named(blobs: tuple[RelevanceVectorClassifier, np.ndarray]) -> None:
     with pytest.raises(ValueError, match="feature 2 is nan in row 1"):
         blobs[0].machine_.predict_proba([[0.0, 0.0, 0.0], [0.0, 0.0, np.nan]])
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "message"),
-    [
-        ("kernel", np.array("poly"), "kernel"),
-        ("width", np.array(0.0), "width"),
-        ("basis", np.array([[0], [99]]), "basis must hold"),
-        ("basis", np.array([[0], [-1]]), "basis must hold"),
-        ("basis", np.array([[0.0], [1.0]]), "integers"),
-        ("weights", np.array([[1.0], [np.nan]]), "finite"),
-        ("weights", np.array([[1.0, 2.0]]), "K > 1"),
-        ("cov_factor", np.zeros((2, 2, 2)), "shapes"),
-        ("link", np.array("probit"), "link"),
-    ],
-)
-def test_arrays_that_do_not_fit_are_refused(name: str, value: np.ndarray, message: str) -> None:
-    good = RelevanceVectors(
-        "rbf", 1.0, np.zeros((1, 3)), np.array([[0], [1]]), np.array([[1.0], [2.0]]), np.zeros((2, 1, 1))
-    )
-    with pytest.raises(ValueError, match=message):
-        RelevanceVectors.from_arrays(good.to_arrays() | {name: value})

@@ -11,7 +11,6 @@ from scipy.optimize import minimize_scalar
 from scipy.special import expit
 from scipy.stats import multivariate_normal
 from sklearn.datasets import make_moons
-from sklearn.linear_model import ARDRegression
 from threadpoolctl import threadpool_limits
 
 from pdr_filter.classifiers.rvm import basis_functions, median_distance
@@ -155,21 +154,6 @@ def test_the_expected_gain_of_additions_equals_the_evidence_gained() -> None:
     assert after.log_evidence - now.log_evidence == pytest.approx(gain, rel=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_regression_agrees_with_scikit_learns_ard_regression(seed: int) -> None:
-    likelihood, functions = regression(seed=seed)
-    oracle = ARDRegression(
-        alpha_1=0, alpha_2=0, lambda_1=0, lambda_2=0, fit_intercept=False, max_iter=3000, tol=1e-9, threshold_lambda=1e9
-    ).fit(functions.T, likelihood.target)
-    same_noise = Gaussian(likelihood.target, float(oracle.alpha_))
-    found = train_rvm(same_noise, functions, tol=1e-8, max_passes=500).posterior
-    weights = np.zeros(12)
-    weights[found.basis] = found.mean
-    np.testing.assert_allclose(weights, oracle.coef_, atol=1e-3)
-    strong = np.abs(weights) > 0.1
-    np.testing.assert_allclose(found.alpha[strong[found.basis]], oracle.lambda_[strong], rtol=1e-2)
-
-
 @pytest.mark.parametrize("seed", range(2))
 def test_the_subset_with_the_highest_evidence_is_found(seed: int) -> None:
     likelihood, functions = regression(n_functions=8, seed=seed)
@@ -195,7 +179,7 @@ def test_the_subset_with_the_highest_evidence_is_found(seed: int) -> None:
 
 def test_fast_and_plain_training_agree() -> None:
     gaps: list[float] = []
-    for seed, width_share in itertools.product(range(4), [0.5, 1.0, 2.0, 4.0]):
+    for seed, width_share in itertools.product(range(2), [0.5, 1.0, 2.0, 4.0]):
         likelihood, functions = moons(100, width_share, seed)
         plain = rvm_reference.train_plain(functions.T, likelihood.target, tol=1e-3)
         fast = train_rvm(likelihood, functions, tol=1e-3, max_passes=300).posterior
@@ -254,7 +238,7 @@ def test_an_offset_is_a_function_of_known_weight() -> None:
 
 
 @pytest.mark.parametrize("width_share", [0.2, 0.5, 1.0, 2.0, 4.0, 20.0])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_evidence_never_falls(seed: int, width_share: float) -> None:
     likelihood, functions = moons(120, width_share, seed)
     trained = train_rvm(likelihood, functions, tol=1e-3)

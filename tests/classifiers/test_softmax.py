@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from sklearn.linear_model import LogisticRegression
 
 from pdr_filter.classifiers.softmax import SoftmaxRegression
@@ -29,20 +28,7 @@ def test_a_row_has_the_same_bits_alone_and_in_a_batch() -> None:
         np.testing.assert_array_equal(ours.predict_proba(rows[i : i + 1])[0], batch[i])
 
 
-def test_a_missing_feature_is_refused() -> None:
-    ours = SoftmaxRegression(np.array([[1.0, 0.0], [0.0, 1.0]]), np.zeros(2))
-    with pytest.raises(ValueError, match="feature 0 is nan in row 0"):
-        ours.predict_proba([[np.nan, 0.0]])
-
-
 def test_arrays_restore_the_regression() -> None:
     ours = SoftmaxRegression(np.arange(6.0).reshape(2, 3), np.ones(2))
     back = SoftmaxRegression.from_arrays(ours.to_arrays())
     np.testing.assert_array_equal(back.predict_proba([[1.0, 2.0, 3.0]]), ours.predict_proba([[1.0, 2.0, 3.0]]))
-
-
-@pytest.mark.parametrize("bad", [dict(intercept=np.zeros(3)), dict(weights=np.full((2, 3), np.nan))])
-def test_invalid_arrays_of_a_regression_are_refused(bad: dict[str, object]) -> None:
-    good = {"weights": np.zeros((2, 3)), "intercept": np.zeros(2)}
-    with pytest.raises(ValueError, match="must be"):
-        SoftmaxRegression(**{**good, **bad})  # type: ignore[arg-type]

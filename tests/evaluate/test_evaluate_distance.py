@@ -17,11 +17,6 @@ def test_too_short_is_negative() -> None:
     np.testing.assert_allclose(distance.percent_error([93.0, 104.0], [100.0, 200.0]), [-7.0, -48.0])
 
 
-def test_a_true_distance_of_zero_is_refused() -> None:
-    with pytest.raises(ValueError, match="true_m must be positive"):
-        distance.percent_error([1.0], [0.0])
-
-
 def test_bias_and_spread_make_the_rmse() -> None:
     scores = distance.distance_scores(np.random.default_rng(0).normal(-4, 3, 40))
     assert scores.rmse_percent**2 == pytest.approx(scores.bias_percent**2 + scores.spread_percent**2)
@@ -56,11 +51,6 @@ def test_the_table_has_each_context_and_all() -> None:
     np.testing.assert_allclose(found.bias_percent, [100, 0, 100 / 3])
     np.testing.assert_allclose(found.spread_percent[:2], [0, 10])
     np.testing.assert_allclose(found.largest_percent, [100, 10, 100])
-
-
-def test_a_leg_without_context_is_refused() -> None:
-    with pytest.raises(ValueError, match="one value for each"):
-        distance.distance_table([1.0, 2.0], [1.0, 1.0], ["walking"])
 
 
 def test_a_leg_has_the_steps_that_end_in_it() -> None:

@@ -105,8 +105,6 @@ def test_latex_escapes_what_has_a_meaning_there() -> None:
     text = latex(table({"name": np.array(["50 %_a & {b}"]), "m": np.array([1.0])}), caption="Errors.", label="tab:a")
     assert r"50 \%\_a \& \{b\} & 1.00 \\" in text
     assert r"\caption{Errors.}" in text and r"\label{tab:a}" in text and text.count("rule") == 3
-    with pytest.raises(ValueError, match="needs a caption"):
-        latex([{"a": 1.0}], label="tab:a")
 
 
 def test_latex_has_words_and_units_for_columns_and_no_empty_rows_or_columns() -> None:

@@ -104,18 +104,9 @@ def test_the_example_is_a_distribution_whose_recipe_the_command_finds_by_its_nam
     assert built.returncode == 0, built.stderr
     pdr.simulate.demo_walk().save(tmp_path / "walk.zip")
     package = Path(pdr.__file__).parents[1]
+    main = [sys.executable, "-c", "from pdr_filter.apps.cli import main; main()"]
     done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "from pdr_filter.apps.cli import main; main()",
-            "track",
-            "walk.zip",
-            "--recipe",
-            "slow-walkers",
-            "--online",
-            "--json",
-        ],
+        [*main, *["track", "walk.zip", "--recipe", "slow-walkers", "--online", "--json"]],
         cwd=tmp_path,
         env={"PYTHONPATH": f"{tmp_path / 'clean'}:{package}", "PATH": "/usr/bin:/bin", "OMP_NUM_THREADS": "1"},
         capture_output=True,

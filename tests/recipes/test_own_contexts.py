@@ -6,11 +6,11 @@ import json
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers import cut_randomly
+from helpers import streamed
 
 import pdr_filter as pdr
 from pdr_filter.apps.report.html import html_report
@@ -132,16 +132,8 @@ def test_the_report_page_and_tables_name_own_contexts(track: pdr.Track, visit: p
 def test_an_online_filter_gives_the_same_track_and_names_own_contexts(
     visit: pdr.Recording, config: pdr.Config, track: pdr.Track
 ) -> None:
-    online, updates = pdr.OnlineFilter(config), list[pdr.StepUpdate]()
-    blocks = cut_randomly(merge_streams(visit), seed=1)
-    for k, block in enumerate(blocks):
-        updates += online.push(
-            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
-        )
-        if k == len(blocks) // 2:
-            online = pdr.OnlineFilter.load(online.save())
+    online, updates = streamed(visit, config, n_resumed=2)
     assert set(json.loads(json.dumps(online.now().to_dict()))["context_prob"]) == set(CLASSES)
-    updates += online.finish()
     assert set(json.loads(json.dumps(updates[-1].to_dict()))["context_prob"]) == set(CLASSES)
     found = np.array([u.position_m for u in updates if u.is_final])
     np.testing.assert_array_equal(found, track.position_m)
@@ -268,11 +260,6 @@ def test_a_person_is_calibrated_by_a_named_model_in_the_context_of_walking_whate
     assert again.distance_m == pytest.approx(100.0, rel=0.03)
 
 
-def test_a_walk_in_a_context_of_ones_own_is_not_simulated() -> None:
-    with pytest.raises(ValueError, match="got 'treadmill': simulate a movement that is like it, and rename the labels"):
-        Leg("treadmill", duration_s=10.0)
-
-
 def test_transitions_come_from_the_model_else_from_what_the_modes_mean(model: pdr.ContextModel) -> None:
     default = pdr.recipes.default()
     known = np.array([[0.9, 0.05, 0.05], [0.1, 0.8, 0.1], [0.02, 0.03, 0.95]])  # level, resting, treadmill
@@ -328,12 +315,6 @@ def test_a_mode_of_an_unknown_context_is_refused(model: pdr.ContextModel) -> Non
         pdr.recipes.default().with_contexts(model, [*MODES, pdr.Mode("flying")])
     with pytest.raises(ValueError, match="need exactly one mode for each"):
         pdr.recipes.default().with_weighting("hc").with_contexts(model, MODES[:2])
-    with pytest.raises(ValueError, match=r"step_length of mode 'up' must be a StepLengthFit, got 0\.7.*known_length"):
-        pdr.Mode("up", step_length=cast(Any, 0.7))
-    with pytest.raises(ValueError, match="climbs of 'up' must be"):
-        pdr.Mode("up", climbs=2)
-    with pytest.raises(ValueError, match="gait of 'up' must be"):
-        pdr.Mode("up", gait="flying")  # type: ignore[arg-type]
 
 
 def test_modes_of_a_configuration_that_knows_a_person_are_refused() -> None:
@@ -364,8 +345,3 @@ def test_a_function_of_another_shape_sum_or_sign_is_refused(visit: pdr.Recording
     for wrong in (lambda p: p[:2], lambda p: 2 * p, lambda p: p - 1.0, lambda p: p * np.nan):
         with pytest.raises(ValueError, match="must return 6 weights that are 0 or more and sum to one"):
             pdr.track(visit, config=pdr.recipes.default().with_weighting(wrong))
-
-
-def test_what_is_no_context_model_is_refused_with_what_it_lacks() -> None:
-    with pytest.raises(ValueError, match=r"model must be a ContextStage .* got NoneType without .*contexts"):
-        pdr.recipes.default().with_contexts(cast(Any, None), [])

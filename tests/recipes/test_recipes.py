@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import a_step
+from helpers import a_step, true_position_m
 
 import pdr_filter as pdr
 from pdr_filter import recipes
@@ -22,13 +22,6 @@ def length_m(recipe: str, context: str, height_m: float = 1.70) -> float:
     step = a_step(duration_s=1 / 1.9, variance=3.0)
     step = replace(step, vertical_amplitude_mps2=2.5, usual_amplitude_mps2=2.5)
     return float(mode.step_length.predict(step)[0])
-
-
-def test_a_classifier_without_a_model_is_refused_with_the_names_of_the_others() -> None:
-    with pytest.raises(
-        ValueError, match=r"classifier must be one of \('blend', 'rvm', 'forest', 'boosted'\), got 'svm'"
-    ):
-        recipes.default(classifier="svm")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("recipe", recipes.RECIPES)
@@ -64,7 +57,7 @@ def test_a_slow_jog_in_circles_is_as_long_as_it_was(data_dir: Path, name: str) -
     recording = pdr.read(data_dir / "oxiod" / f"{name}.zip")
     track, truth = pdr.track(recording), recording.truth.position
     time_s = np.arange(truth.time_s[0], truth.time_s[-1], 0.5)
-    path = np.column_stack([np.interp(time_s, truth.time_s, truth[c]) for c in ("east_m", "north_m")])
+    path = true_position_m(recording, time_s)
     inside = (track.time_s >= time_s[0]) & (track.time_s <= time_s[-1])
     true_m = np.hypot(*np.diff(path, axis=0).T).sum()
     assert track.step_length_m[inside].sum() == pytest.approx(true_m, rel=0.1)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import cut_uniform
+from helpers import cut_uniform, uniform_block
 from scipy.spatial.transform import Rotation
 
 from pdr_filter.sensing.attitude import (
@@ -17,7 +17,6 @@ from pdr_filter.sensing.attitude import (
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.gyroscope_bias import GyroBias
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 # Sensor-to-world attitudes: up in the sensor frame is the third row of the rotation matrix.
 TILTS = {
@@ -35,16 +34,9 @@ def samples(
 ) -> UniformBlock:
     """A phone that turns counter-clockwise (seen from above) about the vertical and feels gravity only."""
     n = len(turn_rate_radps)
-    return UniformBlock(
-        time_s=(np.arange(n) + 0.5) / rate_hz,
-        specific_force_mps2=np.tile(STANDARD_GRAVITY_MPS2 * up_sensor, (n, 1)),
-        angular_rate_radps=turn_rate_radps[:, None] * up_sensor if known else np.zeros((n, 3)),
-        angular_rate_known=np.full(n, known),
-        turn_known=np.full(n, known),
-        magnetic_field_ut=np.zeros((n, 3)),
-        magnetic_field_known=np.zeros(n, dtype=bool),
-        gap_before_s=np.inf,
-    )
+    rate = turn_rate_radps[:, None] * up_sensor if known else None
+    block = uniform_block(np.full(n, STANDARD_GRAVITY_MPS2), rate_hz, rate=rate)
+    return replace(block, specific_force_mps2=np.tile(STANDARD_GRAVITY_MPS2 * up_sensor, (n, 1)))
 
 
 def attitude_of(block: UniformBlock, edges: list[int] | None = None) -> tuple[AttitudeState, list[AttitudeBlock]]:
@@ -113,36 +105,10 @@ def test_a_still_phone_knows_up_from_the_first_sample_and_feels_no_vertical_forc
 
 
 def test_turning_counter_clockwise_lowers_the_heading_by_the_angle_turned(up_sensor: np.ndarray) -> None:
-    rate = np.full(600, 0.5)
+    rate = np.full(1300, 0.5)  # more than a full turn, which is not wrapped
     _, [attitude] = attitude_of(samples(up_sensor, rate))
     np.testing.assert_allclose(attitude.device_heading_rad, -np.cumsum(rate) / 100, atol=1e-4)
     np.testing.assert_allclose(attitude.up_sensor[-1], up_sensor, atol=1e-4)
-
-
-def test_a_full_turn_clockwise_is_not_wrapped() -> None:
-    _, [attitude] = attitude_of(samples(np.array([0.0, 1.0, 0.0]), np.full(1000, -2 * np.pi / 10)))
-    assert attitude.device_heading_rad[-1] == pytest.approx(2 * np.pi, abs=1e-3)
-
-
-def test_nodding_does_not_change_the_heading() -> None:
-    t = (np.arange(1000) + 0.5) / 100
-    nod_rad, nod_rate = 0.5 * np.sin(2 * t), np.cos(2 * t)
-    up = np.column_stack([np.zeros(1000), np.sin(nod_rad), np.cos(nod_rad)])
-    block = samples(np.array([0.0, 0.0, 1.0]), np.zeros(1000))
-    rate = np.column_stack([nod_rate, np.zeros((1000, 2))])
-    moving = UniformBlock(
-        block.time_s,
-        STANDARD_GRAVITY_MPS2 * up,
-        rate,
-        block.angular_rate_known,
-        block.turn_known,
-        block.magnetic_field_ut,
-        block.magnetic_field_known,
-        np.inf,
-    )
-    _, [attitude] = attitude_of(moving)
-    assert np.abs(attitude.device_heading_rad).max() < 0.01
-    np.testing.assert_allclose(attitude.up_sensor, up, atol=0.05)
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0])
@@ -185,17 +151,8 @@ def test_the_vertical_force_is_the_force_along_up_less_gravity() -> None:
     up = TILTS["reading"].inv().apply([0.0, 0.0, 1.0])
     block = samples(up, np.zeros(400))
     bob_mps2 = 2.0 * np.sin(2 * np.pi * 2 * block.time_s)
-    moving = UniformBlock(
-        block.time_s,
-        block.specific_force_mps2 + bob_mps2[:, None] * up,
-        block.angular_rate_radps,
-        block.angular_rate_known,
-        block.turn_known,
-        block.magnetic_field_ut,
-        block.magnetic_field_known,
-        np.inf,
-    )
-    _, [attitude] = attitude_of(moving)
+    bobbing = replace(block, specific_force_mps2=block.specific_force_mps2 + bob_mps2[:, None] * up)
+    _, [attitude] = attitude_of(bobbing)
     np.testing.assert_allclose(attitude.vertical_mps2, bob_mps2, atol=1e-6)
 
 
@@ -256,51 +213,6 @@ def test_the_standard_deviation_of_the_heading_rate_shrinks_and_is_about_the_ver
     assert about_x > 1.5 * attitude.yaw_bias_std_radps[-1]
     up = attitude.up_sensor[-1]
     assert np.sqrt(up @ cov @ up) == pytest.approx(attitude.yaw_bias_std_radps[-1], rel=1e-9)
-
-
-def test_a_saved_filter_continues_with_the_same_bits() -> None:
-    block, _, _ = a_walk(70, 4, np.array([0.01, 0.02, -0.01]))
-    first, second = cut_uniform(block, [3333])
-    estimator = AttitudeEstimator()
-    state, _ = estimator.update(estimator.init(), first)
-    _, kept = estimator.update(state, second)
-    _, loaded = estimator.update(from_bytes(to_bytes(state)), second)
-    for name in AttitudeBlock.__slots__:
-        np.testing.assert_array_equal(getattr(loaded, name), getattr(kept, name))
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_walking_in_pieces_is_walking_as_a_whole(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    block, _, _ = a_walk(60, seed, rng.normal(scale=0.02, size=3))
-    block = replace(block, angular_rate_known=block.time_s < 50, magnetic_field_known=(block.time_s % 30) > 3)
-    state, [whole] = attitude_of(block)
-    cuts = [*range(0, 6000, 10)] if seed == 0 else list(rng.integers(0, 6000, 300))
-    pieces_state, pieces = attitude_of(block, cuts)
-    for name in AttitudeBlock.__slots__:
-        np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in pieces]), getattr(whole, name))
-    np.testing.assert_array_equal(pieces_state.bias.mean, state.bias.mean)
-    np.testing.assert_array_equal(pieces_state.bias.cov, state.bias.cov)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_the_attitude_does_not_depend_on_how_samples_arrive(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    block = samples(np.array([0.0, 0.6, 0.8]), rng.normal(size=700))
-    noisy = UniformBlock(
-        block.time_s,
-        block.specific_force_mps2 + rng.normal(size=(700, 3)),
-        block.angular_rate_radps + rng.normal(size=(700, 3)),
-        rng.random(700) > 0.1,
-        block.turn_known,
-        block.magnetic_field_ut,
-        block.magnetic_field_known,
-        np.inf,
-    )
-    _, [whole] = attitude_of(noisy)
-    _, pieces = attitude_of(noisy, list(rng.integers(0, 700, 80)))
-    for name in AttitudeBlock.__slots__:
-        np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in pieces]), getattr(whole, name))
 
 
 def test_a_step_changes_neither_the_samples_nor_the_old_state() -> None:

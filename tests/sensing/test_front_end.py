@@ -9,7 +9,7 @@ from helpers import cut_randomly, pushed, sensed
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
-from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
+from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.step_detector import ContextBlock
@@ -162,11 +162,6 @@ def test_only_steps_of_a_heading_stage_without_own_offsets_get_theirs_from_the_w
     steps = [e for _, e in sensed(Sensing(steps=WaveletStepDetector(), heading=stage), [walk]) if isinstance(e, Step)]
     assert len(steps) > 5
     assert [(s.shown_offset_rad, s.shown_offset_std_rad) for s in steps] == [pytest.approx(shown)] * len(steps)
-
-
-def test_stages_of_different_rates_are_refused() -> None:
-    with pytest.raises(ValueError, match="one rate_hz"):
-        Sensing(steps=WaveletStepDetector(), attitude=AttitudeEstimator(rate_hz=50.0))
 
 
 @pytest.mark.parametrize(

@@ -181,9 +181,3 @@ def test_a_trolley_counts_as_moving_and_a_sitting_person_does_not(data_dir: Path
     assert any("the phone moved without steps" in note for note in trolley.notes)
     sitting = pdr.track(pdr.read(data_dir / "motionsense" / "motionsense_s01_sit_5.zip"))
     assert not any("moved without steps" in note for note in sitting.notes)
-
-
-@pytest.mark.parametrize("rate_hz", [0.0, 60.0])
-def test_a_rate_that_is_not_a_multiple_of_50_hz_is_refused(rate_hz: float) -> None:
-    with pytest.raises(ValueError, match="rate_hz"):
-        VehicleVibration(rate_hz)

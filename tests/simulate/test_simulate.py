@@ -71,12 +71,6 @@ def test_error_free_specific_force_integrates_twice_to_the_position(mode: str) -
     np.testing.assert_allclose(position, motion.position_m(t), atol=0.02)
 
 
-@pytest.mark.parametrize("mode", CARRYING_MODES)
-def test_at_rest_the_median_specific_force_is_gravity(mode: str) -> None:
-    recording = simulate([Leg("stationary", duration_s=10)], carrying_mode=mode, errors=SensorErrors.none())
-    assert np.median(norms(recording.accelerometer.values)) == pytest.approx(STANDARD_GRAVITY_MPS2, abs=0.01)
-
-
 def test_a_phone_held_for_reading_feels_gravity_on_y_and_z_and_one_in_the_pocket_on_minus_y() -> None:
     at_rest = [Leg("stationary", duration_s=5)]
     texting, pocket = (
@@ -235,15 +229,13 @@ def test_a_leg_keeps_its_distance_or_its_duration() -> None:
     assert segments.end_s[1] - segments.start_s[1] == pytest.approx(6.2)
 
 
-def test_the_demo_walk_has_all_contexts_that_models_know_and_takes_two_minutes(demo: Recording) -> None:
-    assert demo.truth.labels is not None
+def test_the_demo_walk_has_all_contexts_that_models_know_and_ends_near_its_start_after_two_minutes(
+    demo: Recording,
+) -> None:
+    assert demo.truth.labels is not None and demo.truth.waypoints is not None
     assert set(demo.truth.labels.context) == set(CONTEXTS) - {"sideways"}
-    assert 100 < demo.duration_s < 140
     assert set(demo.truth.labels.carrying_mode) == {"pocket"}
-
-
-def test_the_demo_walk_ends_near_its_start_on_the_same_floor(demo: Recording) -> None:
-    assert demo.truth.waypoints is not None
+    assert 100 < demo.duration_s < 140
     end = demo.truth.waypoints[-1]
     assert np.hypot(end.east_m, end.north_m) < 2.0
     assert end.floor == 0 and demo.truth.waypoints.floor.max() == 1
@@ -388,39 +380,3 @@ def test_signals_are_within_thirty_per_cent_of_real_ones(context: str, mode: str
             main_hz = np.nan if context == "stationary" else frequency_hz[band][spectrum[band].argmax()]
             rows.append([f.std(), main_hz, rate[i : i + 200].mean(), rate[i : i + 200].std()])
     np.testing.assert_allclose(np.median(rows, axis=0), REAL[context, mode], rtol=0.3)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"context": "flying", "duration_s": 1.0}, "context must be one of"),
-        ({"context": "walking"}, "either duration_s or distance_m"),
-        ({"context": "walking", "duration_s": 1.0, "distance_m": 1.0}, "either duration_s or distance_m"),
-        ({"context": "stationary", "distance_m": 1.0}, "give its duration_s"),
-        ({"context": "walking", "duration_s": -1.0}, "duration_s of a leg must be positive and finite"),
-        ({"context": "walking", "duration_s": 1.0, "turn_rad": np.nan}, "turn_rad of a leg must be finite"),
-    ],
-)
-def test_an_impossible_leg_is_refused_in_words(arguments: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Leg(**arguments)  # type: ignore[arg-type]
-
-
-def test_an_impossible_walk_is_refused_in_words() -> None:
-    walk = [Leg("walking", duration_s=5)]
-    with pytest.raises(ValueError, match="legs is empty"):
-        simulate([])
-    with pytest.raises(ValueError, match="carrying_mode must be one of"):
-        simulate(walk, carrying_mode="hat")
-    with pytest.raises(ValueError, match="rate_hz must be from 20 to 500"):
-        simulate(walk, rate_hz=5)
-    with pytest.raises(ValueError, match="use a factor closer to 1"):
-        simulate([Leg("running", duration_s=5, frequency_factor=0.1)])
-
-
-@pytest.mark.parametrize(
-    ("field", "value"), [("height_m", 175.0), ("length_factor", 100.0), ("length_factor", 0.0), ("frequency_std", -1.0)]
-)
-def test_a_person_that_cannot_be_is_refused(field: str, value: float) -> None:
-    with pytest.raises(ValueError, match=r"metres|positive|0 or more"):
-        Gait(**{field: value})

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import cut_randomly, pushed
+from helpers import cut_randomly, pushed, true_position_m
 
 import pdr_filter as pdr
 from pdr_filter import recipes
@@ -33,9 +33,7 @@ def walk() -> Recording:
     truth = bare.truth.position
     time_s = np.arange(1.3, bare.duration_s)
     up_m = np.interp(time_s, truth.time_s, truth["up_m"])
-    latitude_deg, longitude_deg = HERE.latitude_longitude_deg(
-        np.column_stack([np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")])
-    )
+    latitude_deg, longitude_deg = HERE.latitude_longitude_deg(true_position_m(bare, time_s))
     altitude_m = START_M + up_m + np.random.default_rng(3).normal(scale=NOISE_M, size=len(time_s))
     values = np.column_stack([latitude_deg, longitude_deg, altitude_m, np.full(len(time_s), 6.0)])
     return replace(bare, location=Samples(time_s, values))
@@ -144,12 +142,3 @@ def test_files_have_the_altitude_where_it_is_known(track: pdr.Track, tmp_path: P
     assert f"<ele>{track.altitude_m[-1]:.2f}</ele>" in track.to_gpx(tmp_path / "a.gpx").read_text()
     rows = list(csv.DictReader(track.to_csv(tmp_path / "a.csv").read_text().splitlines()))
     assert float(rows[-1]["altitude_m"]) == pytest.approx(track.altitude_m[-1], abs=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("altitude_m", "std_m", "words"),
-    [(5.0, None, "must be given together"), (np.inf, 1.0, "must be finite"), (5.0, 0.0, "give a positive one")],
-)
-def test_a_fix_with_an_invalid_altitude_is_refused(altitude_m: float, std_m: float | None, words: str) -> None:
-    with pytest.raises(ValueError, match=words):
-        PositionFix(0.0, np.zeros(2), np.eye(2), altitude_m=altitude_m, altitude_std_m=std_m)

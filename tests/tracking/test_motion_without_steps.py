@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from helpers import nees_of, push_part, true_position_m
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Gait, Leg, simulate
@@ -21,11 +22,6 @@ def bouts(seed: int, *, lines: bool) -> pdr.Recording:
     return simulate([*legs, *line], Gait(height_m=1.6 + 0.05 * (seed % 7)), seed=seed)
 
 
-def place(walk: pdr.Recording, time_s: np.ndarray) -> np.ndarray:
-    truth = walk.truth.position
-    return np.stack([np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")], axis=-1)
-
-
 def ranges(walk: pdr.Recording, seed: int) -> list[pdr.RangeFix]:
     """Ranges of 0.3 m to three corners of the room, each second."""
     rng, truth = np.random.default_rng(seed), walk.truth.position
@@ -35,14 +31,14 @@ def ranges(walk: pdr.Recording, seed: int) -> list[pdr.RangeFix]:
     for time_s in np.arange(5.0, walk.duration_s - 2.0):
         for k, corner in enumerate(corners):
             at_s = float(time_s + 0.01 * k)
-            range_m = float(np.hypot(*(place(walk, np.array(at_s)) - corner)) + rng.normal(0.0, 0.3))
+            range_m = float(np.hypot(*(true_position_m(walk, at_s) - corner)) + rng.normal(0.0, 0.3))
             fixes.append(pdr.RangeFix(at_s, corner, max(range_m, 0.0), 0.3))
     return fixes
 
 
 def normalised_squares(walk: pdr.Recording, track: pdr.Track) -> np.ndarray:
-    error_m = track.position_m - place(walk, track.time_s)
-    return np.einsum("ka,kab,kb->k", error_m, np.linalg.inv(track.position_cov_m2 + 1e-9 * np.eye(2)), error_m)
+    error_m = track.position_m - true_position_m(walk, track.time_s)
+    return nees_of(error_m, track.position_cov_m2 + 1e-9 * np.eye(2))
 
 
 def test_ranges_in_a_small_room_are_used_although_steps_are_missed_and_the_errors_fit_the_covariance() -> None:
@@ -65,7 +61,7 @@ def pushed(walk: pdr.Recording, fixes: list[pdr.RangeFix], longest: int) -> list
         part = slice(begin, begin + int(rng.integers(1, longest)))
         while fixes and fixes[0].time_s <= samples.time_s[part][-1]:
             online.add_fix(fixes.pop(0))
-        rows += online.push(samples.time_s[part], samples.specific_force_mps2[part], samples.angular_rate_radps[part])
+        rows += push_part(online, samples, part)
         begin = part.stop
     return [*rows, *online.finish()]
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers import cut_randomly, resumed
+from helpers import cut_randomly, push_part, pushed
 
 import pdr_filter as pdr
 from pdr_filter.filter.chain.handler import states_of
@@ -27,8 +28,16 @@ def around() -> ImuBlock:
     return pdr.merge_streams(simulate(sides, seed=4))
 
 
-def push(online: pdr.OnlineFilter, block: ImuBlock) -> list[pdr.StepUpdate]:
-    return online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps)
+def with_fix_at_the_end(online: pdr.OnlineFilter, block: ImuBlock, off_m: tuple[float, float]) -> tuple[Any, Any, Any]:
+    """Paths before and after a fix that is so far ahead and to the right, and the unit vectors ahead and right."""
+    push_part(online, block)
+    before = online.path()
+    along = before.position_m[-1] / np.linalg.norm(before.position_m[-1])
+    axes = np.array([along, [along[1], -along[0]]])
+    place_m = before.position_m[-1] + off_m @ axes
+    online.add_fix(PositionFix(float(block.time_s[-1]) - 0.2, place_m, 0.1**2 * np.eye(2)))
+    online.finish()
+    return before, online.path(), axes
 
 
 def until(block: ImuBlock, time_s: float) -> ImuBlock:
@@ -49,15 +58,7 @@ def test_a_whole_recording_keeps_no_path_of_past_steps(weighting: str) -> None:
 def test_a_fix_at_the_end_of_a_straight_walk_corrects_the_past_in_proportion_to_the_distance(
     straight: ImuBlock, weighting: str
 ) -> None:
-    online = pdr.OnlineFilter(weighting=weighting)
-    push(online, straight)
-    before = online.path()
-    along = before.position_m[-1] / np.linalg.norm(before.position_m[-1])
-    online.add_fix(
-        PositionFix(float(straight.time_s[-1]) - 0.2, before.position_m[-1] + 4.0 * along, 0.1**2 * np.eye(2))
-    )
-    online.finish()
-    after = online.path()
+    before, after, (along, _) = with_fix_at_the_end(pdr.OnlineFilter(weighting=weighting), straight, (4.0, 0.0))
     n = before.n_steps
     moved_m = (after.position_m[:n] - before.position_m[:n]) @ along
     share = before.position_m[:n] @ along / (before.position_m[-1] @ along)
@@ -67,17 +68,9 @@ def test_a_fix_at_the_end_of_a_straight_walk_corrects_the_past_in_proportion_to_
 
 
 def test_a_fix_beside_a_straight_walk_rotates_the_walk_about_its_start(straight: ImuBlock) -> None:
-    online = pdr.OnlineFilter()
-    push(online, straight)
-    before = online.path()
-    along = before.position_m[-1] / np.linalg.norm(before.position_m[-1])
-    across = np.array([along[1], -along[0]])
-    online.add_fix(
-        PositionFix(float(straight.time_s[-1]) - 0.2, before.position_m[-1] + 6.0 * across, 0.1**2 * np.eye(2))
-    )
-    online.finish()
+    before, after, (along, across) = with_fix_at_the_end(pdr.OnlineFilter(), straight, (0.0, 6.0))
     n = before.n_steps
-    moved_m = (online.path().position_m[:n] - before.position_m[:n]) @ across
+    moved_m = (after.position_m[:n] - before.position_m[:n]) @ across
     share = before.position_m[:n] @ along / (before.position_m[-1] @ along)
     assert moved_m[-1] == pytest.approx(6.0, abs=0.5)
     assert np.all(moved_m <= share * moved_m[-1] + 0.3)  # a heading that drifts turns the end more
@@ -91,7 +84,7 @@ def test_the_last_row_is_the_position_of_now(around: ImuBlock) -> None:
         seen_s = online.now().time_s
         part = until(around, end_s)
         new = part.time_s > (seen_s if np.isfinite(seen_s) else -1.0)
-        push(online, ImuBlock(*(getattr(part, name)[new] for name in ImuBlock.__dataclass_fields__)))
+        push_part(online, ImuBlock(*(getattr(part, name)[new] for name in ImuBlock.__dataclass_fields__)))
         path, now = online.path(), online.now()
         np.testing.assert_allclose(path.position_m[-1], now.position_m, atol=1e-9)
         np.testing.assert_allclose(path.position_cov_m2[-1], now.position_cov_m2, atol=1e-9)
@@ -107,29 +100,23 @@ def rows(online: pdr.OnlineFilter) -> FloatArray:
 
 def test_the_path_does_not_depend_on_the_blocks_of_samples_and_survives_saving(around: ImuBlock) -> None:
     fixes = [PositionFix(t, (30.0 + 0.1 * t, -5.0), 2.0**2 * np.eye(2)) for t in (20.0, 40.0, 60.0)]
-    config = pdr.recipes.default().in_world_frame()
-    whole = pdr.OnlineFilter(config)
-    for fix in fixes:
-        whole.add_fix(fix)
-    push(whole, around)
-    cut = pdr.OnlineFilter(config)
-    for fix in fixes:
-        cut.add_fix(fix)
-    for number, block in enumerate(cut_randomly(around, 0)):
-        push(cut, block)
-        if number % 40 == 20:
-            cut = resumed(cut)
-    np.testing.assert_array_equal(rows(cut), rows(whole))
+    filters: list[pdr.OnlineFilter] = []
+    for blocks, n_resumed in (([around], 0), (cut_randomly(around, 0), 4)):
+        online = pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
+        for fix in fixes:
+            online.add_fix(fix)
+        filters.append(pushed(online, blocks, n_resumed=n_resumed)[0])
+    np.testing.assert_array_equal(rows(filters[1]), rows(filters[0]))
 
 
 def test_the_past_is_rotated_as_a_whole_when_the_frame_of_fixes_is_known(around: ImuBlock) -> None:
     plain, placed = pdr.OnlineFilter(), pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
-    push(plain, around)
+    push_part(plain, around)
     reckoned = plain.path()
     for t in np.arange(5.0, 60.0, 5.0):
         east_m, north_m = (np.interp(t, reckoned.time_s, axis) for axis in reckoned.position_m.T)
         placed.add_fix(PositionFix(float(t), (north_m + 100.0, -east_m), 1.0**2 * np.eye(2)))  # a quarter turn
-    push(placed, around)
+    push_part(placed, around)
     assert placed.state.pedestrian.frame.is_joined
     found = placed.path().position_m - (100.0, 0.0)
     expected = np.column_stack([reckoned.position_m[:, 1], -reckoned.position_m[:, 0]])
@@ -140,15 +127,9 @@ def test_a_path_with_an_undetermined_rotation_keeps_its_shape(straight: ImuBlock
     plain, placed = pdr.OnlineFilter(), pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
     placed.add_fix(PositionFix(10.0, (50.0, 60.0), np.eye(2)))
     for online in (plain, placed):
-        push(online, straight)
+        push_part(online, straight)
     lengths_m = [np.linalg.norm(np.diff(online.path().position_m, axis=0), axis=1) for online in (plain, placed)]
     np.testing.assert_allclose(lengths_m[1], lengths_m[0], atol=1e-6)
     path = placed.path()
     there_m = [np.interp(10.0, path.time_s, axis) for axis in path.position_m.T]
     np.testing.assert_allclose(there_m, (50.0, 60.0), atol=0.5)
-
-
-def test_there_is_no_path_on_a_floor_plan() -> None:
-    plan = pdr.FloorPlan("hall", storeys=())
-    with pytest.raises(ValueError, match="with a floor plan"):
-        pdr.OnlineFilter(plan=plan).path()

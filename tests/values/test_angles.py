@@ -69,10 +69,6 @@ def test_rotating_all_angles_rotates_their_mean(angles_rad: list[float], turn_ra
     assert np.exp(1j * turned) == pytest.approx(np.exp(1j * (circular_mean(angles) + turn_rad)), abs=1e-9)
 
 
-def test_the_mean_of_symmetric_angles_is_their_middle() -> None:
-    assert circular_mean(3.0 + np.linspace(-1, 1, 7)) == pytest.approx(3.0)
-
-
 @pytest.mark.parametrize("unknown_rad", [np.nan, np.inf, -np.inf])
 def test_an_unknown_angle_stays_nan_alone_and_in_an_array(unknown_rad: float) -> None:
     with np.errstate(invalid="ignore"):

@@ -37,37 +37,10 @@ def test_a_missing_number_is_refused_with_its_name(name: str) -> None:
         FIXES[name](None)
 
 
-@pytest.mark.parametrize("floor", [0.5, np.inf, np.nan, "first"])
-def test_a_storey_is_a_whole_number(floor: Any) -> None:
-    with pytest.raises(ValueError, match="floor"):
-        PositionFix(0.0, (0.0, 0.0), np.eye(2), floor=floor)
-
-
 def test_numbers_of_any_kind_become_floats() -> None:
     fix = SpeedFix(3, np.float32(1.5), np.array(0.25))  # type: ignore[arg-type]
     assert (fix.time_s, fix.speed_mps, fix.std_mps) == (3.0, 1.5, 0.25)
     assert all(type(value) is float for value in (fix.time_s, fix.speed_mps, fix.std_mps))
-
-
-def test_a_number_in_quotes_is_refused() -> None:
-    with pytest.raises(ValueError, match="speed_mps of SpeedFix"):
-        SpeedFix(0.0, "1.5", 0.1)  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("far_m", [1e15, 1e300, np.inf, np.nan])
-def test_a_position_beyond_all_map_grids_is_refused(far_m: float) -> None:
-    with pytest.raises(ValueError, match="position_m"):
-        PositionFix(0.0, (far_m, 0.0), np.eye(2))
-
-
-@pytest.mark.parametrize("var", [1e-300, 1e200, 0.0, np.inf, np.nan])
-def test_a_variance_whose_square_or_inverse_overflows_is_refused(var: float) -> None:
-    with pytest.raises(ValueError, match="cov_m2"):
-        PositionFix(0.0, (0.0, 0.0), [[var, 0.0], [0.0, var]])
-    with pytest.raises(ValueError, match="std_rad"):
-        HeadingFix(0.0, 0.0, var)
-    with pytest.raises(ValueError, match="accuracy_m"):
-        PositionFix.from_lat_lon(0.0, 48.0, 11.0, (48.0, 11.0), accuracy_m=var)
 
 
 def test_extreme_positions_and_variances_give_finite_tracks() -> None:

@@ -31,22 +31,3 @@ def test_the_help_of_an_option_is_the_first_sentence_of_its_description(command:
     for text in texts().values():
         # headings are in degrees on the command line
         assert text.split(". ")[0].replace("`", "").replace("in rad", "in degrees").rstrip(".") in words
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"gnss": "on"}, "gnss must be one of"),
-        ({"north": "south"}, "north must be one of"),
-        ({"start": "hall"}, "start is a position on a floor plan, got 'hall' without plan"),
-        ({"gnss": "align", "north": "magnetic"}, "both define north"),
-        ({"heading_rad": 0.1, "north": "magnetic"}, "both define north"),
-        (
-            {"heading_rad": 0.1, "origin": pdr.Origin(48.0, 11.0, turn_rad=0.1)},
-            "define the same angle: leave one of them out",
-        ),
-    ],
-)
-def test_contradicting_placement_arguments_are_refused_without_a_recording(given: dict[str, object], said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        Georeference(**given)  # type: ignore[arg-type]

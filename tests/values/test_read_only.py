@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
+from pdr_filter.values import Wifi
 
 
 def arrays_of(value: Any) -> Iterator[np.ndarray]:
@@ -31,6 +32,7 @@ def results() -> dict[str, Any]:
     walk = pdr.simulate.demo_walk()
     fixes = [pdr.PositionFix(20.0, (0.0, 10.0), np.eye(2))]
     return {
+        "recording": replace(walk, wifi=Wifi(np.zeros(1), np.zeros(1, dtype=int), np.full(1, -60.0), np.zeros(1))),
         "track": pdr.track(walk, fixes=fixes),
         "windows": pdr.classify(walk),
         "smoothed": pdr.smooth(walk, fixes),
@@ -40,7 +42,7 @@ def results() -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("name", ["track", "windows", "smoothed", "calibration", "truth", "config"])
+@pytest.mark.parametrize("name", ["recording", "track", "windows", "smoothed", "calibration", "truth", "config"])
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
 def test_a_copy_of_a_result_is_equal_and_read_only(
     results: dict[str, Any], name: str, copied: Callable[[Any], Any]

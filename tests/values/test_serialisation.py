@@ -116,17 +116,7 @@ class Foreign:
         np.zeros(2, dtype=complex),
         {1: "keys that are no strings"},
     ],
-    ids=[
-        "foreign dataclass",
-        "set",
-        "bytes",
-        "date",
-        "function",
-        "object array",
-        "table",
-        "complex array",
-        "number as key",
-    ],
+    ids=["dataclass", "set", "bytes", "date", "function", "object array", "table", "complex array", "number as key"],
 )
 def test_values_that_cannot_be_restored_are_refused(value: object) -> None:
     with pytest.raises(TypeError):

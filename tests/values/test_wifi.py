@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -55,23 +51,3 @@ def test_a_more_sensitive_phone_has_the_same_fingerprint() -> None:
 
 def test_an_address_has_the_usual_notation() -> None:
     assert address_text(0x06749C2E95EA) == "06:74:9c:2e:95:ea"
-
-
-def test_a_copy_is_also_read_only() -> None:
-    for other in (copy.deepcopy(wifi([1.0])), pickle.loads(pickle.dumps(wifi([1.0])))):
-        assert not other.time_s.flags.writeable
-        assert not other.bssid.flags.writeable
-        np.testing.assert_array_equal(other.bssid, [0])
-
-
-def test_columns_of_different_lengths_and_invalid_addresses_are_refused() -> None:
-    with pytest.raises(ValueError, match="give equal lengths"):
-        Wifi(np.zeros(2), np.zeros(1, dtype=int), np.zeros(2), np.zeros(2))
-    with pytest.raises(ValueError, match="48 bits"):
-        wifi([0.0], [1 << 48])
-
-
-@pytest.mark.parametrize("bssid", [[1.5], [np.nan], ["06:74:9c:2e:95:ea"]], ids=["fraction", "nan", "text"])
-def test_an_address_that_is_not_a_whole_number_is_refused(bssid: list[Any]) -> None:
-    with pytest.raises(ValueError, match="bssid must be whole numbers"):
-        Wifi(np.zeros(1), np.array(bssid), np.zeros(1), np.zeros(1))

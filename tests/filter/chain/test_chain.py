@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import a_step
+from helpers import a_step, push_part
 
 import pdr_filter as pdr
 from pdr_filter.filter.chain.handler import Around, FixUse, Fork, PathChanges, StepsEnd, TrackerHandler, states_of
@@ -114,14 +114,6 @@ def test_a_chain_without_path_or_plan_has_no_state_of_them() -> None:
     assert [type(part).__name__ for part in states_of(config.chain.init())][2] == "PathState"
 
 
-def test_a_filter_without_a_path_and_a_handler_that_is_no_function_are_refused_with_a_remedy() -> None:
-    config = pdr.recipes.default()
-    with pytest.raises(ValueError, match="keeps_path of the configuration is False: use"):
-        pdr.OnlineFilter(replace(config, keeps_path=False)).path()
-    with pytest.raises(ValueError, match="takes a handler, got 5: give"):
-        config.with_handler(5)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("weighting", ["imm", "hc"])
 def test_the_end_of_the_steps_makes_all_steps_final(weighting: str) -> None:
     chain = pdr.recipes.default().with_weighting(weighting).chain
@@ -159,7 +151,7 @@ def test_a_filter_with_a_handler_of_a_user_is_saved_and_continues() -> None:
     middle = len(samples.time_s) // 2
     for part in (slice(middle), slice(middle, None)):
         online = pdr.OnlineFilter.load(online.save(), config=config)
-        online.push(samples.time_s[part], samples.specific_force_mps2[part], samples.angular_rate_radps[part])
+        push_part(online, samples, part)
     online.finish()
     assert isinstance(online.state.chain, Count)
     assert online.state.chain.n_rows == online.now().n_steps > 10

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from helpers import true_position_m
 
 import pdr_filter as pdr
 from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, over_stepless
@@ -63,8 +64,7 @@ class SensedWalk:
 
     def at(self, time_s: FloatArray | float) -> FloatArray:
         """Return true positions (..., 2)."""
-        truth = self.recording.truth.position
-        return np.stack([np.interp(time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")], axis=-1)
+        return true_position_m(self.recording, time_s)
 
     def tracked(self, fixes: Sequence[Fix], config: Config | None = None, until_s: float = np.inf) -> Tracked:
         """Return the track with fixes until a time, by default in the world frame."""

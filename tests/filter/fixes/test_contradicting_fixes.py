@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers import cut_randomly, pushed
+from helpers import streamed, true_position_m
 
 import pdr_filter as pdr
 from pdr_filter.filter.fixes.fix_conflict import FixConflict
@@ -23,7 +23,7 @@ def positions(walk: Recording, axes: FloatArray) -> list[pdr.PositionFix]:
     """Position fixes with errors of 3 m along each axis, whose true positions are transformed by a matrix (2, 2)."""
     truth, rng = walk.truth.position, np.random.default_rng(0)
     times_s = np.arange(3.0, truth.time_s[-1] - 1.0, 5.0)
-    places = np.column_stack([np.interp(times_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    places = true_position_m(walk, times_s)
     places = (places + rng.normal(0.0, 3.0, places.shape)) @ axes.T
     return [pdr.PositionFix(t, p, 9.0 * np.eye(2)) for t, p in zip(times_s.tolist(), places, strict=True)]
 
@@ -68,10 +68,7 @@ def test_positions_of_another_frame_leave_the_deviation_of_a_track_in_its_own_fr
 def test_a_resumed_filter_states_the_same_deviation_in_any_blocks(walk: Recording) -> None:
     config, fixes = pdr.recipes.default(walk.subject).in_world_frame(), positions(walk, MIRRORED)
     whole = pdr.track(walk, config, fixes=fixes)
-    online = pdr.OnlineFilter(config)
-    for fix in fixes:
-        online.add_fix(fix)
-    online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 4), n_resumed=4)
+    online, updates = streamed(walk, config, fixes, seed=4, n_resumed=4)
     np.testing.assert_array_equal(updates[-1].position_cov_m2, whole.position_cov_m2[-1])
     assert set(online.notes) <= set(whole.notes)
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pymap3d
 import pytest
-from helpers import cut_randomly, pushed
+from helpers import clockwise, cut_randomly, nees_of, pushed, true_position_m
 from scipy.stats import chi2
 
 import pdr_filter as pdr
@@ -35,11 +35,6 @@ HERE = Origin(48.137, 11.575)
 TURN_RAD = 2.1
 
 
-def clockwise(angle_rad: float) -> np.ndarray:
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, s], [-s, c]])
-
-
 @pytest.fixture(scope="module")
 def bare() -> Recording:
     """Walk without locations."""
@@ -50,9 +45,7 @@ def bare() -> Recording:
 
 def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
     """Return true positions in the frame of `HERE`."""
-    truth = walk.truth.position
-    on_track = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    return on_track @ clockwise(TURN_RAD).T + [40.0, -25.0]
+    return true_position_m(walk, times) @ clockwise(TURN_RAD).T + [40.0, -25.0]
 
 
 def rows(time_s: np.ndarray, position_m: np.ndarray, accuracy_m: float = 6.0) -> Samples:
@@ -113,12 +106,6 @@ def test_metres_and_degrees_convert_both_ways_and_agree_with_pymap3d() -> None:
     np.testing.assert_array_equal(HERE.east_north_m(latitude_deg, longitude_deg), np.column_stack([east_m, north_m]))
 
 
-@pytest.mark.parametrize("place", [(91.0, 0.0), (0.0, 181.0), (np.nan, 0.0)])
-def test_an_origin_that_is_not_on_earth_is_refused(place: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="check the order of the two"):
-        Origin(*place)
-
-
 # --- locations to fixes -----------------------------------------------------------------------------------------------
 
 
@@ -153,24 +140,6 @@ def test_the_variance_of_the_mean_of_many_fixes_accounts_for_correlated_errors()
 def test_an_implausibly_small_accuracy_is_replaced_by_the_smallest_plausible_one() -> None:
     _, (fix,) = fixes_of(rows(np.zeros(1), np.zeros((1, 2)), accuracy_m=0.1))
     assert fix.cov_m2[0, 0] == pytest.approx((MIN_ACCURACY_M / RADIUS_68) ** 2)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_fixes_do_not_depend_on_the_blocks_of_locations(walk: Recording, seed: int) -> None:
-    whole_state, whole = fixes_of(walk.location)
-    rng, n = np.random.default_rng(seed), len(walk.location.time_s)
-    cuts = [0, *np.sort(rng.integers(0, n, size=9)).tolist(), n]
-    state, fixes = LocationState(), []
-    for a, b in pairwise(cuts):
-        latitude_deg, longitude_deg, _, accuracy_m = walk.location.values[a:b].T
-        state, new = position_fixes(state, walk.location.time_s[a:b], latitude_deg, longitude_deg, accuracy_m)
-        fixes += new
-    assert state == whole_state
-    assert len(fixes) == len(whole) > 5
-    for one, other in zip(fixes, whole, strict=True):
-        assert one.time_s == other.time_s
-        np.testing.assert_array_equal(one.position_m, other.position_m)
-        np.testing.assert_array_equal(one.cov_m2, other.cov_m2)
 
 
 BAD = {
@@ -217,9 +186,8 @@ def test_a_track_with_locations_lies_where_the_person_walked(walk: Recording, we
     assert np.median(error_m) < 5.0  # a location has an error of 4 m
     assert error_m.max() < 12.0
     assert track.frame == "fixes"
-    squared = in_frame_of_here(track) - truth_m(walk, track.time_s)
-    nees = np.einsum("ka,kab,kb->k", squared, np.linalg.inv(track.position_cov_m2), squared)
-    assert nees.max() < chi2.isf(1e-3, 2)
+    error = in_frame_of_here(track) - truth_m(walk, track.time_s)
+    assert nees_of(error, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
 
 
 def test_the_origin_contains_rotation_and_position_of_the_track_with_standard_deviations(
@@ -245,11 +213,9 @@ def test_after_one_location_the_origin_has_an_unknown_rotation(bare: Recording) 
 def test_after_the_last_location_the_track_continues_in_the_world_frame(bare: Recording) -> None:
     track = pdr.track(located(bare, until_s=45.0))
     late = track.time_s > 60.0
-    error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(bare, track.time_s), axis=1)[late]
-    assert np.median(error_m) < 10.0
-    nees = (in_frame_of_here(track) - truth_m(bare, track.time_s))[late]
-    nees = np.einsum("ka,kab,kb->k", nees, np.linalg.inv(track.position_cov_m2[late]), nees)
-    assert nees.max() < chi2.isf(1e-3, 2)
+    error = (in_frame_of_here(track) - truth_m(bare, track.time_s))[late]
+    assert np.median(np.linalg.norm(error, axis=1)) < 10.0
+    assert nees_of(error, track.position_cov_m2[late]).max() < chi2.isf(1e-3, 2)
 
 
 def test_missing_and_disabled_locations_give_identical_tracks(walk: Recording, alone: pdr.Track) -> None:
@@ -262,13 +228,16 @@ def test_missing_and_disabled_locations_give_identical_tracks(walk: Recording, a
         assert track.notes == alone.notes
 
 
-def test_unusable_locations_do_not_change_the_track_and_are_reported(walk: Recording, alone: pdr.Track) -> None:
+@pytest.mark.parametrize(("asked", "accuracy_m"), [({}, -1.0), ({"gnss": "align"}, np.nan)], ids=["filter", "align"])
+def test_unusable_locations_do_not_change_the_track_and_are_reported(
+    walk: Recording, alone: pdr.Track, asked: dict[str, Any], accuracy_m: float
+) -> None:
     values = walk.location.values.copy()
-    values[:, 3] = -1.0
-    track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
+    values[:, 3] = accuracy_m
+    track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)), **asked)
     np.testing.assert_array_equal(track.position_m, alone.position_m)
     np.testing.assert_array_equal(track.position_cov_m2, alone.position_cov_m2)
-    assert (track.origin, track.frame) == (None, "start")
+    assert (track.origin, track.frame, track.fixes) == (None, "start", ())
     n = len(values)
     assert any(f"{n} of {n} locations are not used" in note for note in track.notes)
 
@@ -293,33 +262,11 @@ def test_of_unordered_locations_those_in_order_of_time_are_used(walk: Recording)
         assert any("locations are not used" in note for note in track.notes)
 
 
-def test_locations_frozen_for_minutes_do_not_hold_back_a_walking_pedestrian(walk: Recording) -> None:
-    """The phone repeats one location, from some time on or from the start."""
-    for held_s in (lambda t: t > 40.0, lambda t: t < 40.0):
-        values = walk.location.values.copy()
-        is_held = held_s(walk.location.time_s)
-        values[is_held] = values[is_held][0]
-        track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
-        error = in_frame_of_here(track) - truth_m(walk, track.time_s)
-        nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
-        assert np.mean(nees < chi2.isf(1e-3, 2)) > 0.9
-        assert np.linalg.norm(error, axis=1).max() < 60.0
-        assert any(fix.outcome == "frozen" for fix in track.fixes)
-
-
-def test_a_first_location_a_kilometre_away_is_outvoted(walk: Recording) -> None:
-    values = walk.location.values.copy()
-    values[0, 0] += 0.009
-    track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
-    error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
-    assert np.median(error_m) < 6.0
-
-
 def test_a_hundred_locations_with_a_common_error_do_not_count_as_a_hundred(bare: Recording) -> None:
     time_s = np.arange(1.3, bare.duration_s)
     shifted = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s) + np.array([9.0, 0.0]))))
     error = in_frame_of_here(shifted) - truth_m(bare, shifted.time_s)
-    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(shifted.position_cov_m2), error)
+    nees = nees_of(error, shifted.position_cov_m2)
     # the locations cover some correlation times, but contain less information than two independent ones
     assert np.median(nees) < 2 * 9.0**2 / (6.0 / RADIUS_68) ** 2
 
@@ -364,8 +311,7 @@ def test_an_aligned_track_is_dead_reckoning_after_a_rotation_and_a_shift(walk: R
     np.testing.assert_array_equal(track.step_length_m, alone.step_length_m)
     error = in_frame_of_here(track) - truth_m(walk, track.time_s)
     assert np.linalg.norm(error, axis=1).max() < 12.0
-    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
-    assert nees.max() < chi2.isf(1e-3, 2)
+    assert nees_of(error, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
     assert np.linalg.eigvalsh(track.position_cov_m2).min() > 0
     assert track.frame == "fixes"
     assert {fix.outcome for fix in track.fixes} == {"turned"}
@@ -393,8 +339,7 @@ def test_one_or_two_locations_place_any_track_and_leave_north_unknown(
     side = [np.linalg.norm(t.position_m[-1] - t.position_m[0]) for t in (track, alone)]
     assert side[0] == pytest.approx(side[1], rel=1e-9)
     error = in_frame_of_here(track) - truth_m(bare, track.time_s)
-    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
-    assert nees.max() < chi2.isf(1e-3, 2)
+    assert nees_of(error, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
     assert any("do not determine the rotation of the track (±" in note for note in track.notes)
 
 
@@ -416,15 +361,6 @@ def test_locations_that_determine_the_rotation_give_north_without_a_note(bare: R
     assert track.knows_north
     assert track.origin.turn_std_rad < 0.26
     assert not any("rotation of the track" in note for note in track.notes)
-
-
-def test_unusable_locations_do_not_align_a_track(walk: Recording, alone: pdr.Track) -> None:
-    values = walk.location.values.copy()
-    values[:, 3] = np.nan
-    track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)), gnss="align")
-    np.testing.assert_array_equal(track.position_m, alone.position_m)
-    assert (track.origin, track.frame, track.fixes) == (None, "start", ())
-    assert any(f"{len(values)} of {len(values)} locations are not used" in note for note in track.notes)
 
 
 # --- contradictions ---------------------------------------------------------------------------------------------------

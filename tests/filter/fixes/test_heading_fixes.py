@@ -1,16 +1,16 @@
 """Heading fixes: the first one determines the north of a track, later ones correct it or are rejected."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import cut_randomly, pushed
+from helpers import OfHeading, streamed
 
 import pdr_filter as pdr
 from pdr_filter import HeadingFix, PositionFix
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import Fix, FloatArray, wrap_angle
+from pdr_filter.values import Fix, wrap_angle
 from pdr_filter.values.recording import Recording
 
 NORTH_RAD = (math.radians(45), math.radians(90), math.radians(180))
@@ -47,10 +47,7 @@ def test_the_first_heading_fix_rotates_the_whole_track_online_and_smoothed(
 def test_a_filter_that_is_cut_saved_and_resumed_places_the_track_by_the_same_heading_fix(walk: Recording) -> None:
     fixes = headings(2.0)
     whole = pdr.track(walk, fixes=fixes)
-    online = pdr.OnlineFilter(pdr.recipes.default(walk.subject))
-    for fix in fixes:
-        online.add_fix(fix)
-    online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 3), n_resumed=6)
+    online, updates = streamed(walk, pdr.recipes.default(walk.subject), fixes, seed=3, n_resumed=6)
     frame = online.state.pedestrian.frame
     assert frame.name == whole.frame == "heading fixes"
     np.testing.assert_array_equal([u.in_frame(frame).position_m for u in updates], whole.position_m)
@@ -58,23 +55,10 @@ def test_a_filter_that_is_cut_saved_and_resumed_places_the_track_by_the_same_hea
     np.testing.assert_allclose(online.path().position_m[-1], whole.position_m[-1], atol=1e-9)
 
 
-@dataclass(frozen=True)
-class _OfHeading:
-    """Measurement of the walking heading by a user-defined class."""
-
-    time_s: float
-    heading_rad: float
-    received_time_s: float | None = None
-
-    def measurement(self, position_m: FloatArray, heading_rad: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        error = float(wrap_angle(heading_rad - self.heading_rad))
-        return np.array([error]), np.array([[0.0, 0.0, 1.0]]), np.array([[0.1**2]])
-
-
 @pytest.mark.parametrize("off_rad", [math.pi / 2, -math.pi / 2, math.pi])
-@pytest.mark.parametrize("kind", [lambda t, z: HeadingFix(t, z, 0.1), _OfHeading])
+@pytest.mark.parametrize("kind", [lambda t, z: HeadingFix(t, z, 0.1), OfHeading])
 def test_a_heading_that_is_90_degrees_off_is_rejected_because_the_pedestrian_does_not_walk_sideways(
-    walk: Recording, off_rad: float, kind: type[_OfHeading]
+    walk: Recording, off_rad: float, kind: type[OfHeading]
 ) -> None:
     track = pdr.track(walk, fixes=[HeadingFix(10.0, 0.3, 0.1), kind(15.0, 0.3 + off_rad)])
     assert [f.outcome for f in track.fixes] == ["used", "rejected"]
@@ -146,9 +130,7 @@ def test_the_first_heading_fix_after_a_lost_heading_rotates_the_whole_track_onli
     assert abs(wrap_angle(turned_rad[0] + alone.walking_heading_rad[-1] - heading_rad)) < 0.3
     at_gap = np.flatnonzero(first_leg)[-1]
     assert track.position_std_m[at_gap] > 0.7 * np.linalg.norm(track.position_m[at_gap])
-    online = pdr.OnlineFilter(pdr.recipes.default(walk.subject))
-    online.add_fix(fix)
-    online, updates = pushed(online, cut_randomly(pdr.merge_streams(walk), 5), n_resumed=4)
+    online, updates = streamed(walk, pdr.recipes.default(walk.subject), [fix], seed=5, n_resumed=4)
     frame = online.state.pedestrian.frame
     np.testing.assert_array_equal([u.in_frame(frame).position_m for u in updates], track.position_m)
     path = online.path()

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
+from helpers import clockwise, push_part, true_position_m
 
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing.observations import Observations
@@ -42,11 +43,9 @@ def walk() -> pdr.Recording:
 
 def poses(walk: pdr.Recording) -> list[tuple[float, float, float]]:
     """True positions and walking directions at four times, in a rotated and shifted frame."""
-    path = walk.truth.position
-    rotation = np.array([[np.cos(ANGLE_RAD), np.sin(ANGLE_RAD)], [-np.sin(ANGLE_RAD), np.cos(ANGLE_RAD)]])
 
     def at(time_s: float) -> FloatArray:
-        return rotation @ [np.interp(time_s, path.time_s, path[axis]) for axis in ("east_m", "north_m")] + SHIFT_M
+        return clockwise(ANGLE_RAD) @ true_position_m(walk, time_s) + SHIFT_M
 
     ways = [at(t + 0.5) - at(t - 0.5) for t in TIMES_S]
     return [(*at(t).tolist(), float(np.arctan2(*way))) for t, way in zip(TIMES_S, ways, strict=True)]
@@ -126,9 +125,8 @@ def test_the_fixes_of_a_linear_measurement_have_its_least_squares_pose() -> None
 def test_an_added_fix_returns_its_outcome_or_that_it_waits(walk: pdr.Recording) -> None:
     samples = pdr.merge_streams(walk)
     online = pdr.OnlineFilter(pdr.recipes.default(walk.subject).in_world_frame())
-    columns = samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps
     n = int(np.searchsorted(samples.time_s, 30.0))
-    online.push(*(column[:n] for column in columns))
+    push_part(online, samples, slice(n))
     (a, b, c, d), cov = poses(walk), 0.04 * np.eye(2)
     times_s = dict(zip((a, b, c, d), TIMES_S, strict=True))
     added = [online.add_fix(pdr.PositionFix(times_s[p], p[:2], cov)) for p in (a, b, c)]
@@ -139,7 +137,7 @@ def test_an_added_fix_returns_its_outcome_or_that_it_waits(walk: pdr.Recording) 
     wrong = online.add_fix(pdr.PositionFix(25.0, np.array([900.0, 0.0]), cov))
     assert wrong.outcome == "rejected" and wrong.nis > online.config.model.fix_gate_nis
     resumed = pdr.OnlineFilter.load(before)
-    resumed.push(*(column[n:] for column in columns))
+    push_part(resumed, samples, slice(n, None))
     resumed.finish()
     assert [each.outcome for each in resumed.state.last.fixes] == ["placed", "turned", "turned", "repeated", "turned"]
     np.testing.assert_equal(resumed.state.last.fixes[2].nis, added[2].nis)

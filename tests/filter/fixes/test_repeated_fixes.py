@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import part_of, resumed
+from helpers import push_part, resumed, true_position_m
 
 import pdr_filter as pdr
 from pdr_filter.filter.pedestrian.repeated_fixes import FixMemory, repetitions
@@ -89,9 +89,8 @@ def test_an_equal_position_is_new_only_if_the_person_can_have_returned(
 
 
 def fixes_of(walk: pdr.Recording, rng: np.random.Generator) -> list[Any]:
-    truth = walk.truth.position
     times = np.arange(5.0, walk.duration_s - 2.0, 6.0)
-    places = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    places = true_position_m(walk, times)
     fixes: list[Any] = []
     for t, place in zip(times.tolist(), places, strict=True):
         anchor = np.array([30.0, 5.0])
@@ -122,8 +121,7 @@ def test_a_filter_that_is_saved_still_knows_which_fixes_it_has_seen() -> None:
     block = pdr.merge_streams(pdr.simulate.demo_walk())
     fix = PositionFix(10.0, np.array([0.5, 8.0]), np.eye(2))
     for part in (slice(0, 1800), slice(1800, 2000)):
-        samples = part_of(block, part)
-        online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps)
+        push_part(online, block, part)
         online = resumed(online)
         online.add_fix(fix)
     online.finish()

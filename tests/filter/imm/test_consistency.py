@@ -6,7 +6,7 @@ A smaller version of `tests/benchmarks/consistency.py`, whose figures are in doc
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -25,40 +25,7 @@ from tests.benchmarks.consistency import (
     a_step,
     errors_of_walks,
     own_model,
-    said_of,
-    simulated_walk,
 )
-
-# --- the simulation itself ------------------------------------------------------------------------------------------
-
-
-def test_the_simulated_classifier_is_calibrated() -> None:
-    """Among windows with probability p for a context, the share p has this context."""
-    rng = np.random.default_rng(0)
-    truth = rng.integers(0, len(CONTEXTS), 8000)
-    for overlapping in (False, True):
-        time_s = np.arange(1.0, len(truth) + 1.0)
-        windows = said_of(truth, time_s, rng, overlapping)
-        of = truth[np.searchsorted(time_s, [w.time_s - overlapping for w in windows])]
-        prob = np.stack([w.prob for w in windows])
-        hit = of[:, None] == np.arange(len(CONTEXTS))
-        for low, high in ((0.0, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.0)):
-            inside = (prob >= low) & (prob < high)
-            assert hit[inside].mean() == pytest.approx(prob[inside].mean(), abs=0.03)
-
-
-def test_the_distance_of_a_simulated_walk_agrees_with_its_modes() -> None:
-    """Without the step scale, the distance is within four standard deviations of the summed lengths of the modes."""
-    model = own_model()
-    still = replace(model, noise=replace(model.noise, log_scale_std=0.0, log_scale_drift_per_sqrt_step=0.0))
-    walk = simulated_walk(still, 3000, np.random.default_rng(3), redrawn=True)
-    moved_m = np.linalg.norm(np.diff(walk.state[:, :2], axis=0), axis=1)
-    expected = np.array([model.modes[m].step_length.predict(s) for m, s in zip(walk.modes, walk.steps, strict=True)])
-    moving = np.array([model.modes[m].context != "stationary" for m in walk.modes])[1:]
-    error_m = (moved_m - expected[1:, 0])[moving].sum()
-    assert abs(error_m) < 4 * np.sqrt(expected[1:, 1][moving].sum())
-    assert len(set(walk.modes)) == len(CONTEXTS)
-
 
 # --- NEES and NIS ---------------------------------------------------------------------------------------------------
 
@@ -92,22 +59,6 @@ def test_the_whole_state_is_nearly_consistent(mixed: Errors) -> None:
 def test_ellipses_contain_their_nominal_share_of_the_positions(mixed: Errors) -> None:
     for prob, allowed in ((0.5, 0.06), (0.95, 0.03)):
         assert (mixed.position < chi2.ppf(prob, 2)).mean() == pytest.approx(prob, abs=allowed)
-
-
-def test_an_overconfident_filter_fails_these_tests() -> None:
-    model = own_model()
-    noise = model.noise
-    sure = replace(
-        model,
-        noise=replace(
-            noise,
-            log_scale_std=noise.log_scale_std / 2,
-            initial_heading_offset_std_rad=noise.initial_heading_offset_std_rad / 2,
-        ),
-    )
-    errors = errors_of_walks(model, sure, 60, 40, check_every=40, fix_every=40, fix_std_m=1.0)
-    assert errors.position.mean() > mean_bounds(2, 60)[1]
-    assert errors.fixes.mean() > mean_bounds(2, 60)[1]
 
 
 # --- a long time ----------------------------------------------------------------------------------------------------

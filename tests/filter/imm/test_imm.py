@@ -4,12 +4,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from filterpy.kalman import IMMEstimator, KalmanFilter
-from filterpy.kalman import update as filterpy_update
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.stats import multivariate_normal
 
-from pdr_filter.filter.imm.imm import check_transition_prob, mix, mixed_values, predict, smoothed_mode_prob, update
+from pdr_filter.filter.imm.imm import mix, mixed_values, predict, smoothed_mode_prob, update
 from pdr_filter.values.mixtures import combine, posterior_prob
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -79,27 +77,6 @@ def test_a_hundred_steps_agree_with_filterpy(n_modes: int) -> None:
     assert len(visited) > 1  # the test needs a problem with mode switches
 
 
-@settings(max_examples=50, deadline=None)
-@given(seed=SEEDS, n=st.integers(1, 5), d=st.integers(1, 3))
-def test_the_update_is_the_kalman_update(seed: int, n: int, d: int) -> None:
-    rng = np.random.default_rng(seed)
-    mean, cov = rng.normal(size=(3, n)), random_cov(rng, n, 3)
-    H_, [R_], z = rng.normal(size=(d, n)), random_cov(rng, d), rng.normal(size=d)
-    updated_mean, updated_cov, log_likelihood, nis = update(mean, cov, z, H_, R_)
-    for j in range(3):
-        S = H_ @ cov[j] @ H_.T + R_
-        K = cov[j] @ H_.T @ np.linalg.inv(S)
-        y = z - H_ @ mean[j]
-        np.testing.assert_allclose(updated_mean[j], mean[j] + K @ y, atol=1e-9)
-        np.testing.assert_allclose(updated_cov[j], (np.eye(n) - K @ H_) @ cov[j], atol=1e-9)
-        assert log_likelihood[j] == pytest.approx(multivariate_normal(H_ @ mean[j], S).logpdf(z), abs=1e-8)
-        assert nis[j] == pytest.approx(y @ np.linalg.inv(S) @ y, abs=1e-8)
-        # its log likelihood cannot be compared, because it is evaluated at the updated mean
-        x, P, *_ = filterpy_update(mean[j], cov[j], z, R_, H_, return_all=True)
-        np.testing.assert_allclose(updated_mean[j], x, atol=1e-9)
-        np.testing.assert_allclose(updated_cov[j], P, atol=1e-9)
-
-
 def test_a_thousand_precise_updates_leave_the_covariance_symmetric_and_positive() -> None:
     rng = np.random.default_rng(0)
     mean, cov = np.zeros((1, 4)), np.tile(np.diag([1e6, 1e6, 1.0, 1e-4]), (1, 1, 1))
@@ -111,98 +88,7 @@ def test_a_thousand_precise_updates_leave_the_covariance_symmetric_and_positive(
         assert np.linalg.eigvalsh(0.5 * (cov[0] + cov[0].T)).min() >= 0
 
 
-@settings(max_examples=30, deadline=None)
-@given(seed=SEEDS)
-def test_the_linear_prediction_is_that_of_each_mode(seed: int) -> None:
-    mean, cov, _, _ = random_modes(seed)
-    rng = np.random.default_rng(seed)
-    F_, Q = rng.normal(size=(4, 3, 3)), random_cov(rng, 3, 4)
-    predicted_mean, predicted_cov = predict(mean, cov, F_, Q)
-    for j in range(4):
-        np.testing.assert_allclose(predicted_mean[j], F_[j] @ mean[j], atol=1e-12)
-        np.testing.assert_allclose(predicted_cov[j], F_[j] @ cov[j] @ F_[j].T + Q[j], atol=1e-12)
-
-
-# --- mode probabilities ---------------------------------------------------------------------------------------------
-
-
-def test_two_modes_without_evidence_decay_to_the_stationary_probabilities_in_closed_form() -> None:
-    a, b = 0.1, 0.3  # leaving mode 0, leaving mode 1
-    M = np.array([[1 - a, a], [b, 1 - b]])
-    prob = np.array([1.0, 0.0])
-    mean, cov = np.zeros((2, 1)), np.ones((2, 1, 1))
-    for k in range(1, 20):
-        mean, cov, prob = mix(mean, cov, prob, M)
-        prob = posterior_prob(prob, np.zeros(2))
-        expected = b / (a + b) + (1 - b / (a + b)) * (1 - a - b) ** k
-        np.testing.assert_allclose(prob, [expected, 1 - expected], atol=1e-12)
-
-
-def test_the_transition_matrix_is_read_from_row_to_column() -> None:
-    M = np.array([[0.6, 0.4], [0.0, 1.0]])  # mode 1 has no transitions to others
-    _, _, predicted = mix(np.zeros((2, 1)), np.ones((2, 1, 1)), np.array([0.5, 0.5]), M)
-    np.testing.assert_allclose(predicted, [0.3, 0.7])
-
-
 # --- mixing and combining -------------------------------------------------------------------------------------------
-
-
-def literal_mix(mean: np.ndarray, cov: np.ndarray, prob: np.ndarray, M: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mixing by Blom and Bar-Shalom, written as loops."""
-    n_modes, n = mean.shape
-    mixed_mean, mixed_cov = np.zeros((n_modes, n)), np.zeros((n_modes, n, n))
-    for j in range(n_modes):
-        c_j = sum(M[i, j] * prob[i] for i in range(n_modes))
-        for i in range(n_modes):
-            mixed_mean[j] += M[i, j] * prob[i] / c_j * mean[i]
-        for i in range(n_modes):
-            y = mean[i] - mixed_mean[j]
-            mixed_cov[j] += M[i, j] * prob[i] / c_j * (cov[i] + np.outer(y, y))
-    return mixed_mean, mixed_cov
-
-
-@settings(max_examples=50, deadline=None)
-@given(seed=SEEDS, n_modes=st.integers(2, 6))
-def test_mixing_equals_its_equations_written_as_loops(seed: int, n_modes: int) -> None:
-    mean, cov, prob, M = random_modes(seed, n_modes)
-    mixed_mean, mixed_cov, predicted = mix(mean, cov, prob, M)
-    expected_mean, expected_cov = literal_mix(mean, cov, prob, M)
-    np.testing.assert_allclose(mixed_mean, expected_mean, atol=1e-10)
-    np.testing.assert_allclose(mixed_cov, expected_cov, atol=1e-10)
-    np.testing.assert_allclose(predicted, prob @ M, atol=1e-14)
-
-
-@settings(max_examples=50, deadline=None)
-@given(seed=SEEDS, n_modes=st.integers(1, 6))
-def test_mixing_keeps_the_combined_mean_and_covariance(seed: int, n_modes: int) -> None:
-    """The law of total expectation and of total covariance."""
-    mean, cov, prob, M = random_modes(seed, n_modes)
-    before = combine(mean, cov, prob)
-    after = combine(*mix(mean, cov, prob, M))
-    np.testing.assert_allclose(after[0], before[0], atol=1e-10)
-    np.testing.assert_allclose(after[1], before[1], atol=1e-10)
-
-
-@settings(max_examples=30, deadline=None)
-@given(seed=SEEDS)
-def test_the_order_of_the_modes_only_permutes_the_results(seed: int) -> None:
-    mean, cov, prob, M = random_modes(seed)
-    order = np.random.default_rng(seed).permutation(4)
-    straight = mix(mean, cov, prob, M)
-    permuted = mix(mean[order], cov[order], prob[order], M[np.ix_(order, order)])
-    for a, b in zip(permuted, straight, strict=True):
-        np.testing.assert_allclose(a, b[order], atol=1e-10)
-    for a, b in zip(combine(mean[order], cov[order], prob[order]), combine(mean, cov, prob), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-10)
-
-
-def test_a_mode_that_cannot_be_reached_keeps_its_own_estimate() -> None:
-    mean, cov, _, _ = random_modes(1, 3)
-    M = np.array([[0.5, 0.5, 0.0], [0.5, 0.5, 0.0], [0.0, 0.0, 1.0]])
-    mixed_mean, mixed_cov, predicted = mix(mean, cov, np.array([0.4, 0.6, 0.0]), M)
-    np.testing.assert_array_equal(mixed_mean[2], mean[2])
-    np.testing.assert_allclose(mixed_cov[2], cov[2], atol=1e-14)
-    assert predicted[2] == 0.0
 
 
 @settings(max_examples=20, deadline=None)
@@ -224,30 +110,6 @@ def test_no_function_modifies_its_input() -> None:
     combine(mean, cov, prob)
     for array, copy in zip((mean, cov, prob, M), copies, strict=True):
         np.testing.assert_array_equal(array, copy)
-
-
-# --- checks ---------------------------------------------------------------------------------------------------------
-
-
-def test_a_good_transition_matrix_passes() -> None:
-    check_transition_prob(TRANSITIONS[3], 3)
-
-
-@pytest.mark.parametrize(
-    ("transition_prob", "message"),
-    [
-        (TRANSITIONS[3].T, "transpose"),
-        (np.array([[1.1, -0.1], [0.5, 0.5]]), "rows"),
-        (np.array([[np.nan, 1.0], [0.5, 0.5]]), "rows"),
-        (np.ones((1, 2)) / 2, "must be"),
-        (np.eye(4), "must be"),
-    ],
-    ids=["transposed", "negative", "nan", "not square", "too many"],
-)
-def test_a_wrong_transition_matrix_is_refused(transition_prob: np.ndarray, message: str) -> None:
-    n_modes = 2 if transition_prob.shape != (3, 3) else 3
-    with pytest.raises(ValueError, match=message):
-        check_transition_prob(transition_prob, n_modes)
 
 
 # --- many pedestrians at once -----------------------------------------------------------------------------------------
@@ -296,7 +158,5 @@ def test_smoothed_mode_probabilities_are_those_of_the_exact_forward_backward_alg
     np.testing.assert_array_equal(smoothed_mode_prob(np.array(filtered), T, 0), filtered)
 
 
-def test_a_negative_lag_is_refused_and_an_empty_input_stays_empty() -> None:
-    with pytest.raises(ValueError, match="lag is a number of steps and must be 0 or more, got -1"):
-        smoothed_mode_prob(np.ones((2, 1)), np.ones((1, 1)), -1)
+def test_smoothing_of_no_steps_gives_no_steps() -> None:
     assert smoothed_mode_prob(np.empty((0, 2)), np.eye(2), 3).shape == (0, 2)

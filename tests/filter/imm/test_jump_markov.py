@@ -4,7 +4,7 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from filterpy.kalman import IMMEstimator, KalmanFilter, rts_smoother
+from filterpy.kalman import rts_smoother
 
 import pdr_filter as pdr
 from pdr_filter.imm import JumpMarkovModel, update
@@ -91,22 +91,6 @@ def test_the_filter_is_exact_for_the_first_measurement(model: JumpMarkovModel) -
     assert float(found.log_likelihood) == pytest.approx(log_likelihood, abs=1e-12)
 
 
-def test_the_filter_agrees_with_filterpy(model: JumpMarkovModel) -> None:
-    _, _, z = drawn(model, 60, np.random.default_rng(2))
-    filters = []
-    for m in range(2):
-        kalman = KalmanFilter(2, 1)
-        kalman.F, kalman.Q, kalman.H, kalman.R = F[m], Q[m], H, R
-        kalman.x, kalman.P = START[:, None], START_COV.copy()
-        filters.append(kalman)
-    oracle, expected = IMMEstimator(filters, np.array([0.5, 0.5]), TRANSITIONS), []
-    for each in z:
-        oracle.predict()
-        oracle.update(each[:, None])
-        expected.append(oracle.x[:, 0].copy())
-    np.testing.assert_allclose(model.filter(z, START, START_COV).mean, expected, atol=1e-9)
-
-
 def test_one_mode_is_the_rauch_tung_striebel_smoother() -> None:
     alone = JumpMarkovModel(F[1:], Q[1:], H, R, [[1.0]])
     rng = np.random.default_rng(3)
@@ -168,23 +152,6 @@ def test_update_takes_measurement_matrix_and_noise_of_each_mode() -> None:
         alone = update(mean[:, m : m + 1], cov[:, m : m + 1], z[:, m], h[m], np.broadcast_to(r[m], (5, 2, 2)))
         for found, expected in zip(together, alone, strict=True):
             np.testing.assert_allclose(found[:, m : m + 1], expected, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"F": F[0]}, r"F must be \(M, n, n\).*np.stack"),
-        ({"Q": Q[:1]}, r"Q must have the shape \(2, 2, 2\).*a matrix for each mode"),
-        ({"R": [[np.nan]]}, "R must contain finite numbers"),
-        ({"transition_prob": [[0.5, 0.2], [0.1, 0.9]]}, "must sum to 1"),
-    ],
-)
-def test_matrices_that_do_not_fit_are_refused(change: dict[str, np.ndarray], message: str) -> None:
-    given = {"F": F, "Q": Q, "H": H, "R": R, "transition_prob": TRANSITIONS} | change
-    with pytest.raises(ValueError, match=message):
-        JumpMarkovModel(**given)
-    with pytest.raises(ValueError, match=r"z must have the shape \(T, ..., 1\)"):
-        JumpMarkovModel(F, Q, H, R, TRANSITIONS).filter(np.zeros(5), START, START_COV)
 
 
 def test_the_module_is_found_by_dir() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import cut_randomly, pushed
+from helpers import nees_of, streamed, true_position_m
 from scipy.stats import chi2
 
 import pdr_filter as pdr
@@ -50,16 +50,11 @@ def walk(whole: Recording) -> Recording:
     return without(whole, in_gap)
 
 
-def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
-    truth = walk.truth.position
-    return np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-
-
 def fixes_of(walk: Recording) -> list[PositionFix]:
     """Return one fix in twelve seconds, none near the gap."""
     times = np.arange(3.0, walk.duration_s - 4.0, 12.0)
     errors = np.random.default_rng(2).normal(scale=FIX_STD_M, size=(len(times), 2))
-    places = truth_m(walk, times) + errors
+    places = true_position_m(walk, times) + errors
     return [PositionFix(float(t), place, FIX_STD_M**2 * np.eye(2)) for t, place in zip(times, places, strict=True)]
 
 
@@ -68,8 +63,7 @@ def tracked(walk: Recording, fixes: list[PositionFix | HeadingFix], weighting: s
 
 
 def nees(walk: Recording, time_s: np.ndarray, position_m: np.ndarray, cov_m2: np.ndarray) -> np.ndarray:
-    error = position_m - truth_m(walk, time_s)
-    return np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov_m2), error)
+    return nees_of(position_m - true_position_m(walk, time_s), cov_m2)
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
@@ -81,7 +75,7 @@ def test_fixes_after_a_lost_heading_rotate_the_track_which_stays_inside_its_elli
     assert after[0] == "turned"
     assert "rejected" not in after
     assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
-    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)
+    error_m = np.linalg.norm(track.position_m - true_position_m(walk, track.time_s), axis=1)
     assert error_m[track.time_s > GAP_END_S + 40.0].max() < 8.0
 
 
@@ -90,14 +84,14 @@ def test_a_heading_fix_after_a_lost_heading_rotates_the_track_at_once(walk: Reco
     track = tracked(walk, sorted([*fixes_of(walk), heading], key=lambda fix: fix.time_s))
     assert next(fix.outcome for fix in track.fixes if fix.time_s == heading.time_s) == "used"
     soon = (track.time_s > 108.0) & (track.time_s < 125.0)
-    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)
+    error_m = np.linalg.norm(track.position_m - true_position_m(walk, track.time_s), axis=1)
     assert error_m[soon].max() < 12.0
     assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
 
 
 def test_a_smoothed_track_is_accurate_also_before_the_fixes_that_determine_the_rotation(walk: Recording) -> None:
     found = pdr.smooth(walk, fixes_of(walk)).track
-    error_m = np.linalg.norm(found.position_m - truth_m(walk, found.time_s), axis=1)
+    error_m = np.linalg.norm(found.position_m - true_position_m(walk, found.time_s), axis=1)
     assert error_m.max() < 6.0
     assert nees(walk, found.time_s, found.position_m, found.position_cov_m2).max() < chi2.isf(1e-3, 2)
 
@@ -107,13 +101,8 @@ def test_a_reopened_rotation_does_not_depend_on_the_blocks_of_samples(walk: Reco
     config = recipes.default(walk.subject)
     config = config.in_world_frame() if is_in_world else config
     tracks = []
-    for seed in (None, 2):
-        online = pdr.OnlineFilter(config)
-        for fix in fixes_of(walk):
-            online.add_fix(fix)
-        block = pdr.merge_streams(walk)
-        blocks = [block] if seed is None else cut_randomly(block, seed)
-        _, updates = pushed(online, blocks, n_resumed=5 if seed == 2 else 0)
+    for seed, n_resumed in ((1, 0), (2, 5)):
+        _, updates = streamed(walk, config, fixes_of(walk), seed, n_resumed)
         tracks.append(np.array([u.position_m for u in updates]).tobytes())
     assert tracks[0] == tracks[1]
 
@@ -139,7 +128,7 @@ def test_fixes_that_contradict_the_position_of_a_lost_heading_for_long_relocate_
     assert moved > GAP_END_S + 60.0
     (note,) = (note for note in track.notes if "the track was moved by" in note)
     assert "," not in note.partition("the track was moved by ")[2].partition(" m")[0]  # once
-    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s) - FAR_M, axis=1)
+    error_m = np.linalg.norm(track.position_m - true_position_m(walk, track.time_s) - FAR_M, axis=1)
     after = track.time_s > moved + 2.0
     assert error_m[after].max() < 21.0
     assert worst_std_m(track.position_cov_m2[after]).max() < 21.0  # the direction since the last fix is unknown
@@ -148,12 +137,12 @@ def test_fixes_that_contradict_the_position_of_a_lost_heading_for_long_relocate_
 def test_a_fix_at_the_start_of_a_gap_has_little_information_about_the_position_at_its_end(whole: Recording) -> None:
     walk = without(whole, lambda time_s: (time_s > 97.0) & (time_s < 117.0))
     fixes = [fix for fix in fixes_of(walk) if fix.time_s < 97.0]
-    late = PositionFix(99.0, truth_m(walk, np.array([99.0]))[0], FIX_STD_M**2 * np.eye(2))
+    late = PositionFix(99.0, true_position_m(walk, 99.0), FIX_STD_M**2 * np.eye(2))
     track = tracked(walk, [*fixes, late])
     first = int(np.searchsorted(track.time_s, 117.0))
     std_m = np.sqrt(np.linalg.eigvalsh(track.position_cov_m2[first])[0])
     assert 12.0 < std_m < 25.0  # 18 s at a metre a second
-    known = tracked(walk, [*fixes, replace(late, time_s=116.9, position_m=truth_m(walk, np.array([116.9]))[0])])
+    known = tracked(walk, [*fixes, replace(late, time_s=116.9, position_m=true_position_m(walk, 116.9))])
     assert np.sqrt(np.linalg.eigvalsh(known.position_cov_m2[first])[0]) < 5.0
 
 
@@ -183,19 +172,19 @@ def test_fixes_in_the_start_frame_rotate_the_track_after_a_lost_heading(weightin
     assert track.frame == "start"
     assert all(fix.outcome in ("used", "turned") for fix in track.fixes)
     assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
-    assert np.linalg.norm(track.position_m[-1] - truth_m(walk, track.time_s[-1:])[0]) < 5.0
+    assert np.linalg.norm(track.position_m[-1] - true_position_m(walk, track.time_s[-1:])[0]) < 5.0
 
 
 def test_after_wrong_fixes_behind_a_lost_heading_right_ones_relocate_the_track_in_the_start_frame() -> None:
     walk = simulate([Leg("walking", distance_m=70.0, turn_rad=turn) for turn in (0.0, 1.2, 2.2, 0.3)], seed=5)
     walk = without(walk, lambda time_s: (time_s > 60.0) & (time_s < 100.0))
     times = np.arange(3.0, walk.duration_s - 2.0, 3.0)
-    places = truth_m(walk, times)
+    places = true_position_m(walk, times)
     is_wrong = (times > 100.0) & (times < 112.0)
     places[is_wrong] = places[is_wrong][::-1]  # the way back, at the same places
     fixes = [PositionFix(float(t), p, np.eye(2)) for t, p in zip(times, places, strict=True)]
     track = pdr.track(walk, recipes.default(walk.subject), fixes=fixes)
-    assert np.linalg.norm(track.position_m[-1] - truth_m(walk, track.time_s[-1:])[0]) < 5.0
+    assert np.linalg.norm(track.position_m[-1] - true_position_m(walk, track.time_s[-1:])[0]) < 5.0
 
 
 def test_without_fixes_a_track_keeps_its_shape_after_a_lost_heading_and_may_point_anywhere() -> None:
@@ -217,12 +206,14 @@ def test_ranges_within_a_gap_do_not_place_the_track_after_it() -> None:
     anchors = [np.array(anchor) for anchor in ((-10.0, 0.0), (40.0, 0.0), (40.0, 40.0), (-10.0, 40.0))]
     ranges = [
         pdr.RangeFix(float(t), anchor, float(np.linalg.norm(place - anchor) + rng.normal(0, 0.5)), 0.5)
-        for t, place in zip(times, truth_m(walk, times), strict=True)
+        for t, place in zip(times, true_position_m(walk, times), strict=True)
         for anchor in anchors
     ]
     track = pdr.track(walk, fixes=ranges)
     assert "rejected" not in {fix.outcome for fix in track.fixes}
-    assert np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)[track.time_s > 75.0].max() < 3.0
+    assert (
+        np.linalg.norm(track.position_m - true_position_m(walk, track.time_s), axis=1)[track.time_s > 75.0].max() < 3.0
+    )
 
 
 def test_magnetic_north_does_not_rotate_a_track_in_the_start_frame() -> None:

@@ -7,17 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from helpers import a_step
+from helpers import a_step, clockwise
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import approx_fprime
 
 from pdr_filter.filter.imm.motion_model import (
-    EAST,
     HEADING_OFFSET,
     LOG_SCALE,
     MAX_HEADING_VARIANCE,
-    NORTH,
     Directions,
     Mode,
     MotionNoise,
@@ -26,8 +24,7 @@ from pdr_filter.filter.imm.motion_model import (
     second_order_errors,
 )
 from pdr_filter.filter.imm.step_cycle import advance, expect_first_direction, predict_heading, update_heading
-from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
-from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, known_length
+from pdr_filter.filter.step_length.models import known_length
 from pdr_filter.values import HeadingDrift, Step
 
 STILL = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.0), log_scale_drift_per_sqrt_step=0.0)
@@ -69,31 +66,6 @@ def advance_one(
 # --- direction of a step --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("heading_rad", "east_m", "north_m"),
-    [(0.0, 0.0, 0.7), (np.pi / 2, 0.7, 0.0), (np.pi, 0.0, -0.7), (-np.pi / 2, -0.7, 0.0), (2.5 * np.pi, 0.7, 0.0)],
-    ids=["north", "east", "south", "west", "unwrapped east"],
-)
-def test_a_step_leads_in_the_direction_of_the_heading(heading_rad: float, east_m: float, north_m: float) -> None:
-    mean, _ = advance_one(np.array([3.0, -4.0, 0.0, 0.0]), step=a_step(heading_rad=heading_rad))
-    np.testing.assert_allclose(mean, [3.0 + east_m, -4.0 + north_m, 0.0, 0.0], atol=1e-12)
-
-
-def test_a_step_to_the_right_while_facing_north_goes_east() -> None:
-    mean, _ = advance_one(np.zeros(4), offset_rad=np.pi / 2)
-    np.testing.assert_allclose(mean[:2], [0.7, 0.0], atol=1e-12)
-
-
-def test_device_heading_state_offset_and_the_offset_of_the_mode_add_up() -> None:
-    mean, _ = advance_one(np.array([0.0, 0.0, 0.2, 0.0]), step=a_step(heading_rad=0.3), offset_rad=0.4)
-    np.testing.assert_allclose(mean[:2], [0.7 * np.sin(0.9), 0.7 * np.cos(0.9)])
-
-
-def test_the_scale_multiplies_the_length() -> None:
-    mean, _ = advance_one(np.array([0.0, 0.0, 0.0, np.log(1.1)]))
-    assert mean[NORTH] == pytest.approx(0.77)
-
-
 # --- uncertainty of a step ------------------------------------------------------------------------------------------
 
 
@@ -119,24 +91,6 @@ def test_the_jacobian_equals_finite_differences(
     np.testing.assert_allclose(cov, J @ P @ J.T, atol=1e-4)
 
 
-@pytest.mark.parametrize("heading_rad", [0.0, 0.8, -2.0])
-def test_length_noise_lies_along_and_heading_noise_across_the_step(heading_rad: float) -> None:
-    _, cov = advance_one(
-        np.array([0.0, 0.0, 0.0, np.log(2.0)]),
-        step=a_step(heading_rad=heading_rad),
-        length_m=0.7,
-        length_var_m2=0.05**2,
-        heading_var_rad2=0.1**2,
-    )
-    along = np.array([np.sin(heading_rad), np.cos(heading_rad)])
-    across = np.array([np.cos(heading_rad), -np.sin(heading_rad)])
-    P = cov[:2, :2]
-    assert along @ P @ along == pytest.approx((2 * 0.05) ** 2)
-    assert across @ P @ across == pytest.approx((2 * 0.7 * 0.1) ** 2)
-    assert along @ P @ across == pytest.approx(0.0, abs=1e-15)
-    np.testing.assert_allclose(cov[2:, :], 0.0)
-
-
 def test_a_step_in_a_turn_may_lead_in_any_direction_within_the_turn() -> None:
     step = replace(a_step(heading_rad=0.8, duration_s=0.5), turn_rate_radps=0.4)
     _, cov = advance_one(np.zeros(4), step=step, length_m=0.7)
@@ -146,34 +100,6 @@ def test_a_step_in_a_turn_may_lead_in_any_direction_within_the_turn() -> None:
     whirled = replace(step, turn_rate_radps=40.0)
     _, cov = advance_one(np.zeros(4), step=whirled, length_m=0.7)
     assert np.trace(cov[:2, :2]) == pytest.approx(0.7**2 * np.pi**2 / 12)
-
-
-def test_n_equal_steps_add_up_in_closed_form() -> None:
-    """Straight to the north, independent errors grow with n, errors of the common heading and scale with n squared."""
-    n, length, var_l, var_psi, var_h, var_s = 50, 0.7, 0.06**2, 0.1**2, 0.15**2, 0.08**2
-    mean, cov = np.zeros(4), np.diag([0.0, 0.0, var_h, var_s])
-    for _ in range(n):
-        mean, cov = advance_one(mean, cov, length_m=length, length_var_m2=var_l, heading_var_rad2=var_psi)
-    assert mean[NORTH] == pytest.approx(n * length)
-    assert cov[NORTH, NORTH] == pytest.approx(n * var_l + (n * length) ** 2 * var_s)
-    assert cov[EAST, EAST] == pytest.approx(n * length**2 * var_psi + (n * length) ** 2 * var_h)
-    assert cov[EAST, HEADING_OFFSET] == pytest.approx(n * length * var_h)
-    assert cov[NORTH, LOG_SCALE] == pytest.approx(n * length * var_s)
-
-
-def test_heading_and_scale_drift_with_time_and_steps() -> None:
-    noise = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.02), log_scale_drift_per_sqrt_step=0.003)
-    _, cov = advance_one(np.zeros(4), step=a_step(duration_s=0.5), noise=noise)
-    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(0.02**2 * 0.5)
-    assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.003**2)
-
-
-def test_without_measurements_the_variance_of_the_scale_stays_constant() -> None:
-    noise = MotionNoise(log_scale_std=0.08, log_scale_drift_per_sqrt_step=0.01)
-    mean, cov = initial_estimate(noise)
-    for _ in range(300):
-        mean, cov = advance_one(mean, cov, noise=noise)
-        assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.08**2)
 
 
 def test_the_estimated_scale_decays_towards_the_population_prior() -> None:
@@ -258,64 +184,13 @@ def test_the_filter_starts_at_the_origin_with_the_spread_of_people() -> None:
     np.testing.assert_allclose(cov, np.diag([0.0, 0.0, 0.04, 0.01]))
 
 
-# --- statistics -----------------------------------------------------------------------------------------------------
-
-
-def test_the_predicted_covariance_is_that_of_many_simulated_walks() -> None:
-    rng = np.random.default_rng(0)
-    n_walks, noise = 4000, MotionNoise()
-    mean, cov = initial_estimate(noise)
-    walks = rng.multivariate_normal(mean, cov, n_walks)
-    for k in range(40):
-        step = a_step(heading_rad=0.05 * k)
-        mean, cov = advance_one(mean, cov, step, length_var_m2=0.06**2, heading_var_rad2=0.1**2, noise=noise)
-        length = (0.7 + 0.06 * rng.normal(size=n_walks)) * np.exp(walks[:, 3])
-        psi = step.device_heading_rad + walks[:, 2] + 0.1 * rng.normal(size=n_walks)
-        walks[:, :2] += length[:, None] * np.column_stack([np.sin(psi), np.cos(psi)])
-        walks[:, 2] += (
-            noise.heading_drift.random_walk_rad_per_sqrt_s * np.sqrt(step.duration_s) * rng.normal(size=n_walks)
-        )
-        walks[:, 3] += noise.log_scale_drift_per_sqrt_step * rng.normal(size=n_walks)
-    error = (walks - mean)[:, :2]
-    nees = np.einsum("ni,ij,nj->n", error, np.linalg.inv(cov[:2, :2]), error)
-    assert nees.mean() == pytest.approx(2.0, rel=0.1)
-
-
 # --- step lengths ---------------------------------------------------------------------------------------------------
-
-
-def test_a_step_length_is_linear_in_frequency_and_variance_with_the_variance_of_its_parameters() -> None:
-    theta_cov = np.array([[0.02, 0.001, 0.0], [0.001, 0.01, 0.0], [0.0, 0.0, 0.001]])
-    fit = StepLengthFit(FrequencyVarianceStepLength(max_variance=5.0), np.array([0.4, 0.2, -0.01]), theta_cov, 0.06)
-    for variance, used in [(3.0, 3.0), (80.0, 5.0)]:
-        length_m, var_m2 = fit.predict(a_step(duration_s=0.5, variance=variance))
-        r = np.array([1.0, 2.0, used])
-        assert length_m == pytest.approx(0.4 + 0.2 * 2.0 - 0.01 * used)
-        assert var_m2 == pytest.approx(r @ theta_cov @ r + 0.06**2)
-
-
-def test_a_step_never_has_a_negative_length() -> None:
-    fit = StepLengthFit(FrequencyVarianceStepLength(), np.array([-1.0, 0.0, 0.0]), np.zeros((3, 3)), 0.0)
-    assert fit.predict(a_step())[0] == 0.0
 
 
 def test_a_known_length_does_not_depend_on_the_step() -> None:
     fit = known_length(0.29, 0.05)
     assert fit.predict(a_step(variance=1.0)) == fit.predict(a_step(variance=50.0, duration_s=0.3))
     assert fit.predict(a_step()) == (pytest.approx(0.29), pytest.approx(0.0025))
-
-
-def test_parameters_of_the_wrong_shape_and_unknown_contexts_are_refused() -> None:
-    with pytest.raises(ValueError, match="theta"):
-        StepLengthFit(FrequencyVarianceStepLength(), np.zeros(2), np.zeros((3, 3)), 0.1)
-    with pytest.raises(ValueError, match="context of mode 'fly'"):
-        PedestrianModel((Mode("fly", "flying", known_length(1.0, 0.1)),), np.ones((1, 1)))
-    with pytest.raises(ValueError, match=r"carrying_mode of mode 'walk'.*hat"):
-        Mode("walk", "walking", known_length(1.0, 0.1), carrying_mode="hat")
-    with pytest.raises(ValueError, match=r"extra_noise_m of Mode must be 0 or more .*, got -1"):
-        Mode("walk", "walking", known_length(1.0, 0.1), extra_noise_m=-1.0)
-    with pytest.raises(ValueError, match=r"heading_std_rad of Mode must be 0 or more .*, got nan"):
-        Mode("walk", "walking", known_length(1.0, 0.1), heading_std_rad=np.nan)
 
 
 @pytest.mark.parametrize(("heading_std", "scale_std"), [(0.1, 0.08), (0.5, 0.08), (1.8, 0.08), (0.5, 0.0), (0.0, 0.3)])
@@ -333,30 +208,6 @@ def test_exactly_known_headings_and_scales_have_no_second_order_error() -> None:
     assert second_order_errors(0.0, 0.0) == (0.0, 0.0)
 
 
-def test_impossible_noise_and_fits_are_refused() -> None:
-    with pytest.raises(ValueError, match=r"log_scale_std of MotionNoise must be 0 or more .*, got nan"):
-        MotionNoise(log_scale_std=np.nan)
-    with pytest.raises(ValueError, match=r"gap_speed_mps of MotionNoise must be 0 or more .*, got -1"):
-        MotionNoise(gap_speed_mps=-1.0)
-    with pytest.raises(ValueError, match="bias_correlation_s of HeadingDrift must be"):
-        HeadingDrift(bias_correlation_s=-1.0)
-    model = FrequencyVarianceStepLength()
-    for theta_cov in (-np.eye(3), np.eye(3) * np.nan, np.array([[1.0, 0.5, 0], [0, 1.0, 0], [0, 0, 1.0]])):
-        with pytest.raises(ValueError, match=r"theta_cov must (be|have no negative eigenvalue)"):
-            StepLengthFit(model, np.ones(3), theta_cov, 0.1)
-    with pytest.raises(ValueError, match=r"theta must be \(3,\), finite"):
-        StepLengthFit(model, np.array([1.0, np.nan, 0.0]), np.eye(3), 0.1)
-
-
-def test_the_heading_offset_drifts_while_there_are_no_steps() -> None:
-    noise = MotionNoise()
-    step = a_step(duration_s=0.5)
-    rested = predict_heading(np.zeros((1, 4, 4)), step, 600.0, walking([0.0], [0.0]), noise)
-    assert rested[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(
-        noise.heading_drift.random_walk_rad_per_sqrt_s**2 * 600
-    )
-
-
 # --- measured walking heading ---------------------------------------------------------------------------------------
 
 
@@ -364,12 +215,6 @@ def some_estimate(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Return a mean and a covariance with correlations, for one mode."""
     root = 0.2 * np.random.default_rng(seed).normal(size=(4, 4))
     return np.array([[1.0, 2.0, 0.3, 0.05]]), (root @ root.T + 0.01 * np.eye(4))[None]
-
-
-def turned_by(angle_rad: float) -> np.ndarray:
-    """Return the clockwise rotation matrix (2, 2) of vectors (east, north)."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.array([[c, s], [-s, c]])
 
 
 def test_a_small_correction_of_the_heading_is_a_kalman_update() -> None:
@@ -394,7 +239,7 @@ def test_a_large_correction_of_the_heading_rotates_the_path_since_it_was_lost() 
     way = mean[0, :2].copy()
     shown = replace(a_step(heading_rad=2.0), walking_heading_rad=2.0 + 1.3, walking_heading_std_rad=1e-6)
     updated, updated_cov = update_heading(mean, cov, shown, 0.0)
-    np.testing.assert_allclose(updated[0, :2], turned_by(1.3) @ way, atol=1e-6)
+    np.testing.assert_allclose(updated[0, :2], clockwise(1.3) @ way, atol=1e-6)
     assert np.linalg.eigvalsh(updated_cov[0]).min() > -1e-9
 
 
@@ -406,7 +251,7 @@ def test_the_rotated_covariance_stays_valid_and_rotates_with_the_path() -> None:
     lever = cov[0, :2, HEADING_OFFSET] / cov[0, HEADING_OFFSET, HEADING_OFFSET]
     after = updated_cov[0, :2, HEADING_OFFSET] / updated_cov[0, HEADING_OFFSET, HEADING_OFFSET]
     correction = updated[0, HEADING_OFFSET] - mean[0, HEADING_OFFSET]
-    np.testing.assert_allclose(after, turned_by(float(correction)) @ lever, atol=1e-12)
+    np.testing.assert_allclose(after, clockwise(float(correction)) @ lever, atol=1e-12)
 
 
 @pytest.mark.parametrize("turns", [-3, -1, 1, 2])

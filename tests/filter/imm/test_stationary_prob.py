@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm.transition_probabilities import context_transitions, stationary_prob
+from pdr_filter.filter.imm.transition_probabilities import stationary_prob
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 
 
@@ -61,11 +61,3 @@ def test_any_chain_agrees_with_the_mean_of_its_powers() -> None:
             for _ in range(20):  # sum of 2^20 powers
                 total, power = total + total @ power, power @ power
             np.testing.assert_allclose(stationary_prob(chain), (total / 2**20).mean(axis=0), atol=2e-4)
-
-
-def test_the_order_of_the_states_does_not_matter() -> None:
-    chain = context_transitions()
-    order = np.random.default_rng(1).permutation(len(chain))
-    shares = stationary_prob(chain)
-    np.testing.assert_allclose(shares @ chain, shares, rtol=1e-13)
-    np.testing.assert_allclose(stationary_prob(chain[np.ix_(order, order)]), shares[order], rtol=1e-13)

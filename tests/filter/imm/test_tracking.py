@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import a_step, even_transitions, mode_of_each_context, tracker_of, updates_of
+from helpers import a_step, clockwise, even_transitions, mode_of_each_context, tracker_of, updates_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -34,7 +34,7 @@ from pdr_filter.filter.pedestrian.pedestrian_state import (
     reckoned_position,
     with_reopened_rotation,
 )
-from pdr_filter.filter.step_length.models import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
+from pdr_filter.filter.step_length.models import StepLengths
 from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step, WindowContext, replace_unchecked
 from pdr_filter.values.events import Stepless
 
@@ -209,14 +209,6 @@ def test_every_provisional_update_is_followed_by_one_final_update_of_its_index(w
         assert first.step == last.step == step
 
 
-def test_imm_reports_every_step_once_and_at_once() -> None:
-    steps, windows = random_walk(3)
-    state, updates = run(tracker("imm"), in_order(steps, windows))
-    assert [u.index for u in updates] == list(range(len(steps)))
-    assert all(u.is_final for u in updates)
-    np.testing.assert_array_equal(position_of(state)[0], updates[-1].position_m)
-
-
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
 def test_a_certain_context_gives_the_length_and_direction_of_its_mode(weighting: str) -> None:
     sideways = CONTEXTS.index("sideways")
@@ -269,6 +261,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         of_parameters = np.sqrt(length_var - residual_var)  # an error of the whole person, which adds up over the steps
         consider_error_m += scale * np.array([length * of_along * u, length * of_across * v, of_parameters * u])
         seen = P[:2, :2] + sum(np.outer(e, e) for e in consider_error_m)
+        assert (update.index, update.is_final) == (k, True)
         np.testing.assert_allclose(update.position_m, x[:2], atol=1e-9)
         np.testing.assert_allclose(update.position_cov_m2, seen, atol=1e-9)
         if k % 5 == 4:
@@ -390,16 +383,6 @@ def test_a_certain_standstill_of_the_contexts_remains_certain_in_spite_of_a_step
         np.testing.assert_allclose(final(updates)[0].mode_prob, sure(STATIONARY), atol=1e-12)
 
 
-def test_several_fits_together_give_the_results_of_each() -> None:
-    fits = (*(m.step_length for m in mode_of_each_context()), known_length(0.3, 0.1))
-    capped = StepLengthFit(FrequencyVarianceStepLength(max_variance=2.0), np.ones(3), np.eye(3), 0.2)
-    negative = StepLengthFit(FrequencyVarianceStepLength(), -np.ones(3), np.eye(3), 0.0)
-    step = a_step(variance=9.0)
-    lengths, variances = StepLengths((capped, *fits, negative)).predict(step)
-    for fit, length, variance in zip((capped, *fits, negative), lengths, variances, strict=True):
-        assert (length, variance) == (pytest.approx(fit.predict(step)[0]), pytest.approx(fit.predict(step)[1]))
-
-
 # --- all weightings -------------------------------------------------------------------------------------------------
 
 
@@ -410,10 +393,10 @@ def test_rotating_all_headings_rotates_the_track(weighting: str, turn_rad: float
     turned_steps = [replace(s, device_heading_rad=s.device_heading_rad + turn_rad) for s in steps]
     straight = final(run(tracker(weighting), in_order(steps, windows))[1])
     turned = final(run(tracker(weighting), in_order(turned_steps, windows))[1])
-    clockwise = np.array([[np.cos(turn_rad), np.sin(turn_rad)], [-np.sin(turn_rad), np.cos(turn_rad)]])
+    rotation = clockwise(turn_rad)
     for a, b in zip(turned, straight, strict=True):
-        np.testing.assert_allclose(a.position_m, clockwise @ b.position_m, atol=1e-9)
-        np.testing.assert_allclose(a.position_cov_m2, clockwise @ b.position_cov_m2 @ clockwise.T, atol=1e-9)
+        np.testing.assert_allclose(a.position_m, rotation @ b.position_m, atol=1e-9)
+        np.testing.assert_allclose(a.position_cov_m2, rotation @ b.position_cov_m2 @ rotation.T, atol=1e-9)
         assert a.step_length_m == pytest.approx(b.step_length_m)
 
 
@@ -461,21 +444,6 @@ def test_a_speed_or_a_heading_fix_before_any_step_changes_nothing(weighting: str
         after, outcome, nis = filter_.on_fix(state, fix)
         assert outcome == "nothing to compare" and np.isnan(nis)
         assert after.pedestrian.estimates is state.pedestrian.estimates
-
-
-def test_fixes_keep_the_scale_of_a_tall_person() -> None:
-    """Steps are 10 % longer than those of the population, and fixes estimate the scale."""
-    filter_ = ImmTracker(PedestrianModel((mode_of_each_context()[WALKING],), np.ones((1, 1))))
-    state = filter_.init()
-    true_north_m = 0.0
-    for k in range(300):
-        state, _ = updates_of(filter_.on_step(state, a_step(0.5 * (k + 1), duration_s=0.5, variance=0.0)))
-        true_north_m += 1.1 * 0.7
-        if k % 10 == 9:
-            fix = PositionFix(0.5 * (k + 1), np.array([0.0, true_north_m]), 0.25 * np.eye(2))
-            state, outcome, _ = filter_.on_fix(state, fix)
-            assert outcome == "used"
-    assert np.exp(state.pedestrian.estimates.mean[0, 3]) == pytest.approx(1.1, abs=0.01)
 
 
 # --- late steps ------------------------------------------------------------------------------------------------------
@@ -599,39 +567,6 @@ def test_the_first_imm_step_is_the_mixture_of_the_steps_of_all_modes() -> None:
     _, [update] = updates_of(filter_.on_step(filter_.init(), step))
     np.testing.assert_allclose(update.position_m, update.mode_prob @ moved[:, :2], atol=1e-12)
     assert update.step_length_m == pytest.approx(update.mode_prob @ length)
-
-
-# --- checks ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"modes": (mode_of_each_context()[0],) * 6}, "distinct"),
-        ({"transition_prob": np.eye(5)}, "transition_prob"),
-        ({"modes": (), "transition_prob": np.empty((0, 0))}, "modes is empty"),
-        ({"transition_prob": np.full((6, 6), np.nan)}, "must sum to 1"),
-        ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose the matrix"),
-        ({"evidence_exponent": np.nan}, "evidence_exponent of PedestrianModel must be 0 or more .*, got nan"),
-        ({"evidence_floor": -0.1}, "evidence_floor of PedestrianModel must be 0 or more"),
-        ({"step_log_odds_stationary": np.inf}, "step_log_odds_stationary of PedestrianModel must be finite"),
-    ],
-)
-def test_an_invalid_model_is_refused(change: dict[str, object], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        replace(model(), **change)  # type: ignore[arg-type]
-
-
-def test_weighted_step_lengths_need_one_mode_for_each_context_and_a_threshold() -> None:
-    with pytest.raises(ValueError, match="exactly one mode"):
-        WeightedTracker(PedestrianModel(mode_of_each_context()[:5], np.eye(5)))
-    with pytest.raises(ValueError, match=r"threshold of WeightedTracker must be 0 or more .*, got nan"):
-        WeightedTracker(model(), np.nan)
-
-
-def test_an_unknown_weighting_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(ValueError, match=r"weighting must be one of \('hc', 'wc', 'imm'\) or a function, got 'best'"):
-        recipes.default().with_weighting("best")
 
 
 def test_rotating_the_frame_rotates_the_shared_errors() -> None:

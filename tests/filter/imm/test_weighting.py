@@ -26,27 +26,6 @@ def test_distances_equal_the_printed_algorithms(seed: int, threshold: float | No
         np.testing.assert_allclose(getattr(ours, name), expected, atol=1e-12, err_msg=name)
 
 
-@given(seed=SEEDS, threshold=st.sampled_from([HC, 0.0, 0.8]))
-def test_the_total_provisional_distance_is_the_total_final_one_plus_the_provisional_epoch(
-    seed: int, threshold: float
-) -> None:
-    found = weighted_distances(*random_walk(seed), threshold)
-    np.testing.assert_allclose(
-        found.total_final_m[:-1] + found.provisional_m[1:], found.total_provisional_m[1:], atol=1e-12
-    )
-
-
-@given(seed=SEEDS)
-def test_threshold_one_is_hc_and_threshold_zero_always_weights(seed: int) -> None:
-    distance_m, context_prob = random_walk(seed)
-    hc = weighted_distances(distance_m, context_prob, HC)
-    one = weighted_distances(distance_m, context_prob, 1.0)
-    zero = weighted_distances(distance_m, context_prob, 0.0)
-    np.testing.assert_array_equal(one.total_final_m, hc.total_final_m)
-    np.testing.assert_allclose(zero.provisional_m, (distance_m * context_prob[:-1]).sum(axis=1))
-    np.testing.assert_allclose(hc.provisional_m, distance_m[np.arange(30), context_prob[:-1].argmax(axis=1)])
-
-
 def test_weights_are_the_probabilities_from_the_threshold_on() -> None:
     certain, at_threshold = np.array([0.6, 0.1, 0.3]), np.array([0.5, 0.4, 0.1])
     np.testing.assert_array_equal(context_weights(certain, 0.8), [1, 0, 0])
@@ -71,20 +50,6 @@ def test_weights_sum_to_one_and_do_not_modify_their_input(seed: int, threshold: 
     np.testing.assert_array_equal(prob, before)
 
 
-def test_a_certain_context_gives_its_own_distance() -> None:
-    distance_m = np.random.default_rng(0).uniform(0, 2, (10, 6))
-    sure = np.tile(np.eye(6)[3], (11, 1))
-    for threshold in (HC, 0.8, 0.0):
-        found = weighted_distances(distance_m, sure, threshold)
-        np.testing.assert_allclose(found.total_final_m, distance_m[:, 3].cumsum())
-        np.testing.assert_allclose(found.total_provisional_m, distance_m[:, 3].cumsum())
-
-
-def test_window_zero_must_be_given() -> None:
-    with pytest.raises(ValueError, match="one row more than distance_m"):
-        weighted_distances(np.zeros((5, 6)), np.full((5, 6), 1 / 6), 0.8)
-
-
 # --- evidence -------------------------------------------------------------------------------------------------------
 
 
@@ -99,17 +64,6 @@ def test_the_prior_exponent_sets_how_far_the_prior_is_divided_out() -> None:
     half, none = (context_log_evidence(prob, prior, 0.25, 0.01, prior_exponent=e) for e in (0.5, 0.0))
     np.testing.assert_allclose(half, 0.25 * np.log(prob / np.sqrt(prior)))
     np.testing.assert_allclose(none, 0.25 * np.log(prob))
-
-
-def test_probabilities_equal_to_the_prior_are_no_evidence() -> None:
-    prior = np.array([0.6, 0.3, 0.1])
-    np.testing.assert_allclose(context_log_evidence(prior, prior, 0.5, 0.01), 0.0, atol=1e-15)
-
-
-def test_two_overlapping_windows_of_exponent_one_half_count_as_one() -> None:
-    prob, prior = np.array([0.7, 0.2, 0.1]), np.array([0.4, 0.3, 0.3])
-    twice = 2 * context_log_evidence(prob, prior, 0.5, 0.01)
-    np.testing.assert_allclose(twice, context_log_evidence(prob, prior, 1.0, 0.01))
 
 
 def test_the_floor_keeps_one_overconfident_window_from_ruling_a_context_out() -> None:

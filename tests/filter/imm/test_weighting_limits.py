@@ -135,26 +135,6 @@ def test_without_memory_every_step_of_the_imm_has_the_provisional_distance_of_hc
     np.testing.assert_allclose(np.stack([u.mode_prob for u in updates]), weights, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", THRESHOLDS)
-@pytest.mark.parametrize("seed", range(3))
-def test_where_both_windows_of_a_step_agree_the_imm_has_the_total_distance_of_hc_and_wc(name: str, seed: int) -> None:
-    n_epochs = 60
-    steps, prob = walk(seed, n_epochs, alike_in_pairs=True)
-    expected = weighted_distances(distances(steps, n_epochs), np.stack(prob), THRESHOLDS[name])
-    _, of_imm = run(memoryless(), steps, windows_of(prob, THRESHOLDS[name]))
-    _, of_weighting = run(weighted(name), steps, windows_of(prob))
-    assert length_of(of_imm).sum() == pytest.approx(expected.total_final_m[-1], abs=1e-11)
-    np.testing.assert_allclose(length_of(of_imm), length_of(of_weighting), atol=1e-12)
-
-
-def test_with_raw_probabilities_the_imm_has_the_provisional_distance_of_wc_at_threshold_zero() -> None:
-    """With threshold 0 the weights are always the probabilities of the classifier."""
-    steps, prob = walk(5, 60)
-    expected = weighted_distances(distances(steps, 60), np.stack(prob), 0.0)
-    _, updates = run(memoryless(), steps, windows_of(prob))
-    np.testing.assert_allclose(length_of(updates), expected.provisional_m, atol=1e-12)
-
-
 def test_with_the_highest_context_the_whole_estimate_is_that_of_hc() -> None:
     """One mode has all of the probability. Its position and covariance are those of HC, also sideways."""
     steps, prob = walk(6, 60, alike_in_pairs=True)
@@ -166,42 +146,6 @@ def test_with_the_highest_context_the_whole_estimate_is_that_of_hc() -> None:
     x, P = state.pedestrian.estimates.combined  # noqa: N806
     np.testing.assert_allclose(x, other.pedestrian.estimates.mean[0], atol=1e-9)
     np.testing.assert_allclose(P, other.pedestrian.estimates.cov[0], atol=1e-9)
-
-
-def test_with_raw_probabilities_the_imm_has_the_position_of_wc_and_no_smaller_variance() -> None:
-    """All modes have the same direction. The single filter of WC uses the mean length as derivative by the scale."""
-    steps, prob = walk(7, 60, alike_in_pairs=True)
-    _, of_imm = run(memoryless(0.0), steps, windows_of(prob))
-    _, of_wc = run(weighted("wc always", 0.0), steps, windows_of(prob))
-    for a, b in zip(of_imm, of_wc, strict=True):
-        np.testing.assert_allclose(a.position_m, b.position_m, atol=1e-9)
-        assert np.trace(a.position_cov_m2) >= np.trace(b.position_cov_m2) - 1e-12
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"evidence_exponent": 0.5},
-        {"prior_exponent": 1.0},
-        {"evidence_floor": 0.05},
-        {"step_log_odds_stationary": -1.9},
-        {"transition_prob": even_transitions(N, 0.9)},
-    ],
-)
-def test_each_of_the_conditions_is_necessary(change: dict[str, object]) -> None:
-    steps, prob = walk(8, 60)
-    expected = weighted_distances(distances(steps, 60), np.stack(prob), 0.0)
-    _, updates = run(memoryless(**change), steps, windows_of(prob))
-    assert np.abs(length_of(updates) - expected.provisional_m).max() > 0.01
-
-
-def test_a_second_step_in_a_window_has_even_probabilities_without_memory() -> None:
-    tracker = memoryless()
-    state, _ = updates_of(tracker.on_window(tracker.init(), WindowContext(2.0, np.eye(N)[1], np.full(N, 1 / N))))
-    state, [first] = updates_of(tracker.on_step(state, a_step(1.3)))
-    _, [second] = updates_of(tracker.on_step(state, a_step(1.8)))
-    np.testing.assert_allclose(first.mode_prob, np.eye(N)[1], atol=1e-12)
-    np.testing.assert_allclose(second.mode_prob, 1 / N, atol=1e-12)
 
 
 # --- extreme evidence ------------------------------------------------------------------------------------------------
@@ -300,19 +244,6 @@ def test_a_mode_with_prior_zero_becomes_probable_only_by_a_transition() -> None:
         assert_sane(state)
         assert (update.mode_prob[5] > 0.99) == reachable
         assert (update.mode_prob[5] > 0) == reachable
-
-
-def test_a_fix_a_thousand_kilometres_away_is_rejected_unless_its_deviation_is_that_large() -> None:
-    steps, prob = walk(9, 20)
-    tracker = memoryless()
-    state, _ = run(tracker, steps, windows_of(prob))
-    far_m = np.array([1e6, -1e6])
-    rejected, outcome, nis = tracker.on_fix(state, PositionFix(20.0, far_m, np.eye(2)))
-    assert outcome == "rejected" and nis > 1e9
-    np.testing.assert_array_equal(rejected.pedestrian.estimates.prob, state.pedestrian.estimates.prob)
-    accepted, outcome, _ = tracker.on_fix(state, PositionFix(20.0, far_m, 1e12 * np.eye(2)))
-    assert outcome == "used"
-    assert_sane(accepted)
 
 
 @settings(max_examples=30, deadline=None)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import cut_randomly, pushed
+from helpers import cut_randomly, pushed, true_position_m
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
@@ -39,8 +39,8 @@ def walk_of(number: int, seed: int, minutes: float, leg_m: float = 50.0) -> Reco
 
 def located(walk: Recording, shrinkage_m: float = 0.0) -> Recording:
     """Return the recording with one location a second, each moved towards their mean by `shrinkage_m`."""
-    times, truth = np.arange(1.0, walk.duration_s), walk.truth.position
-    position_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    times = np.arange(1.0, walk.duration_s)
+    position_m = true_position_m(walk, times)
     away_m = position_m - position_m.mean(axis=0)
     position_m -= away_m * np.minimum(0.5, shrinkage_m / np.maximum(np.hypot(*away_m.T), 1e-6))[:, None]
     degrees = HERE.latitude_longitude_deg(position_m)
@@ -49,8 +49,7 @@ def located(walk: Recording, shrinkage_m: float = 0.0) -> Recording:
 
 
 def length_error(track: pdr.Track, walk: Recording) -> float:
-    truth, grid = walk.truth.position, np.arange(0.0, walk.duration_s, 0.5)
-    position_m = np.column_stack([np.interp(grid, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    position_m = true_position_m(walk, np.arange(0.0, walk.duration_s, 0.5))
     return track.distance_m / np.linalg.norm(np.diff(position_m, axis=0), axis=1).sum() - 1.0
 
 
@@ -229,25 +228,6 @@ def test_online_and_offline_tracking_learn_the_same_person(first: Recording, lea
 def test_a_saved_person_is_equal_after_loading(learnt: pdr.Person, tmp_path: Path) -> None:
     assert pdr.Person.load(learnt.save(tmp_path / "me.json")) == learnt
     assert pdr.Person.load(pdr.Person().save(tmp_path / "nobody.json")) == pdr.Person()
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        "",
-        "[]",
-        "{}",
-        '{"pdr_filter_person": 2, "sessions": []}',
-        '{"pdr_filter_person": 1}',
-        '{"pdr_filter_person": 1, "sessions": [{"step_length_m": -1, "std": 0.1, "n_fixes": 3}]}',
-        '{"pdr_filter_person": 1, "sessions": [{"step_length_m": NaN, "std": 0.1, "n_fixes": 3}]}',
-    ],
-)
-def test_a_file_that_is_not_a_person_is_refused_by_its_name(tmp_path: Path, content: str) -> None:
-    path = tmp_path / "other.json"
-    path.write_text(content)
-    with pytest.raises(ValueError, match=r"other\.json: not a person file"):
-        pdr.Person.load(path)
 
 
 def test_the_command_line_reads_an_existing_person_file_and_replaces_it(

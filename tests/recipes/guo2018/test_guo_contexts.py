@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, uniform_block
+from helpers import uniform_block
 from joblib import parallel_config
-from scipy.spatial.transform import Rotation
 
 from models.training.data_sets import recordings_of
 from models.training.guo2018_training import DATASETS, kappa, train_guo, walk_threshold
@@ -23,7 +22,6 @@ from pdr_filter.recipes.guo2018.features import NAMES, AmbientSamples, MotionLev
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, WindowContext
-from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Recording
 
 STAGE = PoseContext()
@@ -61,15 +59,6 @@ def attitude_of(block: UniformBlock, up: tuple[float, float, float] = (0.0, 0.6,
     return AttitudeBlock(np.zeros(n), np.zeros((n, 2)), direction, np.zeros(n))
 
 
-def part_of(attitude: AttitudeBlock, a: int, b: int) -> AttitudeBlock:
-    return AttitudeBlock(
-        attitude.vertical_mps2[a:b],
-        attitude.horizontal_mps2[a:b],
-        attitude.up_sensor[a:b],
-        attitude.device_heading_rad[a:b],
-    )
-
-
 # --- the level of motion --------------------------------------------------------------------------------------------
 
 
@@ -82,20 +71,6 @@ def test_the_level_of_motion_is_equation_1() -> None:
         w = block.angular_rate_radps[max(i - 59, 0) : i + 1]
         literal = np.mean([np.sum((a - f.mean(axis=0)) ** 2) + 9.8 * np.sum(b**2) for a, b in zip(f, w, strict=True)])
         assert level[i] == pytest.approx(literal, abs=1e-10)
-
-
-def test_the_level_of_a_phone_at_rest_is_zero_and_that_of_a_rotated_phone_the_same() -> None:
-    stage = MotionLevel()
-    still = uniform_block(np.full(200, 9.81), rate=np.zeros((200, 3)))
-    np.testing.assert_allclose(stage.update(stage.init(), still)[1], 0.0, atol=1e-9)
-    block, turned = moving(1, n=300), Rotation.random(random_state=2)
-    other = replace(
-        block,
-        specific_force_mps2=turned.apply(block.specific_force_mps2),
-        angular_rate_radps=turned.apply(block.angular_rate_radps),
-    )
-    first, second = (stage.update(stage.init(), b)[1] for b in (block, other))
-    np.testing.assert_allclose(first, second, atol=1e-9)
 
 
 def test_without_angular_rate_anywhere_in_the_window_the_level_is_of_the_accelerometer_alone() -> None:
@@ -142,23 +117,6 @@ def test_what_shakes_more_than_anybody_walks_is_not_walking() -> None:
     shaken = moving(5)
     shaken = replace(shaken, specific_force_mps2=30.0 * shaken.specific_force_mps2)
     assert all(w.prob[STATIONARY] == 1.0 for _, w in STAGE.update(STAGE.init(), shaken, attitude_of(shaken))[1])
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_the_windows_do_not_depend_on_how_the_samples_arrive_nor_on_a_pause_in_a_file(seed: int) -> None:
-    block = moving(seed)
-    attitude = attitude_of(block)
-    edges = [0, *sorted(set(np.random.default_rng(seed).integers(1, 1200, 50).tolist())), 1200]
-    whole = STAGE.update(STAGE.init(), block, attitude)[1]
-    state, found = STAGE.init(), []
-    for piece, a, b in zip(cut_uniform(block, edges[1:-1]), edges[:-1], edges[1:], strict=True):
-        state = serialise.from_bytes(serialise.to_bytes(state))
-        state, windows = STAGE.update(state, piece, part_of(attitude, a, b))
-        found += windows
-    assert [last for last, _ in found] == [last for last, _ in whole]
-    for (_, one), (_, other) in zip(found, whole, strict=True):
-        np.testing.assert_array_equal(one.prob, other.prob)
-        np.testing.assert_array_equal(one.carrying_prob, other.carrying_prob)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import statistics
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, uniform_block
+from helpers import uniform_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -70,12 +70,6 @@ def test_the_12_features_are_the_first_of_the_18() -> None:
     np.testing.assert_array_equal(pose_features(window[:2]), pose_features(window)[:12])
 
 
-@pytest.mark.parametrize("shape", [(1, 60), (3, 60), (5, 60), (2, 0), (60,)])
-def test_a_window_of_another_shape_is_refused(shape: tuple[int, ...]) -> None:
-    with pytest.raises(ValueError, match="rows"):
-        pose_features(np.zeros(shape))
-
-
 @settings(max_examples=100, deadline=None)
 @given(yaw=st.floats(-3.1, 3.1), pitch=st.floats(-1.5, 1.5), roll=st.floats(-3.1, 3.1), other_yaw=st.floats(-3.1, 3.1))
 def test_pitch_and_roll_are_those_of_the_rotation_matrix_whatever_the_yaw(
@@ -86,24 +80,6 @@ def test_pitch_and_roll_are_those_of_the_rotation_matrix_whatever_the_yaw(
     pitches, rolls = pitch_and_roll(ups)
     np.testing.assert_allclose(pitches, pitch, atol=1e-9)
     np.testing.assert_allclose(rolls, roll, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("up", "pitch_deg", "roll_deg"),
-    [
-        ([0.0, 0.0, 1.0], 0, 0),  # face up on a table
-        ([0.0, 1.0, 0.0], 90, 0),  # upright, top edge up
-        ([0.0, np.sqrt(0.5), np.sqrt(0.5)], 45, 0),  # held for reading
-        ([-1.0, 0.0, 0.0], 0, 90),  # on its right edge: x points down
-        ([1.0, 0.0, 0.0], 0, -90),  # on its left edge
-    ],
-)
-def test_a_raised_top_edge_is_positive_pitch_and_a_lowered_right_edge_positive_roll(
-    up: list[float], pitch_deg: float, roll_deg: float
-) -> None:
-    (pitch,), (roll,) = pitch_and_roll(np.array([up]))
-    assert np.degrees(pitch) == pytest.approx(pitch_deg)
-    assert np.degrees(roll) == pytest.approx(roll_deg)
 
 
 def test_a_vector_a_little_longer_than_one_has_a_pitch() -> None:
@@ -129,20 +105,6 @@ def test_full_turns_of_roll_change_nothing(turns: int, seed: int) -> None:
     np.testing.assert_allclose(pose_features(turned), pose_features(window), atol=1e-9)
 
 
-def test_a_window_is_not_changed_by_describing_it() -> None:
-    window = np.random.default_rng(0).uniform(-9, 9, (4, 60))
-    before = window.copy()
-    pose_features(window)
-    np.testing.assert_array_equal(window, before)
-
-
-def test_windows_of_six_tenths_of_a_second_follow_each_other() -> None:
-    found = windows_of(PoseWindows(), *samples(250))
-    assert [index for index, _ in found] == [59, 119, 179, 239]
-    np.testing.assert_allclose([w.time_s for _, w in found], [0.6, 1.2, 1.8, 2.4])
-    np.testing.assert_allclose([w.start_s for _, w in found], [0.0, 0.6, 1.2, 1.8], atol=1e-12)
-
-
 def test_a_window_holds_the_features_and_the_level_of_its_own_samples() -> None:
     block, attitude = samples(240)
     rows = np.stack(pitch_and_roll(attitude.up_sensor))
@@ -153,24 +115,3 @@ def test_a_window_holds_the_features_and_the_level_of_its_own_samples() -> None:
         own = np.ascontiguousarray(rows[:, index - 59 : index + 1])
         np.testing.assert_array_equal(window.features, pose_features(own))
         assert (window.level, window.has_gyroscope) == (level[index], has_rate[index])
-
-
-@settings(max_examples=30, deadline=None)
-@given(edges=st.lists(st.integers(0, 400), max_size=40), hop_s=st.sampled_from([0.6, 0.3, 0.1]))
-def test_windows_do_not_depend_on_how_samples_arrive(edges: list[int], hop_s: float) -> None:
-    (block, attitude), stage = samples(400), PoseWindows(hop_s=hop_s)
-    whole = windows_of(stage, block, attitude)
-    state, cut, start = stage.init(), list[tuple[int, PoseWindow]](), 0
-    for piece in cut_uniform(block, edges):
-        n = len(piece.time_s)
-        up = attitude.up_sensor[start : start + n]
-        state, found = stage.update(state, piece, AttitudeBlock(np.zeros(n), np.zeros((n, 2)), up, np.zeros(n)))
-        cut, start = [*cut, *found], start + n
-    assert [(i, w.time_s, w.level) for i, w in cut] == [(i, w.time_s, w.level) for i, w in whole]
-    for (_, a), (_, b) in zip(cut, whole, strict=True):
-        np.testing.assert_array_equal(a.features, b.features)
-
-
-def test_a_hop_longer_than_its_window_is_refused() -> None:
-    with pytest.raises(ValueError, match="hop_s"):
-        PoseWindows(hop_s=0.7)

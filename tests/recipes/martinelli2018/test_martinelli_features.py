@@ -86,19 +86,6 @@ def test_a_constant_window_gives_zero_moments_and_no_warning(level: float) -> No
             assert value == pytest.approx(0.0, abs=1e-9), name
 
 
-@pytest.mark.parametrize("frequency_hz", [0.5, 2.0, 7.5, 23.0])
-def test_a_pure_sine_gives_its_frequency_and_its_amplitude(frequency_hz: float) -> None:
-    t = np.arange(200) / RATE_HZ
-    sine = 3.0 * np.sin(2 * np.pi * frequency_hz * t + 0.3)
-    features = dict(zip(NAMES, features_28(np.tile(9.8 + sine, (4, 1)), RATE_HZ), strict=True))
-    for sensor in ("acc", "acc_f", "gyro"):
-        assert features[f"peak_frequency_{sensor}_hz"] == pytest.approx(frequency_hz)
-        assert features[f"peak_{sensor}"] == pytest.approx(3.0 * 200 / 2)
-    assert features["std_acc"] == pytest.approx(3.0 / np.sqrt(2))
-    assert features["kurtosis_magn"] == pytest.approx(1.5)
-    assert features["zero_crossing_rate_acc"] == pytest.approx(2 * frequency_hz / RATE_HZ, abs=1.5 / 199)
-
-
 def test_frequencies_follow_the_sampling_rate() -> None:
     window = np.random.default_rng(1).gamma(2.0, size=(4, 200))
     slow, fast = features_28(window, 50.0), features_28(window, 100.0)

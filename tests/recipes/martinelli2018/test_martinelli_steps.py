@@ -5,42 +5,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pywt
-from helpers import bumps, flat_attitude, imu, sensed, uniform_block, walk_of_bumps
+from helpers import (
+    against_foot_switches,
+    assert_last_steps_at_their_times,
+    assert_one_step_at_each,
+    bumps,
+    contacts_of,
+    count_error,
+    detect,
+    flat_attitude,
+    times_s,
+    uniform_block,
+    walk_of_bumps,
+)
 from scipy.signal import butter, sosfilt
 
 from pdr_filter.data.io.formats import read
-from pdr_filter.recipes.martinelli2018.steps import WaveletDetectorState, WaveletStepDetector, wavelet_kernel
-from pdr_filter.sensing.attitude import AttitudeBlock
-from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
+from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector, wavelet_kernel
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.step_detector import unknown_contexts
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
-from pdr_filter.values.recording import Recording
+from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 # Steps a second with the amplitude of the bump that one step makes, m/s2: walking, then running.
+SENSING = Sensing(steps=WaveletStepDetector())
 GAITS = [(1.2, 4.0), (1.5, 4.0), (1.8, 4.0), (2.2, 4.0), (2.7, 12.0), (3.2, 20.0)]
-
-
-def detect(
-    detector: WaveletStepDetector, blocks: list[UniformBlock], attitudes: list[AttitudeBlock] | None = None
-) -> tuple[WaveletDetectorState, list[tuple[int, Step]]]:
-    state, found = detector.init(), []
-    for i, block in enumerate(blocks):
-        attitude = attitudes[i] if attitudes else flat_attitude(block.specific_force_mps2[:, 2])
-        state, steps = detector.update(state, block, attitude, unknown_contexts(len(block.time_s)))
-        found += steps
-    return state, found
-
-
-def times_s(found: list[tuple[int, Step]]) -> np.ndarray:
-    return np.array([step.time_s for _, step in found])
-
-
-def assert_one_step_at_each(contacts_s: np.ndarray, found_s: np.ndarray, tolerance_s: float) -> None:
-    """Each contact has its step; the side lobes of the wavelet may add one before the first and after the last."""
-    inside = (found_s > contacts_s[0] - tolerance_s) & (found_s < contacts_s[-1] + tolerance_s)
-    np.testing.assert_allclose(found_s[inside], contacts_s, atol=tolerance_s)
-    assert len(found_s) <= len(contacts_s) + 2
 
 
 # --- the kernel -----------------------------------------------------------------------------------------------------
@@ -87,34 +75,6 @@ def test_every_bump_is_one_step_at_the_time_of_its_maximum(frequency_hz: float, 
     np.testing.assert_allclose([s.frequency_hz for _, s in found], 1 / durations)
 
 
-@pytest.mark.parametrize("rate_hz", [50.0, 64.0, 100.0, 200.0])
-@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), [(1.5, 4.0), (2.0, 4.0), (2.7, 20.0)])
-def test_the_sampling_rate_of_the_phone_does_not_matter(
-    rate_hz: float, frequency_hz: float, amplitude_mps2: float
-) -> None:
-    contacts_s = 3.0 + np.arange(20) / frequency_hz
-    rng = np.random.default_rng(1)
-    n = int((contacts_s[-1] + 3.0) * rate_hz)
-    time_s = (np.arange(n) + rng.uniform(-0.3, 0.3, n)) / rate_hz
-    force = np.outer(bumps(time_s, contacts_s, amplitude_mps2, frequency_hz), [0.0, 0.6, 0.8])
-    found = [e for _, e in sensed(Sensing(steps=WaveletStepDetector()), [imu(time_s, force)]) if isinstance(e, Step)]
-    assert_one_step_at_each(contacts_s, np.array([s.time_s for s in found]), 0.05)
-
-
-@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), GAITS)
-def test_a_step_is_known_one_latency_after_its_contact_and_never_before(
-    frequency_hz: float, amplitude_mps2: float
-) -> None:
-    detector = WaveletStepDetector()
-    _, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
-    block = uniform_block(magnitude)
-    state, found = detect(detector, [block])
-    delays_s = np.array([s.detected_time_s - s.time_s for _, s in found])
-    np.testing.assert_allclose(delays_s, detector.latency_s, atol=0.011)
-    assert all(block.time_s[index] == step.detected_time_s for index, step in found)
-    assert all(s.detected_time_s >= s.time_s for _, s in detector.finish(state))
-
-
 def test_the_latency_is_below_a_second() -> None:
     assert 0.3 < WaveletStepDetector().latency_s < 1.0
 
@@ -127,13 +87,6 @@ def test_bumps_below_the_smallest_peak_are_no_steps() -> None:
         magnitude = 9.81 + inside * scale * 0.35 * np.cos(2 * np.pi * 1.45 * (time_s - 3.0))
         _, found = detect(WaveletStepDetector(), [uniform_block(magnitude)])
         assert n_min <= len(found) <= n_max
-
-
-@pytest.mark.parametrize("magnitude", [np.full(1500, 9.80665), np.full(1500, 0.0), np.linspace(9, 11, 1500)])
-def test_rest_free_fall_and_a_slow_drift_have_no_steps(magnitude: np.ndarray) -> None:
-    state, found = detect(WaveletStepDetector(), [uniform_block(magnitude)])
-    assert found == []
-    assert WaveletStepDetector().finish(state) == []
 
 
 def test_heel_strike_and_push_off_are_one_step() -> None:
@@ -181,7 +134,8 @@ def test_the_statistics_of_a_step_are_those_of_the_samples_since_the_contact_bef
     block.angular_rate_known[700:705] = block.turn_known[700:705] = False
     attitude = flat_attitude(magnitude, np.cumsum(rng.normal(size=n)) / 10)
     attitude.vertical_mps2[:] += rng.normal(size=n)
-    _, found = detect(WaveletStepDetector(), [block], [attitude])
+    detector = WaveletStepDetector()
+    _, found = detector.update(detector.init(), block, attitude, unknown_contexts(n))
     contact = [round(s.time_s * 100 - 0.5) for _, s in found]
     starts = [contact[0] - 60, *contact[:-1]]
     for (_, step), a, b in zip(found, starts, contact, strict=True):
@@ -207,24 +161,12 @@ def test_at_the_end_the_last_steps_are_found_at_their_times(
     frequency_hz: float, amplitude_mps2: float, after_last_s: float
 ) -> None:
     contacts_s, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
-    magnitude = magnitude[: int(100 * (contacts_s[-1] + after_last_s))]
-    detector, block = WaveletStepDetector(), uniform_block(magnitude)
-    state, found = detect(detector, [block])
-    last = detector.finish(state)
-    assert len(last) > 0
-    every = times_s([*found, *last])
-    assert_one_step_at_each(contacts_s, every, 0.06)
-    assert (np.diff(every) > 0).all()
-    assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
-    np.testing.assert_allclose([s.duration_s for _, s in last][:1], 1 / frequency_hz, atol=0.03)
+    block = uniform_block(magnitude[: int(100 * (contacts_s[-1] + after_last_s))])
+    last = assert_last_steps_at_their_times(WaveletStepDetector(), contacts_s, block)
+    assert last[0].duration_s == pytest.approx(1 / frequency_hz, abs=0.03)
 
 
 # --- real recordings ------------------------------------------------------------------------------------------------
-
-
-def times_in(recording: Recording) -> np.ndarray:
-    events = sensed(Sensing(steps=WaveletStepDetector()), [merge_streams(recording)])
-    return np.array([e.time_s for _, e in events if isinstance(e, Step)])
 
 
 @pytest.mark.recordings
@@ -232,13 +174,9 @@ def test_steps_of_the_oxford_recordings_are_counted_and_timed_as_by_foot_switche
     offsets_s = []
     for path in sorted((data_dir / "oxford").glob("*.zip")):
         recording = read(path)
-        assert recording.truth.steps is not None
-        truth_s = recording.truth.steps.time_s
-        found_s = times_in(recording)
-        found_s = found_s[(found_s > truth_s[0] - 0.3) & (found_s < truth_s[-1] + 0.3)]
-        assert abs(len(found_s) / len(truth_s) - 1) < 0.03, path.name
-        nearest_s = found_s[np.abs(found_s[:, None] - truth_s).argmin(axis=0)]
-        offsets_s.append(np.median(nearest_s - truth_s))
+        error, offset_s = against_foot_switches(recording, contacts_of(recording, SENSING))
+        assert abs(error) < 0.03, path.name
+        offsets_s.append(np.median(offset_s))
     assert len(offsets_s) == 16
     # the switches were read every 0.1 s, so that they are up to that late
     assert abs(np.median(offsets_s)) < 0.08
@@ -251,10 +189,6 @@ def test_steps_of_people_7_to_13_of_ubicomp13_are_counted_within_2_5_percent(dat
     for person in range(7, 14):
         for path in sorted((data_dir / "ubicomp13").glob(f"ubicomp13_p{person:02d}_*.zip")):
             recording = read(path)
-            assert recording.truth.segments is not None
-            [segment] = recording.truth.segments
-            found_s = times_in(recording)
-            n = ((found_s > segment.start_s - 0.3) & (found_s < segment.end_s + 0.3)).sum()
-            errors.append(n / segment.n_steps - 1)
+            errors.append(count_error(recording, contacts_of(recording, SENSING)))
     assert len(errors) == 35
     assert np.mean(np.abs(errors)) < 0.025

@@ -4,16 +4,14 @@ import warnings
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, flat_attitude, uniform_block
+from helpers import block_of, run_stage
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, stft
-from scipy.spatial.transform import Rotation
 
 from pdr_filter.recipes.susi2013.features import (
     NAMES,
     WITHOUT_GYROSCOPE,
-    MotionWindow,
     MotionWindows,
     dominant_frequencies,
     motion_features,
@@ -23,23 +21,9 @@ from pdr_filter.sensing.conditioning import UniformBlock
 RATE_HZ = 100.0
 
 
-def block_of(force: np.ndarray, rate: np.ndarray | None) -> UniformBlock:
-    block = uniform_block(np.zeros(len(force)), rate=rate)
-    block.specific_force_mps2[:] = force
-    return block
-
-
 def noise_block(n: int, seed: int = 0) -> UniformBlock:
     rng = np.random.default_rng(seed)
     return block_of(rng.normal([0, 2, 9], 2.0, (n, 3)), rng.normal(0.3, 1.0, (n, 3)))
-
-
-def windows_of(stage: MotionWindows, blocks: list[UniformBlock]) -> list[tuple[int, MotionWindow]]:
-    state, found = stage.init(), []
-    for block in blocks:
-        state, windows = stage.update(state, block, flat_attitude(block.specific_force_mps2[:, 2]))
-        found += windows
-    return found
 
 
 @settings(max_examples=30, deadline=None)
@@ -51,12 +35,6 @@ def test_energy_and_variance_equal_their_literal_formulas(seed: int, n: int) -> 
         mean = sum(row) / n
         assert features[f"energy_{name}"] == pytest.approx(sum(v**2 for v in row) / n)
         assert features[f"variance_{name}"] == pytest.approx(sum((v - mean) ** 2 for v in row) / n)
-
-
-def test_energy_is_variance_plus_the_square_of_the_mean() -> None:
-    window = np.random.default_rng(0).normal(0.7, 1.0, (2, 256))
-    energy, variance = motion_features(window, RATE_HZ)[:4].reshape(2, 2)
-    np.testing.assert_allclose(energy, variance + window.mean(axis=1) ** 2)
 
 
 def test_there_are_ten_names_and_half_of_them_need_no_gyroscope() -> None:
@@ -85,20 +63,6 @@ def test_dominant_frequencies_are_the_highest_maxima_of_scipys_spectrogram(seed:
     np.testing.assert_allclose(dominant_frequencies(signal, RATE_HZ), expected)
 
 
-def test_three_sinusoids_give_their_frequencies_from_strong_to_weak() -> None:
-    t = np.arange(256) / RATE_HZ
-    bins = np.array([12, 5, 40])
-    signal = sum(a * np.sin(2 * np.pi * k * RATE_HZ / 256 * t) for a, k in zip((3.0, 2.0, 1.0), bins, strict=True))
-    np.testing.assert_allclose(dominant_frequencies(np.asarray(signal), RATE_HZ), bins * RATE_HZ / 256)
-
-
-@pytest.mark.parametrize("frequency_hz", [0.9, 1.83, 2.5, 7.2])
-def test_a_sinusoid_between_bins_is_found_to_half_a_bin(frequency_hz: float) -> None:
-    t = np.arange(256) / RATE_HZ
-    found = dominant_frequencies(np.sin(2 * np.pi * frequency_hz * t), RATE_HZ)
-    assert found[0] == pytest.approx(frequency_hz, abs=0.51 * RATE_HZ / 256)
-
-
 @pytest.mark.parametrize("level", [0.0, 1e-12])
 def test_a_window_without_motion_gives_zeros_and_no_warning(level: float) -> None:
     with warnings.catch_warnings():
@@ -115,20 +79,6 @@ def test_frequencies_follow_the_sampling_rate_and_nothing_else_does() -> None:
     np.testing.assert_array_equal(fast[~hertz], slow[~hertz])
 
 
-@pytest.mark.parametrize("scale", [0.1, 3.0])
-def test_a_larger_motion_has_the_same_frequencies_and_the_square_of_its_scale_as_energy(scale: float) -> None:
-    window = np.random.default_rng(2).normal(size=(2, 256))
-    plain, scaled = motion_features(window, RATE_HZ), motion_features(scale * window, RATE_HZ)
-    np.testing.assert_allclose(scaled[:4], scale**2 * plain[:4])
-    np.testing.assert_array_equal(scaled[4:], plain[4:])
-
-
-def test_windows_of_256_samples_overlap_by_half() -> None:
-    found = windows_of(MotionWindows(), [noise_block(700)])
-    assert [index for index, _ in found] == [255, 383, 511, 639]
-    np.testing.assert_allclose([w.time_s for _, w in found], [2.56, 3.84, 5.12, 6.40])
-
-
 def test_a_window_holds_low_passed_norms_less_their_moving_mean() -> None:
     block = noise_block(900)
     sos = butter(10, 15.0, fs=RATE_HZ, output="sos")
@@ -139,67 +89,14 @@ def test_a_window_holds_low_passed_norms_less_their_moving_mean() -> None:
         filtered = sosfilt(sos, np.concatenate([before, components]), axis=0)[1000:]
         norms.append(np.linalg.norm(filtered, axis=1))
     deviation = np.array([[v[k] - v[max(k - 255, 0) : k + 1].mean() for k in range(900)] for v in norms])
-    found = windows_of(MotionWindows(), [block])
+    found = run_stage(MotionWindows(), [block])[1]
     assert len(found) == 6
     for index, window in found:
         expected = motion_features(deviation[:, index - 255 : index + 1], RATE_HZ)
         np.testing.assert_allclose(window.features, expected, rtol=1e-7)
 
 
-def test_how_the_device_is_turned_in_the_hand_does_not_matter() -> None:
-    block = noise_block(600)
-    turn = Rotation.from_euler("xyz", [0.4, -1.1, 2.0])
-    turned = block_of(turn.apply(block.specific_force_mps2), turn.apply(block.angular_rate_radps))
-    pairs = zip(windows_of(MotionWindows(), [block]), windows_of(MotionWindows(), [turned]), strict=True)
-    for (_, a), (_, b) in pairs:
-        np.testing.assert_allclose(a.features, b.features, rtol=1e-9)
-
-
-def test_gravity_alone_has_no_energy() -> None:
-    for _, window in windows_of(MotionWindows(), [block_of(np.tile([0.0, 6.0, 7.7], (600, 1)), np.zeros((600, 3)))]):
-        np.testing.assert_allclose(window.features, 0.0, atol=1e-18)
-
-
-def test_walking_at_two_steps_a_second_gives_two_hertz() -> None:
-    t = np.arange(1000) / RATE_HZ
-    force = np.column_stack([0 * t, 0 * t, 9.8 + 3 * np.sin(2 * np.pi * 2.0 * t)])
-    _, window = windows_of(MotionWindows(), [block_of(force, None)])[-1]
-    features = dict(zip(NAMES, window.features, strict=True))
-    assert features["dominant_frequency_1_acc_hz"] == pytest.approx(2.0, abs=0.2)
-    assert features["variance_acc"] == pytest.approx(4.5, rel=0.05)
-
-
-def test_motion_above_the_cutoff_is_removed() -> None:
-    t = np.arange(1000) / RATE_HZ
-    force = np.column_stack([0 * t, 0 * t, 9.8 + np.sin(2 * np.pi * 30.0 * t)])
-    _, window = windows_of(MotionWindows(), [block_of(force, None)])[-1]
-    assert window.features[NAMES.index("variance_acc")] < 1e-5
-
-
 def test_a_window_says_whether_the_gyroscope_was_there() -> None:
     block = noise_block(700)
     block.angular_rate_known[300:350] = False
-    assert [w.has_gyroscope for _, w in windows_of(MotionWindows(), [block])] == [True, False, False, True]
-
-
-@settings(max_examples=30, deadline=None)
-@given(edges=st.lists(st.integers(0, 900), max_size=60), shape=st.sampled_from([(2.56, 1.28), (1.0, 1.0), (1.0, 0.05)]))
-def test_windows_do_not_depend_on_how_samples_arrive(edges: list[int], shape: tuple[float, float]) -> None:
-    stage, block = MotionWindows(window_s=shape[0], hop_s=shape[1]), noise_block(900)
-    whole, pieces = windows_of(stage, [block]), windows_of(stage, cut_uniform(block, edges))
-    assert [(i, w.time_s) for i, w in pieces] == [(i, w.time_s) for i, w in whole]
-    for (_, piece), (_, window) in zip(pieces, whole, strict=True):
-        np.testing.assert_array_equal(piece.features, window.features)
-
-
-def test_sample_by_sample_gives_the_same_bits_as_the_whole() -> None:
-    block = noise_block(520)
-    whole, singles = windows_of(MotionWindows(), [block]), windows_of(MotionWindows(), cut_uniform(block, range(520)))
-    for (_, single), (_, window) in zip(singles, whole, strict=True):
-        np.testing.assert_array_equal(single.features, window.features)
-
-
-@pytest.mark.parametrize("wrong", [{"rate_hz": 30.0}, {"hop_s": 3.0}, {"hop_s": 0.0}, {"low_pass_hz": 0.0}])
-def test_a_stage_that_cannot_work_is_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="must be"):
-        MotionWindows(**wrong)
+    assert [w.has_gyroscope for _, w in run_stage(MotionWindows(), [block])[1]] == [True, False, False, True]

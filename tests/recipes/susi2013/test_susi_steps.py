@@ -4,23 +4,33 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, flat_attitude, sensed, uniform_block
+from helpers import (
+    against_foot_switches,
+    assert_last_steps_at_their_times,
+    contacts_of,
+    count_error,
+    cut_uniform,
+    detect,
+    times_s,
+    uniform_block,
+)
 from scipy.signal import butter, sosfilt, sosfiltfilt
-from scipy.spatial.transform import Rotation
 
 from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.susi2013.contexts import MotionModes
-from pdr_filter.recipes.susi2013.steps import NormMinimaState, NormMinimaStepDetector
-from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
+from pdr_filter.recipes.susi2013.steps import NormMinimaStepDetector
+from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_contexts
+from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, Step
+from pdr_filter.values import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.recording import Recording
 
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
 SWINGING, TEXTING = CARRYING_MODES.index("swinging"), CARRYING_MODES.index("texting")
 START_S, N_STEPS = 4.0, 24
+DETECTOR = NormMinimaStepDetector()
+SENSING = Sensing(contexts=MotionModes(), steps=DETECTOR)
 
 
 def walk(step_hz: float, start_s: float = START_S, rate_hz: float = 100.0) -> tuple[np.ndarray, UniformBlock]:
@@ -34,34 +44,16 @@ def walk(step_hz: float, start_s: float = START_S, rate_hz: float = 100.0) -> tu
     return contacts_s, uniform_block(force, rate_hz, rate=np.outer(turning, [0.8, 0.0, 0.6]))
 
 
-def modes_like(block: UniformBlock, context: int = WALKING, carrying_mode: int = TEXTING) -> ContextBlock:
-    n = len(block.time_s)
-    return ContextBlock(np.full(n, context), np.full(n, carrying_mode))
-
-
-def detect(
-    blocks: list[UniformBlock], modes: list[ContextBlock] | None = None, detector: NormMinimaStepDetector | None = None
-) -> tuple[NormMinimaState, list[tuple[int, Step]]]:
-    detector = detector or NormMinimaStepDetector()
-    state, found = detector.init(), []
-    for i, block in enumerate(blocks):
-        attitude = flat_attitude(block.specific_force_mps2[:, 2])
-        state, steps = detector.update(
-            state, block, attitude, modes[i] if modes else unknown_contexts(len(block.time_s))
-        )
-        found += steps
-    return state, found
-
-
-def times_s(found: list[tuple[int, Step]]) -> np.ndarray:
-    return np.array([step.time_s for _, step in found])
-
-
 def assert_one_step_at_each(contacts_s: np.ndarray, found_s: np.ndarray, tolerance_s: float) -> None:
     """Each contact but the first and the last, where the motion is cut off, has its step; at most these are more."""
     inside = (found_s > contacts_s[1] - 0.5 * tolerance_s) & (found_s < contacts_s[-2] + 0.5 * tolerance_s)
     np.testing.assert_allclose(found_s[inside], contacts_s[1:-1], atol=tolerance_s)
     assert len(found_s) <= len(contacts_s) + 1
+
+
+def modes_like(block: UniformBlock, context: int = WALKING, carrying_mode: int = TEXTING) -> ContextBlock:
+    n = len(block.time_s)
+    return ContextBlock(np.full(n, context), np.full(n, carrying_mode))
 
 
 # --- the delay of the filter ----------------------------------------------------------------------------------------
@@ -89,7 +81,7 @@ def test_the_delay_is_that_of_a_sinusoid_through_the_filter(frequency_hz: float,
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0])
 def test_an_arm_at_rest_has_a_step_at_each_bump_of_the_body(step_hz: float, rate_hz: float) -> None:
     contacts_s, block = walk(step_hz, rate_hz=rate_hz)
-    _, found = detect([block], [modes_like(block)], NormMinimaStepDetector(rate_hz=rate_hz))
+    _, found = detect(NormMinimaStepDetector(rate_hz=rate_hz), [block], [modes_like(block)])
     assert_one_step_at_each(contacts_s, times_s(found), 0.04)
 
 
@@ -98,7 +90,7 @@ def test_a_full_cycle_of_a_swinging_arm_is_a_stride_of_two_steps(step_hz: float)
     contacts_s, block = walk(step_hz)
     # a hand that shows nothing of the body, only the pull of the arm once a stride
     block.specific_force_mps2[:, 2] = 9.81 + 2.5 * np.cos(np.pi * step_hz * (block.time_s - START_S))
-    _, found = detect([block], [modes_like(block, carrying_mode=SWINGING)])
+    _, found = detect(DETECTOR, [block], [modes_like(block, carrying_mode=SWINGING)])
     assert_one_step_at_each(contacts_s, times_s(found), 0.04)
     n_cycles = (N_STEPS - 1) / 2
     assert len(found) == pytest.approx(2 * n_cycles, abs=2)
@@ -107,19 +99,19 @@ def test_a_full_cycle_of_a_swinging_arm_is_a_stride_of_two_steps(step_hz: float)
 def test_a_swinging_hand_whose_angular_rate_is_unknown_is_counted_by_its_force() -> None:
     contacts_s, block = walk(1.8)
     without = uniform_block(block.specific_force_mps2[:, 2])
-    _, found = detect([without], [modes_like(block, carrying_mode=SWINGING)])
+    _, found = detect(DETECTOR, [without], [modes_like(block, carrying_mode=SWINGING)])
     assert_one_step_at_each(contacts_s, times_s(found), 0.04)
 
 
 def test_an_unknown_mode_is_counted_like_an_arm_at_rest() -> None:
     _, block = walk(1.8)
-    assert detect([block])[1] == detect([block], [modes_like(block)])[1]
+    assert detect(DETECTOR, [block])[1] == detect(DETECTOR, [block], [modes_like(block)])[1]
 
 
 @pytest.mark.parametrize("carrying_mode", [TEXTING, SWINGING, -1])
 def test_nobody_who_stands_makes_steps(carrying_mode: int) -> None:
     _, block = walk(1.8)
-    state, found = detect([block], [modes_like(block, STATIONARY, carrying_mode)])
+    state, found = detect(DETECTOR, [block], [modes_like(block, STATIONARY, carrying_mode)])
     assert found == NormMinimaStepDetector().finish(state) == []
 
 
@@ -127,7 +119,7 @@ def test_the_mode_of_a_contact_is_known_1_to_2_seconds_after_it() -> None:
     contacts_s, block = walk(2.0)
     change_s = contacts_s[12]
     modes = ContextBlock(np.where(block.time_s < change_s, STATIONARY, WALKING), np.full(len(block.time_s), TEXTING))
-    found_s = times_s(detect([block], [modes])[1])
+    found_s = times_s(detect(DETECTOR, [block], [modes])[1])
     assert change_s - 2.2 < found_s[0] < change_s - 1.3
 
 
@@ -135,7 +127,7 @@ def test_a_change_of_the_carrying_mode_loses_and_doubles_no_step() -> None:
     _, block = walk(1.8)
     swinging = (block.time_s // 3.7) % 2 == 0
     modes = ContextBlock(np.full(len(swinging), WALKING), np.where(swinging, SWINGING, TEXTING))
-    found_s = times_s(detect([block], [modes])[1])
+    found_s = times_s(detect(DETECTOR, [block], [modes])[1])
     # both norms know the same contacts, and a contact that neither was asked for is the worst that can happen
     assert (np.diff(found_s) > 0.3).all()
     assert len(found_s) >= N_STEPS - 3
@@ -150,47 +142,12 @@ def test_a_second_bump_that_rises_little_above_the_mean_makes_no_second_step(
     phase = 2 * np.pi * step_hz * (block.time_s - START_S)
     moving = block.specific_force_mps2[:, 2] != 9.81
     block.specific_force_mps2[:, 2] += moving * second_mps2 * np.cos(2 * phase)
-    _, found = detect([block], [modes_like(block)])
+    _, found = detect(DETECTOR, [block], [modes_like(block)])
     assert len(found) == pytest.approx(N_STEPS, abs=1)
     np.testing.assert_allclose(np.diff(times_s(found))[3:-3], 1 / step_hz, atol=0.02)
 
 
-@pytest.mark.parametrize("magnitude", [np.full(1500, 9.80665), np.full(1500, 0.0), np.linspace(9, 11, 1500)])
-def test_rest_free_fall_and_a_slow_drift_have_no_steps(magnitude: np.ndarray) -> None:
-    block = uniform_block(magnitude, rate=np.zeros((1500, 3)))
-    for carrying_mode in (TEXTING, SWINGING):
-        state, found = detect([block], [modes_like(block, carrying_mode=carrying_mode)])
-        assert found == NormMinimaStepDetector().finish(state) == []
-
-
-def test_noise_of_a_still_phone_has_no_steps() -> None:
-    rng = np.random.default_rng(0)
-    block = uniform_block(9.81 + 0.15 * rng.normal(size=3000), rate=0.05 * rng.normal(size=(3000, 3)))
-    for carrying_mode in (TEXTING, SWINGING):
-        assert detect([block], [modes_like(block, carrying_mode=carrying_mode)])[1] == []
-
-
 # --- when a step becomes known --------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("step_hz", [1.1, 1.8, 2.5])
-@pytest.mark.parametrize("carrying_mode", [TEXTING, SWINGING])
-def test_a_step_is_known_within_the_latency_and_never_before_its_contact(step_hz: float, carrying_mode: int) -> None:
-    detector = NormMinimaStepDetector()
-    _, block = walk(step_hz)
-    _, found = detect([block], [modes_like(block, carrying_mode=carrying_mode)])
-    delays_s = np.array([s.detected_time_s - s.time_s for _, s in found])
-    assert len(found) > 20
-    assert 1.5 < delays_s.min() <= delays_s.max() < detector.latency_s < 2.8
-    assert all(block.time_s[index] == step.detected_time_s for index, step in found)
-    assert (np.diff([index for index, _ in found]) >= 0).all()
-
-
-def test_the_duration_of_a_step_is_the_time_since_the_contact_before() -> None:
-    _, block = walk(1.8)
-    steps = [s for _, s in detect([block], [modes_like(block)])[1]]
-    np.testing.assert_allclose([s.duration_s for s in steps[1:]], np.diff([s.time_s for s in steps]))
-    assert steps[0].duration_s == 0.6
 
 
 @pytest.mark.parametrize("carrying_mode", [TEXTING, SWINGING])
@@ -198,53 +155,14 @@ def test_the_duration_of_a_step_is_the_time_since_the_contact_before() -> None:
 def test_at_the_end_the_last_steps_are_found_at_their_times(carrying_mode: int, after_last_s: float) -> None:
     contacts_s, block = walk(1.8)
     block = cut_uniform(block, [int(100 * (contacts_s[-1] + after_last_s))])[0]
-    detector = NormMinimaStepDetector()
-    state, found = detect([block], [modes_like(block, carrying_mode=carrying_mode)])
-    last = detector.finish(state)
-    assert len(last) >= 2
-    every = times_s([*found, *last])
-    assert_one_step_at_each(contacts_s, every, 0.06)
-    assert (np.diff(every) > 0).all()
-    assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
-
-
-@pytest.mark.parametrize("low_pass_hz", [0.0, 50.0])
-def test_a_cutoff_that_no_filter_has_is_refused(low_pass_hz: float) -> None:
-    with pytest.raises(ValueError, match=r"low_pass_hz.* must be"):
-        NormMinimaStepDetector(low_pass_hz=low_pass_hz)
+    modes = modes_like(block, carrying_mode=carrying_mode)
+    assert len(assert_last_steps_at_their_times(NormMinimaStepDetector(), contacts_s, block, [modes])) >= 2
 
 
 # --- invariance -----------------------------------------------------------------------------------------------------
 
 
-def noisy_walk(seed: int) -> tuple[UniformBlock, ContextBlock]:
-    rng = np.random.default_rng(seed)
-    _, block = walk(rng.uniform(1.2, 2.4))
-    block.specific_force_mps2[:] += rng.normal(size=block.specific_force_mps2.shape)
-    block.angular_rate_radps[:] += 0.5 * rng.normal(size=block.angular_rate_radps.shape)
-    n = len(block.time_s)
-    block.angular_rate_known[600:700] = False
-    return block, ContextBlock(np.full(n, WALKING), np.where(np.arange(n) // 350 % 2 == 0, SWINGING, TEXTING))
-
-
-def test_how_the_device_is_turned_in_the_hand_does_not_matter() -> None:
-    block, modes = noisy_walk(9)
-    turn = Rotation.from_euler("xyz", [0.4, -1.1, 2.0])
-    attitude = flat_attitude(block.specific_force_mps2[:, 2])
-    expected = times_s(detect([block], [modes])[1])
-    block.specific_force_mps2[:] = turn.apply(block.specific_force_mps2)
-    block.angular_rate_radps[:] = turn.apply(block.angular_rate_radps)
-    detector = NormMinimaStepDetector()
-    found = times_s(detector.update(detector.init(), block, attitude, modes)[1])
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-
-
 # --- with the motion modes: simulated and real walks ----------------------------------------------------------------
-
-
-def steps_of(recording: Recording) -> np.ndarray:
-    sensing = Sensing(contexts=MotionModes(), steps=NormMinimaStepDetector())
-    return np.array([e.time_s for _, e in sensed(sensing, [merge_streams(recording)]) if isinstance(e, Step)])
 
 
 def within(time_s: np.ndarray, start_s: float, end_s: float) -> np.ndarray:
@@ -256,7 +174,7 @@ def test_steps_of_a_simulated_walk_are_counted(carrying_mode: str) -> None:
     recording = simulate([Leg("walking", distance_m=80.0)], carrying_mode=carrying_mode, seed=2)
     assert recording.truth.steps is not None
     truth_s = recording.truth.steps.time_s
-    found_s = steps_of(recording)
+    found_s = contacts_of(recording, SENSING)
     assert len(found_s) == pytest.approx(len(truth_s), rel=0.04)
 
 
@@ -266,12 +184,9 @@ def test_steps_of_oxford_in_the_hand_are_counted_and_timed_as_by_foot_switches(d
     offsets_s = []
     for path in sorted((data_dir / "oxford").glob("*inhand*.zip")):
         recording = read(path)
-        assert recording.truth.steps is not None
-        truth_s = recording.truth.steps.time_s
-        found_s = within(steps_of(recording), truth_s[0] - 0.3, truth_s[-1] + 0.3)
-        assert len(found_s) == pytest.approx(len(truth_s), rel=0.025)
-        nearest_s = found_s[np.abs(found_s[:, None] - truth_s).argmin(axis=0)]
-        offsets_s.append(np.median(nearest_s - truth_s))
+        error, offset_s = against_foot_switches(recording, contacts_of(recording, SENSING))
+        assert abs(error) < 0.025
+        offsets_s.append(np.median(offset_s))
     assert len(offsets_s) == 4
     # the switches were read every 0.1 s, so that they are up to that late
     assert abs(np.mean(offsets_s)) < 0.08
@@ -298,7 +213,7 @@ def test_real_swinging_walks_have_a_step_for_each_turn_of_the_arm(data_dir: Path
     assert recording.truth.labels is not None
     [label] = recording.truth.labels
     turns_s = within(arm_turns_s(recording), label.start_s, label.end_s)
-    found_s = within(steps_of(recording), label.start_s, label.end_s)
+    found_s = within(contacts_of(recording, SENSING), label.start_s, label.end_s)
     assert len(turns_s) > 180
     assert len(found_s) == pytest.approx(len(turns_s), rel=tolerance)
 
@@ -310,9 +225,6 @@ def test_people_7_to_13_of_ubicomp13_with_the_phone_in_the_hand_are_counted(data
     for person in (7, 9, 11, 13):
         for path in sorted((data_dir / "ubicomp13").glob(f"ubicomp13_p{person:02d}_*hand_held.zip")):
             recording = read(path)
-            assert recording.truth.segments is not None
-            [segment] = recording.truth.segments
-            found_s = within(steps_of(recording), segment.start_s - 0.3, segment.end_s + 0.3)
-            errors.append(len(found_s) / segment.n_steps - 1)
+            errors.append(count_error(recording, contacts_of(recording, SENSING)))
     assert len(errors) == 4
     assert np.mean(np.abs(errors)) < 0.03

@@ -1,22 +1,20 @@
 from __future__ import annotations
 
-from dataclasses import fields, replace
-from itertools import pairwise
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from helpers import block_of, conditioned
 
 from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.tian2016.contexts import CarryingMachine, MachineState, TianContexts, TianContextsState
-from pdr_filter.recipes.tian2016.steps import HOLDING, POCKET, SWING, TRANS, TianStepDetector
+from pdr_filter.recipes.tian2016.steps import HOLDING, POCKET, SWING, TRANS
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
-from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
+from pdr_filter.sensing.steps.step_detector import unknown_contexts
+from pdr_filter.testing import StageSamples
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2, WindowContext
 from pdr_filter.values.recording import Recording
-from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 # Which way is up, sensor frame.
 FLAT, TILTED, UPRIGHT = (0.0, 0.2, 0.98), (0.0, 0.75, 0.66), (0.0, 1.0, -0.05)
@@ -92,19 +90,6 @@ def test_two_seconds_after_a_fast_turn_gravity_says_where_the_phone_is(
     np.testing.assert_array_equal(modes, [before] * 100 + [TRANS] * 200 + [expected] * 200)
 
 
-@pytest.mark.parametrize(("mode", "up"), [(HOLDING, FLAT), (SWING, LEFT_EDGE), (POCKET, UPRIGHT)])
-@pytest.mark.parametrize(
-    "rate", [(9.0, 2.9, 4.9), (0.0, 3.1, 0.0), (0.0, -3.1, 0.0), (0.0, 0.0, 5.1), (0.0, 0.0, -5.1)]
-)
-def test_each_mode_watches_the_axes_of_table_ii(
-    mode: int, up: tuple[float, float, float], rate: tuple[float, float, float]
-) -> None:
-    watches_y, watches_z = {HOLDING: (True, True), SWING: (True, False), POCKET: (False, True)}[mode]
-    moved = (watches_y and abs(rate[1]) > 3) or (watches_z and abs(rate[2]) > 5)
-    modes = modes_of(CarryingMachine(), rates(100, {49: rate}), carried((up, 1.0)), mode)
-    assert (TRANS in modes) == moved
-
-
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_without_the_return_to_holding_it_is_table_i_as_printed(rate_hz: float, seed: int) -> None:
@@ -129,14 +114,6 @@ def test_a_phone_whose_screen_looks_up_for_less_than_half_a_second_is_not_held_a
     for seconds, expected in [(0.45, POCKET), (0.55, HOLDING)]:
         up = carried((FLAT, 1.0), (UPRIGHT, 2.0 - seconds), (FLAT, seconds), (UPRIGHT, 1.0))
         assert modes_of(CarryingMachine(), rates(400, {99: (0.0, 3.5, 0.0)}), up)[-1] == expected
-
-
-def test_a_transition_on_the_heels_of_another_leaves_one_sample_of_the_mode_between() -> None:
-    rate = rates(700, {99: (0.0, 4.0, 6.0)})
-    rate[100:500] = rate[99]
-    modes = modes_of(CarryingMachine(), rate, carried((FLAT, 1.0), (LEFT_EDGE, 6.0)))
-    assert modes[300] == SWING
-    assert set(modes[100:300]) == set(modes[301:501]) == {TRANS}
 
 
 # --- without angular rate -------------------------------------------------------------------------------------------
@@ -167,31 +144,19 @@ def test_a_transition_that_loses_the_angular_rate_ends_as_any_other() -> None:
 
 def walk(
     seconds: list[tuple[tuple[float, float, float], float, float]], turns: dict[int, tuple[float, float, float]]
-) -> tuple[UniformBlock, AttitudeBlock]:
+) -> StageSamples:
     """A phone that lies so, for so long, pushed up and down with so many m/s2 at 2 Hz."""
     up = carried(*[(u, s) for u, s, _ in seconds])
     n = len(up)
     time_s = (np.arange(n) + 0.5) / 100
     push = np.concatenate([np.full(round(100 * s), p) for _, s, p in seconds]) * np.cos(4 * np.pi * time_s)
-    force = (STANDARD_GRAVITY_MPS2 + push)[:, None] * up
-    known, none = np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
-    block = UniformBlock(time_s, force, rates(n, turns), known, known, np.zeros((n, 3)), none, np.inf)
-    return block, AttitudeBlock(push, np.zeros((n, 2)), up, np.zeros(n))
+    block = block_of((STANDARD_GRAVITY_MPS2 + push)[:, None] * up, rates(n, turns))
+    return StageSamples(block, AttitudeBlock(push, np.zeros((n, 2)), up, np.zeros(n)), unknown_contexts(n))
 
 
-def part(whole: UniformBlock | AttitudeBlock, a: int, b: int):
-    cut = {f.name: getattr(whole, f.name)[a:b] for f in fields(whole) if f.name != "gap_before_s"}
-    return type(whole)(**cut, **({"gap_before_s": 0.0} if isinstance(whole, UniformBlock) else {}))
-
-
-def said_of(
-    stage: TianContexts, block: UniformBlock, attitude: AttitudeBlock, edges: list[int] | None = None
-) -> tuple[TianContextsState, list[tuple[int, WindowContext]]]:
-    state, said = stage.init(), []
-    for a, b in pairwise(sorted({0, len(block.time_s), *(e % len(block.time_s) for e in edges or [])})):
-        state, found = stage.update(state, part(block, a, b), part(attitude, a, b))
-        said += found
-    return state, said
+def said_of(samples: StageSamples) -> tuple[TianContextsState, list[tuple[int, WindowContext]]]:
+    stage = TianContexts()
+    return stage.update(stage.init(), samples.block, samples.attitude)
 
 
 def names(said: list[tuple[int, WindowContext]]) -> list[tuple[int, str, str]]:
@@ -209,7 +174,7 @@ WALK = walk([(FLAT, 2.0, 0.0), (FLAT, 6.0, 2.0), (LEFT_EDGE, 4.0, 12.0), (LEFT_E
 
 
 def test_the_stage_says_what_the_machine_and_the_steps_say() -> None:
-    _, said = said_of(TianContexts(), *WALK)
+    _, said = said_of(WALK)
     changes = names(said)
     assert [c[1:] for c in changes] == [
         ("stationary", "texting"),
@@ -225,53 +190,32 @@ def test_the_stage_says_what_the_machine_and_the_steps_say() -> None:
 
 
 def test_the_stage_speaks_at_the_first_sample_and_at_least_once_a_second() -> None:
-    _, said = said_of(TianContexts(), *WALK)
+    _, said = said_of(WALK)
     numbers = [number for number, _ in said]
     assert numbers[0] == 0
     assert max(np.diff([*numbers, 1800])) <= 100
-    assert all(w.time_s == WALK[0].time_s[number] for number, w in said)
+    assert all(w.time_s == WALK.block.time_s[number] for number, w in said)
     assert all(w.prob.sum() == pytest.approx(1.0) and w.carrying_prob.sum() == pytest.approx(1.0) for _, w in said)
-
-
-@settings(max_examples=15, deadline=None)
-@given(edges=st.lists(st.integers(0, 1799), max_size=60))
-def test_what_is_said_does_not_depend_on_how_samples_arrive_nor_on_saving(edges: list[int]) -> None:
-    stage = TianContexts()
-    whole_state, whole = said_of(stage, *WALK)
-    state, pieces = said_of(stage, *WALK, edges)
-    assert [(i, w.time_s, *w.prob, *w.carrying_prob) for i, w in pieces] == [
-        (i, w.time_s, *w.prob, *w.carrying_prob) for i, w in whole
-    ]
-    assert to_bytes(state) == to_bytes(whole_state)
-    middle = (edges or [900])[0] % 1798 + 1
-    state, first = said_of(stage, part(WALK[0], 0, middle), part(WALK[1], 0, middle))
-    restored = from_bytes(to_bytes(state))
-    _, second = stage.update(restored, part(WALK[0], middle, 1800), part(WALK[1], middle, 1800))
-    assert [i for i, _ in first + second] == [i for i, _ in whole]
 
 
 def test_after_a_gap_the_mode_lasts_and_nobody_walks() -> None:
     stage = TianContexts()
-    swinging, _ = said_of(stage, part(WALK[0], 0, 1100), part(WALK[1], 0, 1100))
-    in_transition, _ = said_of(stage, part(WALK[0], 0, 900), part(WALK[1], 0, 900))
+    swinging, _ = said_of(WALK.part(0, 1100))
+    in_transition, _ = said_of(WALK.part(0, 900))
     for state, mode in [(swinging, "swinging"), (in_transition, "texting")]:
-        _, said = stage.update(stage.after_gap(state), part(WALK[0], 1500, 1510), part(WALK[1], 1500, 1510))
+        later = WALK.part(1500, 1510)
+        _, said = stage.update(stage.after_gap(state), later.block, later.attitude)
         assert names(said) == [(0, "stationary", mode)]
 
 
 def test_a_report_of_a_change_is_of_its_own_sample_and_all_others_of_the_samples_since_the_last() -> None:
     moved = walk([(FLAT, 5.0, 0.0)], {149: (0.0, 4.0, 0.0)})  # after a second and a half
-    _, reports = said_of(TianContexts(), *moved)
+    _, reports = said_of(moved)
     samples = [number for number, _ in reports]
     assert samples[:4] == [0, 100, 150, 250]
     described = [(w.time_s - w.start_s) * 100 + 0.5 for _, w in reports]
     np.testing.assert_allclose(described[:4], [1, 100, 1, 100], atol=1e-6)
     np.testing.assert_allclose([w.hop_s for _, w in reports[1:]], np.diff(samples) / 100, atol=1e-12)
-
-
-def test_machine_and_steps_of_different_rates_are_refused() -> None:
-    with pytest.raises(ValueError, match="rate_hz"):
-        TianContexts(CarryingMachine(rate_hz=50.0), TianStepDetector(rate_hz=100.0))
 
 
 # --- real recordings ------------------------------------------------------------------------------------------------
@@ -280,9 +224,8 @@ def test_machine_and_steps_of_different_rates_are_refused() -> None:
 def share(recording: Recording, start_s: float, end_s: float, mode: int) -> float:
     """Part of a time during which the machine is in a mode."""
     estimator, machine = AttitudeEstimator(), CarryingMachine()
-    _, blocks = Conditioner().update(Conditioner().init(), merge_streams(recording))
     attitude_state, state, found = estimator.init(), machine.init(), []
-    for block in blocks:
+    for block in conditioned(recording):
         attitude_state, attitude = estimator.update(attitude_state, block)
         state, modes = machine.update(state, block.angular_rate_radps, block.angular_rate_known, attitude.up_sensor)
         found.append(modes[(block.time_s > start_s) & (block.time_s < end_s)])

@@ -1,13 +1,12 @@
 from __future__ import annotations
 
-from dataclasses import astuple, fields
-from itertools import pairwise
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from helpers import contacts_of, count_error, times_s, uniform_block
 
 from pdr_filter.data.io.formats import read
 from pdr_filter.recipes.tian2016.steps import (
@@ -22,11 +21,12 @@ from pdr_filter.recipes.tian2016.steps import (
     n_filled_in,
     step_signals,
 )
-from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
-from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.step_detector import ContextBlock
-from pdr_filter.values import CARRYING_MODES, STANDARD_GRAVITY_MPS2, Step
-from pdr_filter.values.serialisation import from_bytes, to_bytes
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2, Step, known_context
+from pdr_filter.values.recording import Recording
 
 TEXTING, SWINGING, IN_POCKET, UNKNOWN = *(CARRYING_MODES.index(m) for m in ("texting", "swinging", "pocket")), -1
 
@@ -38,29 +38,16 @@ def phone(
     n = len(user_g)
     direction = np.tile(np.array(up) / np.linalg.norm(up), (n, 1))
     force = STANDARD_GRAVITY_MPS2 * (direction - user_g)
-    time_s, zeros, known = (np.arange(n) + 0.5) / rate_hz, np.zeros((n, 3)), np.ones(n, dtype=bool)
-    block = UniformBlock(time_s, force, zeros, known, known, zeros, ~known, np.inf)
+    block = replace(uniform_block(np.zeros(n), rate_hz, rate=np.zeros((n, 3))), specific_force_mps2=force)
     vertical = (force * direction).sum(axis=1) - STANDARD_GRAVITY_MPS2
     attitude = AttitudeBlock(vertical, np.zeros((n, 2)), direction, np.zeros(n))
     return block, attitude, ContextBlock(np.full(n, -1), np.broadcast_to(carrying_mode, n).copy())
 
 
-def part(whole: UniformBlock | AttitudeBlock | ContextBlock, a: int, b: int):
-    cut = {f.name: getattr(whole, f.name)[a:b] for f in fields(whole) if f.name != "gap_before_s"}
-    return type(whole)(**cut, **({"gap_before_s": 0.0} if isinstance(whole, UniformBlock) else {}))
-
-
 def detect(
-    detector: TianStepDetector,
-    samples: tuple[UniformBlock, AttitudeBlock, ContextBlock],
-    edges: tuple[int, ...] | list[int] = (),
+    detector: TianStepDetector, samples: tuple[UniformBlock, AttitudeBlock, ContextBlock]
 ) -> tuple[TianDetectorState, list[tuple[int, Step]]]:
-    state, found = detector.init(), []
-    n = len(samples[0].time_s)
-    for a, b in pairwise(sorted({0, n, *(e % n for e in edges)})):
-        state, steps = detector.update(state, *(part(s, a, b) for s in samples))
-        found += steps
-    return state, found
+    return detector.update(detector.init(), *samples)
 
 
 def cosine(axis: int, amplitude_g: float, frequency_hz: float, seconds: float = 10.0, rate_hz: float = 100.0):
@@ -68,10 +55,6 @@ def cosine(axis: int, amplitude_g: float, frequency_hz: float, seconds: float = 
     user = np.zeros((round(seconds * rate_hz), 3))
     user[:, axis] = amplitude_g * np.cos(2 * np.pi * frequency_hz * (np.arange(len(user)) + 0.5) / rate_hz)
     return user
-
-
-def times_s(found: list[tuple[int, Step]]) -> np.ndarray:
-    return np.array([step.time_s for _, step in found])
 
 
 # --- signs and signals ----------------------------------------------------------------------------------------------
@@ -269,68 +252,49 @@ def test_at_the_end_a_peak_that_waits_for_its_future_is_a_step() -> None:
     assert detector.finish(detector.init()) == []
 
 
-@pytest.mark.parametrize("user", [np.zeros((800, 3)), np.tile(np.linspace(0, 0.5, 800)[:, None], (1, 3))])
-@pytest.mark.parametrize("mode", [TEXTING, SWINGING, IN_POCKET])
-def test_rest_and_a_slow_drift_have_no_steps(user: np.ndarray, mode: int) -> None:
-    detector = TianStepDetector()
-    state, found = detect(detector, phone(user, mode))
-    assert [*found, *detector.finish(state)] == []
-
-
-@settings(max_examples=25, deadline=None)
-@given(edges=st.lists(st.integers(0, 1499), max_size=80), seed=st.integers(0, 1000))
-def test_steps_do_not_depend_on_how_samples_arrive_nor_on_saving(edges: list[int], seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    modes = np.repeat(rng.choice([TEXTING, SWINGING, IN_POCKET, UNKNOWN], 15), 100)
-    user = cosine(2, 0.3, rng.uniform(1.2, 2.2), 15.0) + cosine(1, 0.4, 0.9, 15.0) + 0.05 * rng.normal(size=(1500, 3))
-    detector, samples = TianStepDetector(), phone(user, modes, up=(0.0, 0.5, 0.9))
-    state, whole = detect(detector, samples)
-    cut_state, pieces = detect(detector, samples, edges)
-    assert len(whole) > 5
-    assert [(i, astuple(s)) for i, s in pieces] == [(i, astuple(s)) for i, s in whole]
-    assert detector.finish(cut_state) == detector.finish(state)
-    middle = (edges or [700])[0] % 1498 + 1
-    state, first = detect(detector, tuple(part(s, 0, middle) for s in samples))
-    _, second = detector.update(from_bytes(to_bytes(state)), *(part(s, middle, 1500) for s in samples))
-    assert [(i, astuple(s)) for i, s in first + second] == [(i, astuple(s)) for i, s in whole]
-
-
 # --- real recordings ------------------------------------------------------------------------------------------------
 
 
-def steps_s(path: Path, carrying_mode: int) -> tuple[np.ndarray, object]:
+@dataclass(frozen=True)
+class AlwaysCarried:
+    """Context stage of a carrying mode that is known in advance."""
+
+    carrying_mode: str
+    rate_hz: float = 100.0
+    contexts: tuple[str, ...] = CONTEXTS
+
+    def init(self) -> bool:
+        return False
+
+    def after_gap(self, state: bool) -> bool:
+        return False
+
+    def update(self, state: bool, block: UniformBlock, attitude: AttitudeBlock) -> tuple[bool, list[Any]]:
+        known = known_context(float(block.time_s[0]), {"walking": 1.0}, {self.carrying_mode: 1.0}, CONTEXTS, "")
+        return True, [] if state else [(0, known)]
+
+
+def steps_s(path: Path, carrying_mode: str) -> tuple[np.ndarray, Recording]:
     """Contacts in a recording whose carrying mode is given."""
     recording = read(path)
-    estimator, detector = AttitudeEstimator(), TianStepDetector()
-    _, blocks = Conditioner().update(Conditioner().init(), merge_streams(recording))
-    attitude_state, state, found = estimator.init(), detector.init(), []
-    for i, block in enumerate(blocks):
-        if block.gap_before_s > 0 and i > 0:
-            found += detector.finish(state)
-            attitude_state, state = estimator.after_gap(attitude_state), detector.init()
-        attitude_state, attitude = estimator.update(attitude_state, block)
-        n = len(block.time_s)
-        state, steps = detector.update(state, block, attitude, ContextBlock(np.full(n, -1), np.full(n, carrying_mode)))
-        found += steps
-    return times_s([*found, *detector.finish(state)]), recording
+    sensing = Sensing(steps=TianStepDetector(), contexts=AlwaysCarried(carrying_mode))
+    return contacts_of(recording, sensing), recording
 
 
 @pytest.mark.recordings
 @pytest.mark.parametrize(
     ("placement", "mode", "n_walks", "largest_error"),
-    [("handheld_using", TEXTING, 7, 0.10), ("trousers_*_pocket", IN_POCKET, 14, 0.17)],
+    [("handheld_using", "texting", 7, 0.10), ("trousers_*_pocket", "pocket", 14, 0.17)],
 )
 def test_steps_of_people_7_to_13_of_ubicomp13_are_counted(
-    data_dir: Path, placement: str, mode: int, n_walks: int, largest_error: float
+    data_dir: Path, placement: str, mode: str, n_walks: int, largest_error: float
 ) -> None:
     """The thresholds were chosen on people 1 to 6. In a pocket one axis is a poor pedometer."""
     errors = []
     for person in range(7, 14):
         for path in sorted((data_dir / "ubicomp13").glob(f"ubicomp13_p{person:02d}_*_{placement}.zip")):
             found_s, recording = steps_s(path, mode)
-            [segment] = recording.truth.segments
-            n = ((found_s > segment.start_s - 0.3) & (found_s < segment.end_s + 0.3)).sum()
-            errors.append(n / segment.n_steps - 1)
+            errors.append(count_error(recording, found_s))
     assert len(errors) == n_walks
     assert np.mean(np.abs(errors)) < largest_error
 
@@ -338,7 +302,7 @@ def test_steps_of_people_7_to_13_of_ubicomp13_are_counted(
 @pytest.mark.recordings
 def test_steps_in_the_front_pocket_are_matched_with_those_of_foot_switches(data_dir: Path) -> None:
     for path in sorted((data_dir / "oxford").glob("*frontpocket*.zip")):
-        found_s, recording = steps_s(path, IN_POCKET)
+        found_s, recording = steps_s(path, "pocket")
         truth_s = recording.truth.steps.time_s
         found_s = found_s[(found_s > truth_s[0] - 0.6) & (found_s < truth_s[-1] + 0.6)]
         assert abs(len(found_s) / len(truth_s) - 1) < 0.05

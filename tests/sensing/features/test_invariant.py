@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import cut_randomly, imu
+from helpers import imu
 from scipy.spatial.transform import Rotation
 
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
@@ -65,15 +65,6 @@ def test_a_phone_on_the_table_has_finite_features() -> None:
     assert np.isfinite(invariant_features(windows, 100.0)).all()
     assert invariant_features(windows, 100.0).shape == (1, len(NAMES))
     assert len(set(NAMES)) == len(NAMES)
-
-
-def test_features_do_not_depend_on_how_samples_arrive() -> None:
-    block = walk_block()
-    whole = features(block)
-    for seed in range(5):
-        windows = feature_windows(WINDOWS, cut_randomly(block, seed))
-        pieces = np.array([w.features[: len(NAMES)] for w in windows])
-        np.testing.assert_array_equal(pieces, whole)
 
 
 @pytest.mark.parametrize("n_windows", [2, 31, 32, 33, 70])

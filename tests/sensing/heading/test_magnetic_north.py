@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import a_step, cut_uniform
+from helpers import a_step
 from scipy.stats import multivariate_normal
 
 from pdr_filter.sensing.attitude import AttitudeBlock
@@ -180,38 +181,10 @@ def test_a_lift_on_the_way_increases_the_standard_deviation() -> None:
     assert abs(error_rad(last, 0.7)) < 2.0 * last.north_std_rad
 
 
-@pytest.mark.parametrize("edges", [[10], [30, 770, 780, 1990], list(range(0, 6000, 70))])
-def test_the_result_does_not_depend_on_the_blocks(edges: list[int]) -> None:
-    block, attitude, steps = way(TURNS, 0.7, np.array([3.0, -4.0, 2.0]))
-    whole = found(block, attitude, steps)
-    state, streamed, n = STAGE.init(), list[Step](), 0
-    for part in cut_uniform(block, edges):
-        m = n + len(part.time_s)
-        state, now = STAGE.update(
-            state,
-            part,
-            AttitudeBlock(
-                np.zeros(m - n), np.zeros((m - n, 2)), np.zeros((m - n, 3)), np.zeros(m - n), quat=attitude.quat[n:m]
-            ),
-            unknown_contexts(m - n),
-            [(k, s) for k, s in steps if n <= k < m],
-        )
-        streamed, n = [*streamed, *(s for _, s in now)], m
-    assert [(s.north_rad, s.north_std_rad) for s in streamed] == [(s.north_rad, s.north_std_rad) for s in whole]
-
-
 def test_without_a_magnetic_field_north_is_unknown() -> None:
     block, attitude, steps = way(TURNS)
-    unknown = UniformBlock(
-        block.time_s,
-        block.specific_force_mps2,
-        block.angular_rate_radps,
-        block.angular_rate_known,
-        block.turn_known,
-        np.zeros_like(block.magnetic_field_ut),
-        np.zeros(len(block.time_s), dtype=bool),
-        0.0,
-    )
+    nowhere = np.zeros(len(block.time_s), dtype=bool)
+    unknown = replace(block, magnetic_field_ut=np.zeros_like(block.magnetic_field_ut), magnetic_field_known=nowhere)
     assert all(math.isinf(s.north_std_rad) for s in found(unknown, attitude, steps))
 
 

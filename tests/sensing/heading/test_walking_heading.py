@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import a_step, cut_uniform
+from helpers import a_step, uniform_block
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
@@ -47,7 +47,6 @@ from pdr_filter.values import (
     wrap_angle,
 )
 from pdr_filter.values.recording import Recording
-from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 STAGE = WalkingHeading()
 NOISE = MotionNoise()
@@ -84,15 +83,8 @@ def body(
     world = np.column_stack([east, north, up + STANDARD_GRAVITY_MPS2])
     attitude = Rotation.from_euler("z", -turn[:, None]) * phone
     n = len(time_s)
-    block = UniformBlock(
-        time_s,
-        attitude.inv().apply(world),
-        np.zeros((n, 3)),
-        np.ones(n, bool),
-        np.ones(n, bool),
-        np.zeros((n, 3)),
-        np.zeros(n, bool),
-        0.0,
+    block = replace(
+        uniform_block(up, gap_before_s=0.0, rate=np.zeros((n, 3))), specific_force_mps2=attitude.inv().apply(world)
     )
     up_sensor = attitude.inv().apply([0.0, 0.0, 1.0])
     steps: list[tuple[int, Step]] = []
@@ -469,27 +461,17 @@ def test_after_a_gap_a_phone_with_the_same_tilt_keeps_its_offset_and_the_lost_he
 # --- simulated walks -------------------------------------------------------------------------------------------------
 
 
-def sensed(
-    recording: Recording, mode_at: Any = None, cuts: list[int] | None = None, save_every: int = 0
-) -> tuple[list[Step], FloatArray, FloatArray]:
+def sensed(recording: Recording, mode_at: Any = None) -> tuple[list[Step], FloatArray, FloatArray]:
     """Steps of the front end, and time and horizontal specific force of the attitude; `mode_at` gives the label."""
     _, [block] = Conditioner().update(Conditioner().init(), merge_streams(recording))
     estimator, detector = AttitudeEstimator(), WaveletStepDetector()
-    attitude_state, detector_state, state = estimator.init(), detector.init(), STAGE.init()
-    result: list[Step] = []
-    horizontal: list[FloatArray] = []
-    for i, part in enumerate(cut_uniform(block, cuts or [])):
-        attitude_state, attitude = estimator.update(attitude_state, part)
-        labels = np.array([CARRYING_MODES.index(mode_at(t)) if mode_at else -1 for t in part.time_s])
-        known = ContextBlock(np.full(len(labels), -1), labels)
-        detector_state, steps = detector.update(detector_state, part, attitude, known)
-        state, steps = STAGE.update(state, part, attitude, known, steps)
-        result += [s for _, s in steps]
-        horizontal.append(attitude.horizontal_mps2)
-        if save_every and i % save_every == 0:
-            state = from_bytes(to_bytes(state))
-    state, steps = STAGE.finish(state, detector.finish(detector_state))
-    return [*result, *(s for _, s in steps)], block.time_s, np.concatenate(horizontal)
+    _, attitude = estimator.update(estimator.init(), block)
+    labels = np.array([CARRYING_MODES.index(mode_at(t)) if mode_at else -1 for t in block.time_s])
+    known = ContextBlock(np.full(len(labels), -1), labels)
+    detector_state, steps = detector.update(detector.init(), block, attitude, known)
+    state, found = STAGE.update(STAGE.init(), block, attitude, known, steps)
+    _, last = STAGE.finish(state, detector.finish(detector_state))
+    return [s for _, s in [*found, *last]], block.time_s, attitude.horizontal_mps2
 
 
 def leg(**options: Any) -> Leg:
@@ -539,18 +521,6 @@ def test_the_direction_is_kept_when_the_phone_goes_to_the_pocket_and_back(labels
     assert np.median(np.abs(error)) < 12.0
     last = time_s > float(truth.start_s[-1])
     assert np.median(np.abs(error[last])) < 18.0
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_the_result_does_not_depend_on_blocks_nor_on_saving(seed: int) -> None:
-    recording = simulate(CHANGES[:4], Gait(), "texting", seed=1)
-    whole, _, _ = sensed(recording)
-    cuts = [int(c) for c in np.random.default_rng(seed).integers(0, 7000, size=60)]
-    pieces, _, _ = sensed(recording, cuts=cuts, save_every=7)
-    assert len(whole) > 60
-    for field in fields(Step):
-        expected = np.array([getattr(s, field.name) for s in whole])
-        assert_array_equal(np.array([getattr(s, field.name) for s in pieces]), expected, err_msg=field.name)
 
 
 # --- real walks ------------------------------------------------------------------------------------------------------

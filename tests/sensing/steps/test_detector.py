@@ -86,13 +86,6 @@ def test_the_amplitude_of_a_stride_is_the_mean_of_its_two_steps_and_does_not_rea
         assert alone.stride_amplitude_mps2 == alone.vertical_amplitude_mps2
 
 
-@pytest.mark.parametrize("n", [20, 55, 101])
-def test_the_amplitude_is_that_of_the_sinusoid_whatever_the_mean_and_the_harmonics(n: int) -> None:
-    phase = 2 * np.pi * np.arange(n) / n
-    values = 3.0 + 1.7 * np.cos(phase + 0.4) + 0.9 * np.sin(3 * phase)
-    assert amplitude(values) == pytest.approx(1.7)
-
-
 def test_a_single_sample_has_no_amplitude() -> None:
     assert amplitude(np.array([4.0])) == 0.0
 
