@@ -128,10 +128,3 @@ def test_fixes_that_are_not_the_marks_of_a_recording_are_named_with_the_place_wh
 def test_the_help_names_the_place_of_the_marks_and_the_options(command: str, words: str) -> None:
     shown = run(command, "--help").stdout
     assert all(word in shown for word in words.split())
-
-
-def test_a_known_storey_is_the_storey_of_the_map(tmp_path: Path) -> None:
-    two_walks(tmp_path)
-    mark(tmp_path / "walk1.zip", "time_s,east_m,north_m,floor\n0.5,100.0,50.0,3\n")
-    succeed("map", tmp_path, "--out", tmp_path / "out")
-    assert {floor for walk in pdr.WalkMap.load(tmp_path / "out" / "map").walks for floor in walk.floor} == {3}

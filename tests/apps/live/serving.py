@@ -11,7 +11,9 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -113,6 +115,27 @@ class Server:
                 if len(found) >= n:
                     return found
         raise AssertionError("the stream of events ended")
+
+
+class Quiet(BaseHTTPRequestHandler):
+    """Handler of requests that logs nothing."""
+
+    def answer(self, body: bytes) -> None:
+        self.send_response(200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def log_message(self, *_: Any) -> None: ...
+
+
+@contextmanager
+def http_server(handler: type[Quiet]) -> Iterator[int]:
+    """Port of a server in a thread."""
+    server = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield server.server_address[1]
+    server.shutdown()
 
 
 def events_of(answer: httpx.Response) -> Iterator[dict[str, Any]]:

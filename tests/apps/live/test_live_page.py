@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import struct
-import threading
 import time
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import matplotlib.image
 import numpy as np
 import pytest
 from browser import BROWSER, Browser
-from serving import Server, own_messages, sensor_logger_messages, short_walk
+from PIL import Image
+from serving import Quiet, Server, http_server, own_messages, sensor_logger_messages, short_walk
 
 import pdr_filter as pdr
 from pdr_filter.values import Samples
@@ -215,30 +212,16 @@ def test_everything_can_be_seen_and_read(
 @contextmanager
 def tiles_of_one_colour(asked: list[str]) -> Iterator[str]:
     """Address of the tiles of another server, which are green."""
-    rows = 256 * (b"\0" + 256 * b"\x22\x88\x44")
+    picture = BytesIO()
+    Image.new("RGB", (256, 256), (0x22, 0x88, 0x44)).save(picture, "PNG")
 
-    def chunk(kind: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
-
-    head = struct.pack(">IIBBBBB", 256, 256, 8, 2, 0, 0, 0)
-    picture = b"\x89PNG\r\n\x1a\n" + b"".join(
-        chunk(*c) for c in ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
-    )
-
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
+    class Handler(Quiet):
+        def do_GET(self) -> None:  # noqa: N802
             asked.append(self.path)
-            self.send_response(200)
-            self.send_header("Content-Length", str(len(picture)))
-            self.end_headers()
-            self.wfile.write(picture)
+            self.answer(picture.getvalue())
 
-        def log_message(self, *_: Any) -> None: ...
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield f"http://127.0.0.1:{server.server_address[1]}/{{z}}/{{x}}/{{y}}.png"
-    server.shutdown()
+    with http_server(Handler) as port:
+        yield f"http://127.0.0.1:{port}/{{z}}/{{x}}/{{y}}.png"
 
 
 @pytest.mark.parametrize("named", [True, False])

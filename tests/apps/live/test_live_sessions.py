@@ -193,18 +193,23 @@ def test_no_name_leads_out_of_the_folder(name: str, tmp_path: Path) -> None:
     assert session_id(name, "") != session_id(name, "1")
 
 
-def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path) -> None:
-    events: list[Event] = []
-    devices = sessions_in(tmp_path, events)
-    bodies = own_messages(walk)
-    take_all(devices, bodies[:55])
+def on_the_way(walk: Recording, folder: Path, n: int) -> tuple[Sessions, DeviceSession, list[Event], list[bytes]]:
+    """Sessions after `n` messages of a walk, what they have shown, and the messages that follow."""
+    events, bodies = list[Event](), own_messages(walk)
+    devices = sessions_in(folder, events)
+    take_all(devices, bodies[:n])
     (session,) = devices.sessions.values()
+    return devices, session, events, bodies[n:]
+
+
+def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path) -> None:
+    devices, session, events, rest = on_the_way(walk, tmp_path, 55)
     unfixed = pdr.track(replace(walk, meta={}))
     time_s = session.online.now().time_s
     here = [float(np.interp(time_s, unfixed.time_s, axis)) for axis in unfixed.position_m.T]
     here[1] += 3.0
     fix = with_fix({"east_m": here[0], "north_m": here[1], "std_m": 0.2})
-    take_all(devices, [*fix, *bodies[55:]])
+    take_all(devices, [*fix, *rest])
     devices.close()
     assert positions(session)[-1, 1] - unfixed.position_m[-1, 1] > 0.5
     corrected = [e for e in events if e["event"] == "path"]
@@ -217,14 +222,10 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
 
 
 def test_a_range_to_an_anchor_is_used_and_is_on_record_as_a_file_of_ranges(walk: Recording, tmp_path: Path) -> None:
-    events: list[Event] = []
-    devices = sessions_in(tmp_path, events)
-    bodies = own_messages(walk)
-    take_all(devices, bodies[:55])
-    (session,) = devices.sessions.values()
+    devices, session, events, rest = on_the_way(walk, tmp_path, 55)
     east_m, north_m = session.online.position_m
     fix = {"east_m": east_m + 12.0, "north_m": north_m, "range_m": 12.4, "std_m": 1.0}
-    take_all(devices, [*with_fix(fix), *bodies[55:]])
+    take_all(devices, [*with_fix(fix), *rest])
     devices.close()
     told = [(e["kind"], e["outcome"]) for e in events if e["event"] == "fix"]
     assert told == [("range", "waiting"), ("range", "used")]
@@ -239,18 +240,14 @@ def test_a_range_to_an_anchor_is_used_and_is_on_record_as_a_file_of_ranges(walk:
 def test_what_became_of_a_fix_is_told_also_by_the_next_process(
     walk: Recording, tmp_path: Path, away_m: float, outcome: str
 ) -> None:
-    events: list[Event] = []
-    devices = sessions_in(tmp_path, events)
-    bodies = own_messages(walk)
-    take_all(devices, bodies[:48])
-    (session,) = devices.sessions.values()
+    devices, session, events, rest = on_the_way(walk, tmp_path, 48)
     east_m, north_m = session.online.position_m
     take_all(devices, with_fix({"east_m": east_m + away_m, "north_m": north_m, "std_m": 1.0}))
     (waiting,) = (e for e in events if e["event"] == "fix")
     assert (waiting["outcome"], waiting["east_m"]) == ("waiting", pytest.approx(east_m + away_m))
     devices.close()
     devices = sessions_in(tmp_path, events)
-    take_all(devices, bodies[48:58])
+    take_all(devices, rest[:10])
     _, told = (e for e in events if e["event"] == "fix")
     assert (told["outcome"], told["time_s"]) == (outcome, waiting["time_s"])
     assert told["accepted"] == (outcome == "used")

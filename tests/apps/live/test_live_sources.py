@@ -11,14 +11,13 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 import pytest
-from serving import Server, sensor_logger_messages, short_walk, until
+from serving import Quiet, Server, http_server, sensor_logger_messages, short_walk, until
 from websockets.sync.server import ServerConnection, serve
 
 import pdr_filter as pdr
@@ -54,8 +53,8 @@ def phyphox(walk: Recording) -> Iterator[int]:
     n_asked, without_network = 0, [5, 6]
     configs = [{"inputs": CONFIG["inputs"][:1]}]
 
-    class Handler(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
+    class Handler(Quiet):
+        def do_GET(self) -> None:  # noqa: N802
             nonlocal n_asked
             url = urlsplit(self.path)
             if without_network and n_asked == without_network[0]:
@@ -63,12 +62,13 @@ def phyphox(walk: Recording) -> Iterator[int]:
                 n_asked += 1
                 self.close_connection = True
             elif url.path == "/config":
-                self.answer(configs.pop() if configs else CONFIG)
+                self.answer(json.dumps(configs.pop() if configs else CONFIG).encode())
             elif url.path == "/control":
-                self.answer({"result": True})
+                self.answer(b'{"result": true}')
             else:
                 n_asked += 1
-                self.answer({"buffer": self.buffers(url.query), "status": {"session": "x1", "measuring": True}})
+                content = {"buffer": self.buffers(url.query), "status": {"session": "x1", "measuring": True}}
+                self.answer(json.dumps(content).encode())
 
         def buffers(self, query: str) -> dict[str, Any]:
             """As phyphox reads NAME=T|OTHER: what has a larger value than T in the other buffer."""
@@ -81,19 +81,8 @@ def phyphox(walk: Recording) -> Iterator[int]:
                 found[name] = {"buffer": columns[name][inside].tolist(), "size": 0, "updateMode": "partial"}
             return found
 
-        def answer(self, content: Any) -> None:
-            body = json.dumps(content).encode()
-            self.send_response(200)
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, *_: Any) -> None: ...
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    yield server.server_address[1]
-    server.shutdown()
+    with http_server(Handler) as port:
+        yield port
 
 
 @contextmanager

@@ -320,9 +320,9 @@ def test_a_day_of_walking_is_a_page_of_less_than_one_and_a_half_megabytes() -> N
     n = 100_000
     way_m = np.random.default_rng(0).normal(size=(n, 2)).cumsum(axis=0)
     day = replace(make_track(n, n // 2), position_m=way_m, walking_heading_rad=np.arctan2(*way_m.T))
-    start_s = time.perf_counter()
+    start_s = time.process_time()
     page = html_report(day)
-    assert time.perf_counter() - start_s < 10.0
+    assert time.process_time() - start_s < 5.0
     assert len(page) < 1.5e6
     assert given(page)[0]["number"][-1] == day.n_steps
 

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import pdr_filter as pdr
 from pdr_filter.data.io.formats import read
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
@@ -532,11 +531,3 @@ def assert_same_bits(actual: Recording, expected: Recording) -> None:
     for name, samples in expected.streams.items():
         np.testing.assert_array_equal(actual.streams[name].time_s, samples.time_s, err_msg=name)
         np.testing.assert_array_equal(actual.streams[name].values, samples.values, err_msg=name)
-
-
-def assert_same_track(actual: Recording, expected: Recording, within_m: float) -> None:
-    """Both recordings give the same steps and positions, for the same person: apps do not know the height."""
-    ours, theirs = pdr.track(replace(actual, meta=expected.meta)), pdr.track(expected)
-    assert ours.n_steps == theirs.n_steps
-    assert theirs.n_steps > 20
-    np.testing.assert_allclose(ours.position_m, theirs.position_m, rtol=0, atol=within_m)

@@ -10,16 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from app_files import a_walk, axes, on_one_clock, table_text, wall_clock, write_folder
+from app_files import axes, table_text, wall_clock, write_folder
+from table_cases import FORCE, GRAVITY, RATE, TIME_S
 
 import pdr_filter as pdr
 from pdr_filter.data.io.describe import reading_report
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
-WALK = on_one_clock(a_walk(50.0))
-TIME_S, FORCE = WALK.accelerometer.time_s, WALK.accelerometer.values
-RATE = WALK.gyroscope.values
-GRAVITY = np.tile(FORCE.mean(axis=0), (len(FORCE), 1))
 N = len(TIME_S)
 BOTH = "accelerometer gyroscope"
 ACCURACY_M = 7.5
@@ -32,7 +29,7 @@ class Oddity:
 
     kind: str
     done: str
-    files: Callable[[], Mapping[str, str]]
+    files: Callable[[], Mapping[str, str] | str]  # a text is that of walk.csv
     said: str  # words of the note, the report or the refusal that says so
     streams: str = BOTH  # that must be those of `WALK`; empty where the files are refused or none is compared
     path: str = ""  # in the folder of the files; the folder itself if empty
@@ -41,7 +38,8 @@ class Oddity:
 
     def write(self, folder: Path) -> Path:
         """Write the files and return the path to read."""
-        return write_folder(folder / "walk", self.files()) / self.path
+        files = self.files()
+        return write_folder(folder / "walk", {"walk.csv": files} if isinstance(files, str) else files) / self.path
 
     def sentence(self, path: Path) -> str:
         """The sentence with the words of `said`: of the reader, of the track, or of the refusal."""
@@ -124,11 +122,7 @@ def ride(speed_mps: float = 10.0) -> str:
     time_s = np.arange(0.0, 60.0, 0.02)
     still = np.random.default_rng(1).normal([0.2, 3.9, 9.0], 0.1, (len(time_s), 3))
     north_deg = np.floor(time_s) * speed_mps / 111_000
-    here = {
-        "latitude": 10.0 + north_deg,
-        "longitude": np.full(len(time_s), 20.0),
-        "accuracy": np.full(len(time_s), 5.0),
-    }
+    here = {"latitude": 10.0 + north_deg, "longitude": 20.0 + 0 * time_s, "accuracy": 5.0 + 0 * time_s}
     return table_text({"time": time_s} | axes("acc_%", still) | axes("gyro_%", 0.01 * still) | here)
 
 
@@ -158,13 +152,13 @@ ODDITIES = (
     Oddity(
         "several columns of accuracy, in any order",
         "the horizontal one is used: known in eleven languages, and as `hacc`, `h_acc`, `eph`",
-        lambda: {"walk.csv": with_accuracies()},
+        lambda: with_accuracies(),
         "columns not used: bearingAccuracy, locationSpeedAccuracy(m/s), verticalAccuracy",
     ),
     Oddity(
         "locations without a horizontal accuracy",
         "not used; each cause is counted",
-        lambda: {"walk.csv": table_text(columns() | places())},
+        lambda: table_text(columns() | places()),
         "with no horizontal accuracy above 0",
     ),
     Oddity(
@@ -176,14 +170,7 @@ ODDITIES = (
     Oddity(
         "names that end like a known word: `total_acc`, `WAL_acc`",
         "words are compared as words, and the values decide which acceleration has gravity",
-        lambda: {
-            "walk.csv": table_text(
-                {"time": TIME_S}
-                | axes("body_acc_%", FORCE - GRAVITY)
-                | axes("body_gyro_%", RATE)
-                | axes("total_acc_%", FORCE)
-            )
-        },
+        lambda: table_text(columns("time", "total_acc_%", "body_gyro_%") | axes("body_acc_%", FORCE - GRAVITY)),
         "total_acc_x, total_acc_y, total_acc_z",
     ),
     Oddity(
@@ -197,7 +184,7 @@ ODDITIES = (
     Oddity(
         "columns with a g behind their word: `accG_x`",
         "acceleration in g or m/s2, whichever its size shows",
-        lambda: {"walk.csv": table_text(columns(force="accG_%", rate="rate_%"))},
+        lambda: table_text(columns(force="accG_%", rate="rate_%")),
         "accG_x, accG_y, accG_z, m/s2 by its size",
     ),
     Oddity(
@@ -217,13 +204,13 @@ ODDITIES = (
     Oddity(
         "units as in `[m s^-2]`, `(in G's)`, `(degrees/second)`",
         "read as m/s2, g, deg/s",
-        lambda: {"walk.csv": table_text(columns("#timestamp [s]", "a_RS_S_% [m s^-2]", "w_RS_S_% [rad s^-1]"))},
+        lambda: table_text(columns("#timestamp [s]", "a_RS_S_% [m s^-2]", "w_RS_S_% [rad s^-1]")),
         "a_RS_S_x [m s^-2]",
     ),
     Oddity(
         "a unit that is not known",
         "refused",
-        lambda: {"walk.csv": table_text(columns(force="acc_% [furlong]"))},
+        lambda: table_text(columns(force="acc_% [furlong]")),
         "unit 'furlong' is not known",
         "",
         is_refused=True,
@@ -231,7 +218,7 @@ ODDITIES = (
     Oddity(
         "acceleration in g of an unknown app",
         "refused: iOS and Android have opposite signs",
-        lambda: {"walk.csv": in_g("acc_%")},
+        lambda: in_g("acc_%"),
         "nothing shows its sign",
         "",
         is_refused=True,
@@ -239,27 +226,27 @@ ODDITIES = (
     Oddity(
         "moved rows, also the last row first",
         "sorted by time if that leaves no gap and no row between others",
-        lambda: {"walk.csv": moved_rows()},
+        lambda: moved_rows(),
         "rows out of order",
     ),
     Oddity(
         "a clock that was set back",
         "kept as recorded; the filter follows the clock",
-        lambda: {"walk.csv": clock_set_back()},
+        lambda: clock_set_back(),
         "1 backward times, kept as recorded",
         "",
     ),
     Oddity(
         "packs of samples with one time, as of Bluetooth sensors",
         "spread at the estimated rate, or at `rate_hz` of a TOML file",
-        lambda: {"walk.csv": packs()},
+        lambda: packs(),
         "with one time each",
         time_s=2e-3,
     ),
     Oddity(
         "times that a spreadsheet rounded",
         "refused",
-        lambda: {"walk.csv": table_text({**columns(), "time": [t[12:20] for t in wall_clock(TIME_S)]})},
+        lambda: table_text({**columns(), "time": [t[12:20] for t in wall_clock(TIME_S)]}),
         "the times may be rounded",
         "",
         is_refused=True,
@@ -267,10 +254,7 @@ ODDITIES = (
     Oddity(
         "the sensor of each row in a column, as a name or as the number of Android",
         "a table for each sensor",
-        lambda: {
-            "walk.csv": "timestamp,sensor_type,value1,value2,value3\n"
-            + event_rows("{t},1,{x},{y},{z}", "{t},4,{x},{y},{z}")
-        },
+        lambda: "timestamp,sensor_type,value1,value2,value3\n" + event_rows("{t},1,{x},{y},{z}", "{t},4,{x},{y},{z}"),
         "value1, value2, value3 of acceleration",
     ),
     Oddity(
@@ -284,7 +268,7 @@ ODDITIES = (
     Oddity(
         "columns that nobody knows",
         "refused with a mapping whose columns are taken by their values",
-        lambda: {"walk.csv": table_text({"n": np.arange(N), "wert": TIME_S} | axes("spur_%", FORCE)).replace("_", "")},
+        lambda: table_text({"n": np.arange(N), "wert": TIME_S} | axes("spur_%", FORCE)).replace("_", ""),
         'columns = ["spurx", "spury", "spurz"], unit = "m/s2"',
         "",
         is_refused=True,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from app_files import (
@@ -87,12 +87,80 @@ def columns_of(time: str, force: str, rate: str, **more: np.ndarray) -> dict[str
     return {time: TIME_S} | axes(force, FORCE) | axes(rate, RATE) | more
 
 
-def seconds_and_nanoseconds() -> tuple[list[str], list[str]]:
-    ticks = [1_787_923_304_123_456_789 + round(t * 1e9) for t in TIME_S.tolist()]
-    return [str(tick // 10**9) for tick in ticks], [str(tick % 10**9) for tick in ticks]
+TICKS = [1_787_923_304_123_456_789 + round(t * 1e9) for t in TIME_S.tolist()]
+CLOCK = wall_clock(TIME_S)
 
 
-BOTH = "accelerometer gyroscope"
+def ros(times: dict[str, list[str]], prefix: str = "") -> dict[str, str]:
+    """Angular velocity and acceleration as ROS names them."""
+    of_ros = axes(f"{prefix}angular_velocity.%", RATE) | axes(f"{prefix}linear_acceleration.%", FORCE)
+    return one(times | axes(f"{prefix}orientation.%", 0 * FORCE) | of_ros)
+
+
+def seconds_and_nanoseconds(seconds: str, nanoseconds: str) -> dict[str, str]:
+    return ros({seconds: [str(t // 10**9) for t in TICKS], nanoseconds: [str(t % 10**9) for t in TICKS]})
+
+
+def one(columns: Mapping[str, np.ndarray | list[str]], separator: str = ",", decimal: str = ".") -> dict[str, str]:
+    """One file with these columns."""
+    return {"walk.csv": table_text(columns, separator, decimal)}
+
+
+def under(head: str, columns: Mapping[str, np.ndarray | list[str]], separator: str = ",") -> str:
+    """A table with another head in place of the names of its columns."""
+    return head + table_text(columns, separator).split("\n", 1)[1]
+
+
+def of_university() -> dict[str, str]:
+    at_ms = 1606391908305.0 + 1000 * TIME_S
+    files = {"acc.csv": FORCE, "gyr.csv": RATE, "mag.csv": FIELD}
+    reference = "1606391908305 566578.7 5932830.4 19.6\n1606391912305 566578.7 5932830.4 19.6\n"
+    return {name: without_header(values, at=at_ms) for name, values in files.items()} | {"ref.csv": reference}
+
+
+def with_a_line_before() -> dict[str, str]:
+    time, accuracy = {"timestamp": 172029867 + 1000 * TIME_S}, {"accuracy(more=better)": 3 + 0 * TIME_S}
+    force, rate = axes("acc_%[m/s^2]", FORCE), axes("ang_vel_%[rad/s]", RATE)
+    return {
+        "accelerometer_1.csv": "accelerometer-icm20690,invensense,2020-02-18\n" + table_text(time | accuracy | force),
+        "gyroscope_2.csv": "gyroscope-icm20690,invensense,2020-02-18\n" + table_text(time | rate),
+    }
+
+
+def of_each(time: str, names: str, rate_names: str = "", rate: np.ndarray = RATE) -> dict[str, str]:
+    """A file for each sensor."""
+    return {
+        "Accelerometer.csv": table_text({time: TIME_S} | axes(names, FORCE)),
+        "Gyroscope.csv": table_text({time: TIME_S} | axes(rate_names or names, rate)),
+    }
+
+
+def renamed_and_added() -> dict[str, str]:
+    files = {("157_" + name if name.startswith("Acc") else name): text for name, text in phyphox_files(WALK).items()}
+    old = table_text({"t": TIME_S[:99]} | axes("%", FORCE[:99]))
+    return files | {"steps.csv": "foot,n\nleft,80\nright,77\n", "old_accelerometer.csv": old}
+
+
+def spanish_androsensor() -> dict[str, str]:
+    force = axes("ACELER\u00d3METRO % (m/s\u00b2)", FORCE) | axes(
+        "ACELERACI\u00d3N LINEAL % (m/s\u00b2)", FORCE - GRAVITY
+    )
+    time = {"Tiempo desde el inicio en ms ": TIME_S * 1000}
+    return {"s.csv": "sep=;\n" + table_text(force | axes("GIROSCOPIO % (rad/s)", RATE) | time, ";", ",")}
+
+
+def with_quoted_decimals() -> dict[str, str]:
+    columns = {"time": TIME_S} | axes("acc%", FORCE)
+    return one({n: [f'"{value!r}"'.replace(".", ",") for value in c.tolist()] for n, c in columns.items()})
+
+
+def hyperimu_with_the_chip_behind_the_word() -> dict[str, str]:
+    about = "@ HyperIMU - ianovir\n@ Date:Thu May 21 15:07:17 GMT+02:00 2020, Sampling Rate:20ms\n\n"
+    columns = axes("lsm6ds3_accelerometer.%", FORCE) | axes("gyroscope_lsm6ds3_c.%", RATE)
+    return {"HIMU.csv": about + table_text(columns).replace("\n", "\n\n", 1)}
+
+
+BOTH, FORCE_ALONE = "accelerometer gyroscope", "accelerometer"
 # Of phyphox in other languages: time, acceleration, gyroscope, and the names of their files.
 LANGUAGES = {
     "German": "Zeit Beschleunigung Gyroskop Beschleunigung Gyroskop",
@@ -111,65 +179,52 @@ def phyphox_in(language: str, separator: str = ",", decimal: str = ".") -> dict[
     return {f"{name}.csv": table_text(c, separator, decimal) for name, c in zip(files, columns, strict=True)}
 
 
+TIME = {"time": TIME_S}
+MERGED = "Accelerometer,,,,Gyroscope,,,\nTime,X,Y,Z,Time,X,Y,Z\n"
+WITH_UNITS = "T;AccX;AccY;AccZ;GyrX;GyrY;GyrZ\nms;m/s^2;m/s^2;m/s^2;\u00b0/s;\u00b0/s;\u00b0/s\n"
+CORE_MOTION = (
+    axes("userAcceleration_%", (GRAVITY - FORCE) / STANDARD_GRAVITY_MPS2)
+    | axes("gravity_%", -GRAVITY / STANDARD_GRAVITY_MPS2)
+    | axes("rotationRate_%", RATE)
+)
 # Name, files and the sensors that must come back; one file is given by itself, several as a folder and as a zip.
 CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
     "Physics Toolbox": (lambda: {"walk.csv": physics_toolbox_text(WALK)}, BOTH),
     "Physics Toolbox, comma": (
-        lambda: {"walk.csv": table_text({"time": TIME_S} | axes("gF%", FORCE_G) | {"TgF": FORCE_G[:, 0]}, ";", ",")},
-        "accelerometer",
+        lambda: one(TIME | axes("gF%", FORCE_G) | {"TgF": FORCE_G[:, 0]}, ";", ","),
+        FORCE_ALONE,
     ),
     "Physics Toolbox, clock": (
-        lambda: {
-            "w.csv": table_text(
-                {"time": [d[12:] for d in wall_clock(TIME_S)]} | axes("gF%", FORCE_G) | axes("B%", FIELD)
-            )
-        },
-        "accelerometer",
+        lambda: one({"time": [d[12:] for d in CLOCK]} | axes("gF%", FORCE_G) | axes("B%", FIELD)),
+        FORCE_ALONE,
+    ),
+    "Physics Toolbox, minutes and seconds": (
+        lambda: one({"tiempo": [d[15:] for d in CLOCK]} | axes("gF%", FORCE_G) | axes("w%", RATE)),
+        BOTH,
+    ),
+    "Physics Toolbox, capitals": (
+        lambda: {"W.CSV": table_text({"TIME": TIME_S} | axes("GF%", FORCE_G) | axes("W%", RATE)).upper()},
+        BOTH,
     ),
     "AndroSensor": (lambda: {"Sensor_record.csv": androsensor()}, BOTH),
     "AndroSensor, semicolon": (lambda: {"Sensor_record.csv": androsensor(";", ",", "sep=;")}, BOTH),
     "AndroSensor, short names": (lambda: {"data.csv": androsensor_short()}, BOTH),
+    "Spanish AndroSensor": (spanish_androsensor, BOTH),
     "HyperIMU": (lambda: {"HIMU.csv": hyperimu("MPL", True)}, BOTH),
     "HyperIMU, no times": (lambda: {"HIMU.csv": hyperimu("LSM6DSO", False)}, BOTH),
-    "HyperIMU, no times, the chip behind the word": (
-        lambda: {
-            "HIMU.csv": "@ HyperIMU - ianovir\n@ Date:Thu May 21 15:07:17 GMT+02:00 2020, Sampling Rate:20ms\n\n"
-            + table_text(axes("lsm6ds3_accelerometer.%", FORCE) | axes("gyroscope_lsm6ds3_c.%", RATE)).replace(
-                "\n", "\n\n", 1
-            )
-        },
-        BOTH,
-    ),
-    "Physics Toolbox, minutes and seconds": (
-        lambda: {
-            "w.csv": table_text(
-                {"tiempo": [d[15:] for d in wall_clock(TIME_S)]} | axes("gF%", FORCE_G) | axes("w%", RATE)
-            )
-        },
-        BOTH,
-    ),
+    "HyperIMU, no times, the chip behind the word": (hyperimu_with_the_chip_behind_the_word, BOTH),
     "durations of MATLAB": (
-        lambda: {
-            "w.csv": table_text({"Time": [f"{t:.6f} sec" for t in TIME_S]} | axes("Acc_%", FORCE) | axes("Gyr_%", RATE))
-        },
+        lambda: one({"Time": [f"{t:.6f} sec" for t in TIME_S]} | axes("Acc_%", FORCE) | axes("Gyr_%", RATE)),
         BOTH,
     ),
     "SensorLog": (lambda: {"2020-03-09_my_iPhone.csv": sensorlog()}, BOTH),
     "SensorLog, semicolon": (lambda: {"stream.csv": sensorlog(";", ",")}, BOTH),
     "SensorLog, motion only": (lambda: {"stream.csv": sensorlog(raw=False)}, BOTH),
+    "SensorLog of a university": (of_university, BOTH),
     "MATLAB Mobile": (lambda: matlab_mobile_files(WALK), BOTH),
     "MATLAB Mobile, one sensor": (
         lambda: {"80_steps.csv": matlab_mobile_files(WALK)["Acceleration.csv"]},
-        "accelerometer",
-    ),
-    "SensorLog of a university": (
-        lambda: {
-            "acc.csv": without_header(FORCE, at=1606391908305.0 + 1000 * TIME_S),
-            "gyr.csv": without_header(RATE, at=1606391908305.0 + 1000 * TIME_S),
-            "mag.csv": without_header(FIELD, at=1606391908305.0 + 1000 * TIME_S),
-            "ref.csv": "1606391908305 566578.7 5932830.4 19.6\n1606391912305 566578.7 5932830.4 19.6\n",
-        },
-        BOTH,
+        FORCE_ALONE,
     ),
     "senslogs": (
         lambda: {
@@ -180,121 +235,28 @@ CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
         },
         BOTH,
     ),
-    "logger with a line before the header": (
-        lambda: {
-            "accelerometer_1.csv": "accelerometer-icm20690,invensense,2020-02-18\n"
-            + table_text(
-                {"timestamp": 172029867 + 1000 * TIME_S, "accuracy(more=better)": 3 + 0 * TIME_S}
-                | axes("acc_%[m/s^2]", FORCE)
-            ),
-            "gyroscope_2.csv": "gyroscope-icm20690,invensense,2020-02-18\n"
-            + table_text({"timestamp": 172029867 + 1000 * TIME_S} | axes("ang_vel_%[rad/s]", RATE)),
-        },
-        BOTH,
-    ),
-    "phyphox rewritten by a script": (
-        lambda: {
-            "Accelerometer.csv": table_text({"t": TIME_S} | axes("%", FORCE)),
-            "Gyroscope.csv": table_text({"t": TIME_S} | axes("%", RATE)),
-        },
-        BOTH,
-    ),
-    "phyphox, members renamed and added": (
-        lambda: (
-            {("157_" + name if name.startswith("Acc") else name): text for name, text in phyphox_files(WALK).items()}
-            | {
-                "steps.csv": "foot,n\nleft,80\nright,77\n",
-                "old_accelerometer.csv": table_text({"t": TIME_S[:99]} | axes("%", FORCE[:99])),
-            }
-        ),
-        BOTH,
-    ),
+    "logger with a line before the header": (with_a_line_before, BOTH),
+    "phyphox rewritten by a script": (lambda: of_each("t", "%"), BOTH),
+    "phyphox, members renamed and added": (renamed_and_added, BOTH),
     **{f"phyphox, {language}": (lambda word=language: phyphox_in(word), BOTH) for language in LANGUAGES},
     "phyphox, decimal comma": (lambda: phyphox_in("French", ";", ","), BOTH),
-    "Physics Toolbox, capitals": (
-        lambda: {"W.CSV": table_text({"TIME": TIME_S} | axes("GF%", FORCE_G) | axes("W%", RATE)).upper()},
-        BOTH,
-    ),
-    "ROS, as text": (
-        lambda: {
-            "imu.csv": table_text(
-                {"%time": [str(1_787_923_304_123_456_789 + round(t * 1e9)) for t in TIME_S]}
-                | axes("field.orientation.%", 0 * FORCE)
-                | axes("field.angular_velocity.%", RATE)
-                | axes("field.linear_acceleration.%", FORCE)
-            )
-        },
-        BOTH,
-    ),
-    **{
-        f"ROS, seconds and nanoseconds as {seconds} and {nanoseconds}": (
-            lambda s=seconds, ns=nanoseconds: {
-                "imu.csv": table_text(
-                    {"seq": np.arange(len(TIME_S))}
-                    | dict(zip((s, ns), seconds_and_nanoseconds(), strict=True))
-                    | axes("angular_velocity.%", RATE)
-                    | axes("linear_acceleration.%", FORCE)
-                )
-            },
-            BOTH,
-        )
-        for seconds, nanoseconds in (("header.stamp.secs", "header.stamp.nsecs"), ("sec", "nanosec"))
-    },
-    "CoreMotion of any app": (
-        lambda: {
-            "motion.csv": table_text(
-                {"timestamp": 1000 + TIME_S}
-                | axes("userAcceleration_%", (GRAVITY - FORCE) / STANDARD_GRAVITY_MPS2)
-                | axes("gravity_%", -GRAVITY / STANDARD_GRAVITY_MPS2)
-                | axes("rotationRate_%", RATE)
-            )
-        },
-        BOTH,
-    ),
-    "Spanish AndroSensor": (
-        lambda: {
-            "s.csv": "sep=;\n"
-            + table_text(
-                axes("ACELER\u00d3METRO % (m/s\u00b2)", FORCE)
-                | axes("ACELERACI\u00d3N LINEAL % (m/s\u00b2)", FORCE - GRAVITY)
-                | axes("GIROSCOPIO % (rad/s)", RATE)
-                | {"Tiempo desde el inicio en ms ": TIME_S * 1000},
-                ";",
-                ",",
-            )
-        },
-        BOTH,
-    ),
+    "ROS, as text": (lambda: ros({"%time": [str(t) for t in TICKS]}, "field."), BOTH),
+    "ROS, header.stamp.secs": (lambda: seconds_and_nanoseconds("header.stamp.secs", "header.stamp.nsecs"), BOTH),
+    "ROS, sec and nanosec": (lambda: seconds_and_nanoseconds("sec", "nanosec"), BOTH),
+    "CoreMotion of any app": (lambda: one({"timestamp": 1000 + TIME_S} | CORE_MOTION), BOTH),
     "axes called axes": (
-        lambda: {
-            "Accelerometer.csv": table_text({"elapsed (s)": TIME_S} | axes("%-axis (m/s^2)", FORCE)),
-            "Gyroscope.csv": table_text({"elapsed (s)": TIME_S} | axes("%-axis (deg/s)", np.degrees(RATE))),
-        },
+        lambda: of_each("elapsed (s)", "%-axis (m/s^2)", "%-axis (deg/s)", np.degrees(RATE)),
         BOTH,
     ),
-    "axes called values": (lambda: {"w.csv": table_text({"time": TIME_S} | axes("%_value", FORCE))}, "accelerometer"),
+    "axes called values": (lambda: one(TIME | axes("%_value", FORCE)), FORCE_ALONE),
     "names of sensors in merged cells above the axes": (
-        lambda: {
-            "walk.csv": "Accelerometer,,,,Gyroscope,,,\nTime,X,Y,Z,Time,X,Y,Z\n"
-            + table_text({"a": TIME_S} | axes("f%", FORCE) | {"b": TIME_S} | axes("r%", RATE)).split("\n", 1)[1]
-        },
+        lambda: {"w.csv": under(MERGED, TIME | axes("f%", FORCE) | {"b": TIME_S} | axes("r%", RATE))},
         BOTH,
     ),
-    "decimal commas in quotation marks": (
-        lambda: {
-            "walk.csv": table_text(
-                {
-                    name: [f'"{value!r}"'.replace(".", ",") for value in column.tolist()]
-                    for name, column in ({"time": TIME_S} | axes("acc%", FORCE)).items()
-                }
-            )
-        },
-        "accelerometer",
-    ),
+    "decimal commas in quotation marks": (with_quoted_decimals, FORCE_ALONE),
     "units in a line of their own": (
         lambda: {
-            "walk.csv": "T;AccX;AccY;AccZ;GyrX;GyrY;GyrZ\nms;m/s^2;m/s^2;m/s^2;\u00b0/s;\u00b0/s;\u00b0/s\n"
-            + table_text({"": 1000 * TIME_S} | axes("%", FORCE) | axes("r%", np.degrees(RATE)), ";").split("\n", 1)[1]
+            "w.csv": under(WITH_UNITS, {"": 1000 * TIME_S} | axes("%", FORCE) | axes("r%", np.degrees(RATE)), ";")
         },
         BOTH,
     ),
@@ -303,29 +265,19 @@ CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
         BOTH,
     ),
     "Sensor Logger in one table": (
-        lambda: {
-            "merged.csv": table_text(
-                {"time": TIME_S}
-                | axes("accelerometer_%", FORCE - GRAVITY)
-                | axes("gravity_%", GRAVITY)
-                | axes("gyroscope_%", RATE)
-            )
-        },
+        lambda: one(
+            TIME | axes("accelerometer_%", FORCE - GRAVITY) | axes("gravity_%", GRAVITY) | axes("gyroscope_%", RATE)
+        ),
         BOTH,
     ),
     "degrees and milliseconds": (
-        lambda: {
-            "walk.tsv": table_text(
-                {"Timestamp [ms]": TIME_S * 1000}
-                | axes("Accel_% (m/s\u00b2)", FORCE)
-                | axes("Gyro_% (deg/s)", np.degrees(RATE)),
-                "\t",
-            )
-        },
+        lambda: one(
+            {"Timestamp [ms]": TIME_S * 1000}
+            | axes("Accel_% (m/s\u00b2)", FORCE)
+            | axes("Gyro_% (deg/s)", np.degrees(RATE)),
+            "\t",
+        ),
         BOTH,
     ),
-    "degrees that nobody says": (
-        lambda: {"walk.csv": table_text(columns_of("time", "acc%", "gyro%") | axes("gyro%", np.degrees(RATE)))},
-        BOTH,
-    ),
+    "degrees that nobody says": (lambda: one(TIME | axes("acc%", FORCE) | axes("gyro%", np.degrees(RATE))), BOTH),
 }

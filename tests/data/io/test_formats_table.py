@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import a_walk, assert_same_track, on_one_clock, with_level_attitude
+from app_files import a_walk, on_one_clock, with_level_attitude
 from mutations import FORMS, SOURCES, file_of
 
 from pdr_filter.data.io.describe import reading_report
@@ -92,13 +92,6 @@ def test_a_recording_comes_back_within_the_tolerance_of_its_format(tmp_path: Pat
         ours, theirs = found.streams[name], recording.streams[name]
         np.testing.assert_allclose(ours.time_s, theirs.time_s, rtol=0, atol=time_s)
         np.testing.assert_allclose(ours.values, theirs.values, rtol=0, atol=relative * np.abs(theirs.values).max())
-
-
-@pytest.mark.parametrize("form", FORMS)
-def test_the_track_is_that_of_the_recording(tmp_path: Path, form: str) -> None:
-    recording = a_recording()
-    within_m = 5e-3 if form == "get_sensor_data" else 1e-3  # whose times are good to a microsecond
-    assert_same_track(read(written(form, recording, tmp_path)), recording, within_m)
 
 
 @pytest.mark.parametrize("form", FORMS)

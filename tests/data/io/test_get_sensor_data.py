@@ -23,6 +23,7 @@ from pdr_filter.data.io.apps.get_sensor_data import rotation_vector_quaternion
 from pdr_filter.data.io.describe import reading_report
 from pdr_filter.data.io.formats import read
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
+from pdr_filter.values.recording import Recording
 
 WALK = with_level_attitude(a_walk())
 TEXT = get_sensor_data_text(WALK, positions=((1.0, 40.3130, -3.4833, 0.0), (20.0, 40.3131, -3.4830, 1.0)))
@@ -33,8 +34,12 @@ def log(path: Path, text: str) -> Path:
     return write_text(path, text, "latin-1")
 
 
+def read_log(folder: Path, text: str = TEXT) -> Recording:
+    return read(log(folder / "w.txt", text))
+
+
 def test_a_walk_comes_back_with_the_intervals_of_the_sensors_clock(tmp_path: Path) -> None:
-    recording = read(log(tmp_path / "w.txt", TEXT))
+    recording = read_log(tmp_path)
     assert_same_streams(recording, WALK, ALL, time_s=2e-6)  # the app's times jitter by 8 ms
     assert reading_report(recording).source == "GetSensorData, Version 2.1 January 2018"
     assert recording.meta["device"] == "Some Phone"
@@ -55,7 +60,7 @@ def test_reference_positions_are_on_the_apps_clock(tmp_path: Path) -> None:
 
 
 def test_reference_positions_are_metres_from_the_first(tmp_path: Path) -> None:
-    recording = read(log(tmp_path / "w.txt", TEXT))
+    recording = read_log(tmp_path)
     waypoints = recording.truth.waypoints
     assert (waypoints.east_m[0], waypoints.north_m[0]) == (0, 0)
     back = pymap3d.enu2geodetic(waypoints.east_m[1], waypoints.north_m[1], 0, 40.3130, -3.4833, 0)
@@ -64,7 +69,7 @@ def test_reference_positions_are_metres_from_the_first(tmp_path: Path) -> None:
 
 
 def test_positions_that_are_no_degrees_are_left_out_with_a_note(tmp_path: Path) -> None:
-    recording = read(log(tmp_path / "w.txt", TEXT + "POSI;21.0;3;4468180.2;438302.1;0;1\n"))
+    recording = read_log(tmp_path, TEXT + "POSI;21.0;3;4468180.2;438302.1;0;1\n")
     assert len(recording.truth.waypoints) == 2
     assert any("no latitude and longitude" in note for note in recording.notes)
 
@@ -102,7 +107,7 @@ def with_sensor_time(tag: str, change: Callable[[float], float]) -> str:
 
 
 def test_a_sensor_clock_that_stands_still_gives_way_to_the_apps_with_a_note(tmp_path: Path) -> None:
-    recording = read(log(tmp_path / "w.txt", with_sensor_time("ACCE", lambda _: 0.0)))
+    recording = read_log(tmp_path, with_sensor_time("ACCE", lambda _: 0.0))
     assert any("ACCE: the sensor's time stands still" in note for note in recording.notes)
     assert len(recording.accelerometer) == len(WALK.accelerometer)
 
@@ -112,7 +117,7 @@ def test_clocks_that_run_at_different_rates_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_sensor_on_another_clock_is_moved_by_its_own_offset(tmp_path: Path) -> None:
-    recording = read(log(tmp_path / "w.txt", with_sensor_time("GYRO", lambda t: t + 5000)))
+    recording = read_log(tmp_path, with_sensor_time("GYRO", lambda t: t + 5000))
     assert_same_streams(recording, WALK, "gyroscope", time_s=0.004)
 
 
@@ -122,7 +127,7 @@ def test_other_types_and_comments_are_ignored(tmp_path: Path) -> None:
 
 
 def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path) -> None:
-    recording = read(log(tmp_path / "w.txt", TEXT + "ACCE;23.4;81257.9;1.2"))
+    recording = read_log(tmp_path, TEXT + "ACCE;23.4;81257.9;1.2")
     assert len(recording.accelerometer) == len(WALK.accelerometer)
     assert any("cut off" in note for note in recording.notes)
 

@@ -63,12 +63,6 @@ def test_a_time_that_is_no_whole_number_is_refused(tmp_path: Path) -> None:
     )
 
 
-def test_a_line_end_that_is_missing_loses_the_last_line_only(tmp_path: Path) -> None:
-    recording = read(write_text(tmp_path / "w.txt", TEXT + f"\n{T0_MS + 99_000}\tTYPE_ACCELEROMETER\t0.1\t0.2\t9."))
-    assert len(recording.accelerometer) == len(WALK.accelerometer)
-    assert any("cut off" in note for note in recording.notes)
-
-
 def test_a_last_line_that_is_whole_needs_no_line_feed(tmp_path: Path) -> None:
     last = f"\n{T0_MS + 23_500}\tTYPE_WAYPOINT\t1.5\t2.5"
     waypoints = read(write_text(tmp_path / "w.txt", TEXT + last)).truth.waypoints

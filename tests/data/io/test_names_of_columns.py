@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from app_files import (
-    a_walk,
     assert_same_streams,
     axes,
-    on_one_clock,
     read_columns,
     refusal,
     table_text,
@@ -20,17 +18,13 @@ from app_files import (
     write_folder,
     write_text,
 )
+from table_cases import BOTH, FORCE, RATE, TIME_S, WALK
 
 from pdr_filter.data.io.formats import read
 from pdr_filter.data.io.tables.any_table import read_guessed, read_mapped
 from pdr_filter.data.io.tables.column_mapping import read_mapping
 from pdr_filter.data.io.tables.text_sheets import unlike
 from pdr_filter.values.errors import RecordingError
-
-WALK = on_one_clock(a_walk(50.0))
-TIME_S, FORCE = WALK.accelerometer.time_s, WALK.accelerometer.values
-RATE = WALK.gyroscope.values
-BOTH = "accelerometer gyroscope"
 
 
 @pytest.mark.parametrize("unit", [1.0, np.pi / 180])

@@ -7,17 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import assert_same_streams, axes, refusal, table_text, write_folder, write_text, write_zip
+from app_files import assert_same_streams, axes, on_one_clock, refusal, table_text, write_folder, write_text, write_zip
 from helpers import resumed
 from oddities import (
     ACCURACY_M,
     BOTH,
-    FORCE,
-    GRAVITY,
     ODDITIES,
-    RATE,
-    TIME_S,
-    WALK,
     N,
     Oddity,
     clock_set_back,
@@ -25,13 +20,13 @@ from oddities import (
     event_rows,
     lines_of,
     moved_rows,
-    on_one_clock,
     packs,
     places,
     ride,
     sensor_logger_of_2021,
     trials,
 )
+from table_cases import FORCE, GRAVITY, RATE, TIME_S, WALK
 
 import pdr_filter as pdr
 from pdr_filter.data.io.folders import recordings_in

@@ -308,10 +308,9 @@ def test_fit_contexts_also_fits_carrying_modes(tmp_path: Path) -> None:
     seen = pdr.classify(walk(9, "texting"), config)
     assert seen.carrying_modes[int(seen.carrying_prob[-1].argmax())] == "texting"
     assert config.sensing.contexts != pdr.recipes.default().sensing.contexts
+    odd = [with_labels(own[0], NAMES, "backpack"), *own[1:]]
     with pytest.raises(ValueError, match=r"carrying modes must be among .* got \['backpack'\].*rename"):
-        pdr.fit_contexts(
-            [with_labels(own[0], NAMES, "backpack"), *own[1:]], "forest", head="carrying_mode", people=list("abab")
-        )
+        pdr.fit_contexts(odd, "forest", head="carrying_mode", people=list("abab"))
 
 
 def test_phones_at_places_without_a_carrying_mode_are_left_out_and_named_in_the_card() -> None:
@@ -322,10 +321,8 @@ def test_phones_at_places_without_a_carrying_mode_are_left_out_and_named_in_the_
         for each in (own, [*own, chest])
     ]
     assert models[0].card["n_windows"] == models[1].card["n_windows"]
-    assert [model.card["limits"] for model in models] == [
-        "",
-        "Not learnt, because the filter has no such carrying mode: chest.",
-    ]
+    limits = "Not learnt, because the filter has no such carrying mode: chest."
+    assert [model.card["limits"] for model in models] == ["", limits]
     assert models[1].card["limits"] in models[1].report()
 
 
@@ -437,10 +434,8 @@ def test_a_recording_of_one_person_without_which_one_class_is_left_is_named() ->
 
 def test_the_report_says_what_the_numbers_of_people_and_placements_mean(forest: pdr.ContextModel) -> None:
     worst = forest.card["leave_one_subject_out"]["worst_person_accuracy"]
-    assert (
-        f"has an accuracy of {worst:.3f}: a further person is worse with a probability of about 1 in 4"
-        in forest.report()
-    )
+    words = f"has an accuracy of {worst:.3f}: a further person is worse with a probability of about 1 in 4"
+    assert words in forest.report()
     assert forest.card["placements"] == ["pocket"]
     assert "placements of the phone in training: pocket; nothing is known about other" in forest.report()
     unlabelled = replace(forest, card={**forest.card, "placements": []})
