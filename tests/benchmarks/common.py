@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import butter, sosfiltfilt
+from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 import pdr_filter as pdr
@@ -36,6 +37,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "tables"
+# Squared errors over their covariances in the plane: limits of half and of 95 % of them.
+HALF, MOST = chi2.ppf([0.5, 0.95], 2)
 _COPY = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 
