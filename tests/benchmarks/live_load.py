@@ -174,19 +174,9 @@ def of_phones(
         alone_ms = (alone_ms + filter_ms(walk)) / 2
         answer, shown = (np.percentile(1e3 * np.array(s), [50, 99]) for s in (seen.answer_s, seen.shown_s or [np.nan]))
         keeps_up = np.percentile(seen.late_s, 99) < 1.0 and not seen.refused
-        rows.append(
-            [
-                str(n),
-                str(rate_hz),
-                "yes" if keeps_up else "no",
-                f"{cores:.2f}",
-                f"{phone_ms:.1f}",
-                f"{alone_ms:.1f}",
-                f"{answer[0]:.0f} / {answer[1]:.0f}",
-                f"{shown[0]:.0f} / {shown[1]:.0f}",
-                f"{phone_mb:.1f}",
-            ]
-        )
+        costs = [f"{cores:.2f}", f"{phone_ms:.1f}", f"{alone_ms:.1f}"]
+        delays = [f"{median:.0f} / {late:.0f}" for median, late in (answer, shown)]
+        rows.append([str(n), str(rate_hz), "yes" if keeps_up else "no", *costs, *delays, f"{phone_mb:.1f}"])
         print(rows[-1], f"load {os.getloadavg()[0]:.1f}", flush=True)
     return rows
 
@@ -211,17 +201,8 @@ def load(tables: Tables, arguments: argparse.Namespace) -> None:
         for rate_hz, messages in bodies(arguments, walk).items()
         for row in of_phones(arguments.phones, rate_hz, arguments.seconds, arguments.workers, messages, walk)
     ]
-    columns = [
-        "phones",
-        "messages a second",
-        "in real time",
-        "cores used",
-        "ms of one core a second and phone",
-        "of the filter alone, then",
-        "answer p50 / p99, ms",
-        "event p50 / p99, ms",
-        "memory a phone, MB",
-    ]
+    columns = "phones | messages a second | in real time | cores used | ms of one core a second and phone | "
+    columns += "of the filter alone, then | answer p50 / p99, ms | event p50 / p99, ms | memory a phone, MB"
     tables.write("live_load", columns, rows, f"{machine(arguments)} others (load {os.getloadavg()[0]:.0f}).")
 
 

@@ -71,7 +71,7 @@ def between_steps(tables: Tables, arguments: argparse.Namespace) -> None:
             accepted, shown = np.array([r[1:] for r in found if r[0] == where]).T
             rows.append([name, len(files), where, len(shown), median_and(accepted, 90), median_and(shown, 90)])
     about = "Errors in m at one time against the track accepted later, median and 90th percentile."
-    columns = ["recordings", "walks", "where", "n", "last accepted step", "`now()`"]
+    columns = "recordings | walks | where | n | last accepted step | `now()`"
     tables.write("provisional", columns, rows, about)
 
 

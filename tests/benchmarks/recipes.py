@@ -327,8 +327,8 @@ def readme_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[st
     steps, *others = [[cell.split(" ±")[0] for cell in cells(c, of_row)] for c in MAIN]
     speed = [over(total(r, "recorded_s"), total(r, "spent_s"), 0) for r in of_row]
     false = [over(60 * total(r, "n_false"), total(r, "outside_s"), 1) for r in of_row]
-    titles = ["recipe", "steps %", "false steps a minute", "corridors: distance %", "position m", "end %"]
-    titles += ["mall: distance %", "position m", "end %", "x real time"]
+    titles = "recipe | steps % | false steps a minute | corridors: distance % | position m | end % | "
+    titles += "mall: distance % | position m | end % | x real time"
     rows = list(zip(names, steps, false, *others, speed, strict=True))
     tables.write("recipes_readme", titles, rows, "Bold: not distinguishable from the best.")
 
@@ -390,9 +390,9 @@ def track_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[str
         yield f"{np.median(end):.1f}"
         yield f"{distance.mean():+.1f}, {distance.std():.1f}"
 
-    columns = ["site", "recipe", "RMSE m: median, 90 %", "first 20 %: RMSE m, median", "end %, median"]
+    columns = "site | recipe | RMSE m: median, 90 % | first 20 %: RMSE m, median | end %, median | "
     rows = [list(row(recipe, site)) for site in ("humolire", "ms_indoor") for recipe in recipes]
-    tables.write("recipes_tracks", [*columns, "distance %: bias, spread"], rows)
+    tables.write("recipes_tracks", columns + "distance %: bias, spread", rows)
 
 
 def tables_of_recipes(tables: Tables, arguments: argparse.Namespace) -> None:
