@@ -113,6 +113,11 @@ def part_of(block: ImuBlock, use: slice | BoolArray) -> ImuBlock:
     return ImuBlock(*(getattr(block, field.name)[use] for field in fields(block)))
 
 
+def push(online: pdr.OnlineFilter, block: ImuBlock) -> list[pdr.StepUpdate]:
+    """What the filter returns for a block."""
+    return online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
+
+
 # --- figures ---------------------------------------------------------------------------------------------------------
 
 

@@ -35,7 +35,7 @@ from pdr_filter import evaluate
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import BoolArray, FloatArray, ImuBlock, PositionFix, interpolated_rows
-from tests.benchmarks.common import Tables, part_of, run
+from tests.benchmarks.common import Tables, part_of, push, run
 from tests.benchmarks.placements import Walk, walks
 
 G = np.array([0.0, 0.0, 9.81])
@@ -187,7 +187,7 @@ class Soak:
             if block.time_s[start] > resume_s:
                 resume_s = np.inf
                 self.resume(stretch, clocked, start)
-            updates = pushed(self.online, part)
+            updates = push(self.online, part)
             now_s = float(block.time_s[min(end, len(time_s)) - 1])
             while fixes and fixes[0].time_s <= now_s:
                 fix = fixes.pop(0)
@@ -201,8 +201,8 @@ class Soak:
         tally, saved = self.hours[-1], self.online.save()
         end = int(np.searchsorted(stretch.block.time_s, stretch.block.time_s[start] + 20.0))
         part = part_of(clocked, slice(start, end))
-        said = [[said_bits(u) for u in pushed(pdr.OnlineFilter.load(blob), part)] for blob in (saved, saved)]
-        said.append([said_bits(u) for u in pushed(self.online, part)])
+        said = [[said_bits(u) for u in push(pdr.OnlineFilter.load(blob), part)] for blob in (saved, saved)]
+        said.append([said_bits(u) for u in push(self.online, part)])
         self.online = pdr.OnlineFilter.load(saved)
         tally.n_resumed += 1
         tally.n_resumed_differently += not (said[0] == said[1] == said[2])
@@ -239,10 +239,6 @@ class Soak:
         self.hours[-1].memory_mb = memory_mb()
         self.hours[-1].save_bytes.append(len(self.online.save()))
         self.hours.append(Tally())
-
-
-def pushed(online: pdr.OnlineFilter, block: ImuBlock) -> list[StepUpdate]:
-    return online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
 
 
 def said_bits(update: StepUpdate) -> bytes:
