@@ -65,13 +65,13 @@ from pdr_filter.values import (
     wrap_angle,
 )
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, run
+from tests.benchmarks.common import Tables, recordings, run
 from tests.oracles.rvm_reference import train_plain
 from tests.studies import guo2018 as study_guo
 from tests.studies import martinelli2018 as study_martinelli
 from tests.studies import tian2016 as study_tian
 from tests.studies import zhou2019 as study_zhou
-from tests.studies.data import NAN, counted_walk, paper_table, people_left_out, place_of, recordings
+from tests.studies.data import NAN, counted_walk, paper_table, people_left_out, place_of
 
 Row = Mapping[str, object]
 

@@ -49,9 +49,9 @@ from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, run
+from tests.benchmarks.common import Tables, recordings, run
 from tests.benchmarks.weightings import Piece, clip, joined_walk
-from tests.studies.data import NAN, paper_table, prefixed, recordings
+from tests.studies.data import NAN, paper_table, prefixed
 
 TextArray = NDArray[np.str_]
 
@@ -293,7 +293,7 @@ _RECALL_PERCENT = (93.7, 85.2, 82.5, 95.2, 90.0, 100.0)
 _ACCURACY = 91.1
 # Table V: %error of subjects 1 to 15, of which Table IV has the %RMSE of subjects 1-5, 6-10, 11-15, and of all.
 _TABLE_IV = {"hc": (4.5, 6.2, 11.5, 7.9), "wc": (5.7, 5.9, 3.6, 5.2)}
-_TABLE_V = {
+TABLE_V = {
     "hc": (0.6, -3.3, -5.7, -3.0, -6.9, -7.8, -3.6, -6.0, -4.5, -7.5, -13.6, -13.5, -7.8, -7.5, -13.1),
     "wc": (5.1, 1.2, 4.5, -3.3, -10.3, -9.0, 0.0, -7.5, -0.3, -6.0, -3.0, -3.9, 1.8, 1.2, -6.1),
 }
@@ -337,7 +337,7 @@ def _table_iv(errors: Columns, people: Sequence[str]) -> Rows:
         rows.append(row | {c: distance_scores(np.array(e)[use]).rmse_percent for c, e in errors.items()})
     for name, field in (("all: bias", "bias_percent"), ("all: spread", "spread_percent")):
         row = {"%RMSE of": name}
-        row |= {f"paper {k.upper()}": getattr(distance_scores(v), field) for k, v in _TABLE_V.items()}
+        row |= {f"paper {k.upper()}": getattr(distance_scores(v), field) for k, v in TABLE_V.items()}
         rows.append(row | {c: getattr(distance_scores(e), field) for c, e in errors.items()})
     return tuple(rows)
 
@@ -368,8 +368,8 @@ def _matrices(confusions: Mapping[str, IntArray]) -> Rows:
 
 def _people(errors: Columns) -> Rows:
     """Table V: error of each person; bias and spread, and %RMSE with the mean error of the others subtracted."""
-    n = max(len(_TABLE_V["hc"]), len(errors["ours HC"]))
-    columns = {f"paper {k.upper()}": np.array(v) for k, v in _TABLE_V.items()}
+    n = max(len(TABLE_V["hc"]), len(errors["ours HC"]))
+    columns = {f"paper {k.upper()}": np.array(v) for k, v in TABLE_V.items()}
     columns |= {name: np.array(e) for name, e in errors.items()}
     rows: list[Mapping[str, object]] = [
         {"person": str(k + 1)} | {c: float(e[k]) if k < len(e) else NAN for c, e in columns.items()} for k in range(n)
