@@ -127,10 +127,11 @@ def waypoint_scores(walk: Walk, found: Found) -> Values:
 
 
 def room_scores(walk: Walk, found: Found) -> Values:
-    """Distances of tyrex; %RMSE is of the recordings in which the person walks."""
+    """Distances of tyrex where the person walks."""
+    if not walk.recording.name.endswith(WALKING):
+        return {}
     true_m = GRID_S * true_speed(walk)[1].sum()
-    error = float(evaluate.percent_error(found.walked_m(walk.start_s, walk.end_s), true_m))
-    return {"room_percent": error} | ({"walking_percent": error} if walk.recording.name.endswith(WALKING) else {})
+    return {"walking_percent": float(evaluate.percent_error(found.walked_m(walk.start_s, walk.end_s), true_m))}
 
 
 def foot_scores(walk: Walk, found: Found) -> Values:
