@@ -26,9 +26,9 @@ import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.georeferencing import with_north_of_attitude
-from pdr_filter.values import FloatArray, PositionFix, wrap_angle
+from pdr_filter.values import FloatArray, PositionFix, interpolated_rows, wrap_angle
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, median_and, recordings, run
+from tests.benchmarks.common import MOST, Tables, median_and, places_of, recordings, run
 
 HERE = {
     "ms_indoor": pdr.Origin(30.2930, 120.0751),
@@ -84,7 +84,7 @@ def points_of(recording: Recording) -> tuple[FloatArray, FloatArray]:
         rows = recording.truth.waypoints
     else:
         rows = recording.truth.position[:: max(len(recording.truth.position) // 1000, 1)]
-    return rows.time_s, np.column_stack([rows.east_m, rows.north_m])
+    return rows.time_s, places_of(rows)
 
 
 def walk_of(recording: Recording, site: str) -> Walk | None:
@@ -139,32 +139,10 @@ def north(tables: Tables, arguments: argparse.Namespace) -> None:
         e, of_north, std = np.degrees(found).T
         mean_std = f"{e.mean():+.0f}, {e.std():.0f}" if len(e) > 1 else f"{e.mean():+.0f}, -"
         inside = [f"{np.sum(np.abs(e) < k * std)}" for k in (1, 2, 3)]
-        rows.append(
-            [
-                name,
-                str(len(e)),
-                mean_std,
-                f"{np.abs(e).max():.0f}",
-                f"{np.median(of_north):.0f}",
-                f"{np.median(std):.0f}",
-                *inside,
-            ]
-        )
-    tables.write(
-        "absolute_heading_north",
-        [
-            "set",
-            "walks",
-            "error, degrees: mean, spread",
-            "largest",
-            "std given: field",
-            "with the direction",
-            "within 1 sigma",
-            "2",
-            "3",
-        ],
-        rows,
-    )
+        stds = [f"{np.median(v):.0f}" for v in (of_north, std)]
+        rows.append([name, str(len(e)), mean_std, f"{np.abs(e).max():.0f}", *stds, *inside])
+    columns = "set | walks | error, degrees: mean, spread | largest | std given: field | with the direction | "
+    tables.write("absolute_heading_north", columns + "within 1 sigma | 2 | 3", rows)
 
 
 # --- tracks with fixes ------------------------------------------------------------------------------------------------
@@ -177,7 +155,7 @@ def made_fixes(walk: Walk) -> list[PositionFix]:
     error, r = rng.normal(scale=5.0, size=(len(time_s), 2)), np.exp(-0.5)
     for k in range(1, len(time_s)):
         error[k] = r * error[k - 1] + np.sqrt(1 - r * r) * error[k]
-    place_m = np.column_stack([np.interp(time_s, walk.time_s, walk.points_m[:, k]) for k in (0, 1)]) + error
+    place_m = interpolated_rows(time_s, walk.time_s, walk.points_m) + error
     # as `gnss.independent` has it
     shared = 1.0 / np.tanh(10.0 / 40.0)
     variances = 25.0 * np.where(np.arange(len(time_s)) > 0, shared, 1.0)
@@ -206,11 +184,10 @@ def judged(
     """Root mean square error at the points after a time, and the share of them inside the ellipses of 95 %."""
     track, late = pdr.track(recording, config, fixes=fixes), walk.time_s > from_s
     at_s = walk.time_s[late]
-    at_m = np.column_stack([np.interp(at_s, track.time_s, track.position_m[:, k]) for k in (0, 1)])
-    error_m = at_m - walk.points_m[late]
+    error_m = interpolated_rows(at_s, track.time_s, track.position_m) - walk.points_m[late]
     cov = track.position_cov_m2[np.clip(np.searchsorted(track.time_s, at_s), 0, track.n_steps - 1)]
-    nees = np.einsum("ni,nij,nj->n", error_m, np.linalg.inv(cov), error_m)
-    return float(np.sqrt((error_m**2).sum(axis=1).mean())), float(np.mean(nees < 5.99))
+    inside = evaluate.nees(error_m, cov) < MOST
+    return float(np.sqrt((error_m**2).sum(axis=1).mean())), float(np.mean(inside))
 
 
 def fixes(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -241,22 +218,9 @@ def fixes(tables: Tables, arguments: argparse.Namespace) -> None:
         share = [f"{100 * i.mean():.0f} %" for i in inside[:2]]
         worse, better = (int(np.sum(c)) for c in (with_it > 1.05 * without, with_it < 0.95 * without))
         rows.append([set_name, name, str(len(without)), *text[:2], f"{worse}, {better}", *share, *text[2:]])
-    tables.write(
-        "absolute_heading_fixes",
-        [
-            "set",
-            "fixes",
-            "walks",
-            "without, m: median, 90 %, mean",
-            "with",
-            "worse, better by 5 %",
-            "in 95 % ellipses, without",
-            "with",
-            "with the phone's attitude instead, m",
-            "wrong by 90 degrees, m",
-        ],
-        rows,
-    )
+    columns = "set | fixes | walks | without, m: median, 90 %, mean | with | worse, better by 5 % | in 95 % ellipses, "
+    columns += "without | with | with the phone's attitude instead, m | wrong by 90 degrees, m"
+    tables.write("absolute_heading_fixes", columns, rows)
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.signal import butter, sosfiltfilt
+from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 import pdr_filter as pdr
@@ -36,6 +37,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "tables"
+# Squared errors over their covariances in the plane: limits of half and of 95 % of them.
+HALF, MOST = chi2.ppf([0.5, 0.95], 2)
 _COPY = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 
@@ -108,6 +111,11 @@ def way_of(recording: pdr.Recording, every_s: float = 0.02, below_hz: float = 0.
 def part_of(block: ImuBlock, use: slice | BoolArray) -> ImuBlock:
     """Some of the samples of a block."""
     return ImuBlock(*(getattr(block, field.name)[use] for field in fields(block)))
+
+
+def push(online: pdr.OnlineFilter, block: ImuBlock) -> list[pdr.StepUpdate]:
+    """What the filter returns for a block."""
+    return online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
 
 
 # --- figures ---------------------------------------------------------------------------------------------------------

@@ -110,8 +110,8 @@ def recordings(tables: Tables, arguments: argparse.Namespace) -> None:
         for name in (recording.name.split("_")[0],)
         for has, change in (("yes", _as_it_is), ("no", without_barometer))
     ]
-    columns = ["recording", "barometer", "right storey: time, waypoints", "floor changes found, true"]
-    columns += ["height error (m): rms, largest", "its standard deviation (m), normalised error squared"]
+    columns = "recording | barometer | right storey: time, waypoints | floor changes found, true | "
+    columns += "height error (m): rms, largest | its standard deviation (m), normalised error squared"
     tables.write("floors_recordings", columns, rows, "Both phones are in the hand, where motion alone shows no stairs.")
 
 
@@ -154,8 +154,8 @@ def simulated(tables: Tables, arguments: argparse.Namespace) -> None:
                 cells = [f"{int(well.sum())} of {n}", f"{int(n_changes.sum())}", f"{100 * right.mean():.1f} %"]
                 cells += [f"{np.sqrt((rms_m**2).mean()):.2f}", f"{nees.mean():.1f}"]
                 rows.append([name, carrying_mode, pressure, *cells])
-    columns = ["walk", "phone", "barometer", "walks with all changes right", "changes", "steps on the right storey"]
-    columns += ["height error (m, rms)", "normalised error squared"]
+    columns = "walk | phone | barometer | walks with all changes right | changes | steps on the right storey | "
+    columns += "height error (m, rms) | normalised error squared"
     about = f"{n} simulated people for each line; steps on stairs do not count for the storey."
     tables.write("floors_simulated", columns, rows, about)
 

@@ -154,17 +154,8 @@ def readers(tables: Tables, arguments: argparse.Namespace) -> None:
         if arguments.here:
             print(json.dumps(fuzz(form, arguments.inputs, arguments.seed, arguments.data.parent / "app_files")))
             return
-        command = [
-            sys.executable,
-            "-m",
-            "tests.benchmarks.fuzz_readers",
-            "--here",
-            "--forms",
-            form,
-            "--inputs",
-            str(inputs),
-        ]
-        command += ["--seed", str(arguments.seed), "--data", str(arguments.data)]
+        command = [sys.executable, "-m", "tests.benchmarks.fuzz_readers", "--here", "--forms", form]
+        command += ["--inputs", str(inputs), "--seed", str(arguments.seed), "--data", str(arguments.data)]
         ended = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True)
         if ended.returncode:
             rows.append([f"`{form}`", inputs, "", "", f"ended with code {ended.returncode}", "", ""])

@@ -113,18 +113,7 @@ def saved(tables: Tables, arguments: argparse.Namespace) -> None:
         longest, most = max(used_s for used_s, _, _ in results), max(used_mb for _, used_mb, _ in results)
         numbers = len(results), counts["worked"], counts["refused"], failed, slow, large
         rows[f"`{form}`"] = [f"`{form}`", *numbers, f"{longest:.2f} s", f"{most:.0f} MB", date.today()]
-    columns = [
-        "form",
-        "inputs",
-        "worked",
-        "refused",
-        "failed",
-        "slower than 1 s",
-        "above 500 MB",
-        "longest",
-        "most",
-        "day",
-    ]
+    columns = "form | inputs | worked | refused | failed | slower than 1 s | above 500 MB | longest | most | day"
     tables.write("fuzz_saved", columns, list(rows.values()))
 
 

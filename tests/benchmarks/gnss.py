@@ -16,14 +16,15 @@ import argparse
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2
 
 import pdr_filter as pdr
 from models.training.simulated_people import random_person
+from pdr_filter import evaluate
 from pdr_filter.filter.fixes.gnss import CORRELATION_S, RADIUS_68
 from pdr_filter.simulate import Leg, SensorErrors, simulate
+from pdr_filter.values import interpolated_rows
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import DATA, Tables, median_and, run
+from tests.benchmarks.common import DATA, HALF, MOST, Tables, median_and, places_of, run
 
 HERE, STD_M = pdr.Origin(48.137, 11.575), 5.0
 PHONES = {
@@ -51,7 +52,7 @@ def walked(number: int) -> tuple[Recording, np.ndarray]:
     walk = replace(walk, meta={**walk.meta, "subject": {}})
     truth, angle = walk.truth.position, rng.uniform(-np.pi, np.pi)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return walk, np.column_stack([truth.east_m, truth.north_m]) @ turn.T
+    return walk, places_of(truth) @ turn.T
 
 
 def located(
@@ -65,7 +66,7 @@ def located(
     error += 20.0 * (rng.random(len(time_s)) < 0.02)[:, None] * rng.normal(size=(len(time_s), 2))
     if wrong is not None:
         error[(time_s > wrong.begin_s) & (time_s < wrong.end_s)] += [wrong.by_m, 0.0]
-    place_m = np.column_stack([np.interp(time_s, walk.truth.position.time_s, true_m[:, k]) for k in (0, 1)])
+    place_m = interpolated_rows(time_s, walk.truth.position.time_s, true_m)
     rows = np.column_stack(
         [*HERE.latitude_longitude_deg(place_m + error), np.full((len(time_s), 2), STD_M * RADIUS_68)]
     )
@@ -76,10 +77,9 @@ def located(
 
 def errors(track: pdr.Track, walk: Recording, true_m: np.ndarray, from_s: float) -> tuple[np.ndarray, np.ndarray]:
     """Error in m and squared error over its covariance of the steps from a time on."""
-    at_m = np.column_stack([np.interp(track.time_s, walk.truth.position.time_s, true_m[:, k]) for k in (0, 1)])
+    at_m = interpolated_rows(track.time_s, walk.truth.position.time_s, true_m)
     error = (HERE.east_north_m(track.latitude_deg, track.longitude_deg) - at_m)[track.time_s > from_s]
-    cov = track.position_cov_m2[track.time_s > from_s]
-    return np.linalg.norm(error, axis=1), np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov), error)
+    return np.linalg.norm(error, axis=1), evaluate.nees(error, track.position_cov_m2[track.time_s > from_s])
 
 
 def simulated(correlation_s: float, share: float, walks: list[tuple[Recording, np.ndarray]]) -> list[str]:
@@ -94,7 +94,7 @@ def simulated(correlation_s: float, share: float, walks: list[tuple[Recording, n
         found.append(errors(track, walk, true_m, max(turned_s) if share == 1.0 else until_s))
         nis += [fix.nis for fix in track.fixes if fix.outcome == "used"]
     error_m, nees = (np.concatenate(each) for each in zip(*found, strict=True))
-    inside = [f"{100 * np.mean(nees < chi2.ppf(p, 2)):.0f} %" for p in (0.5, 0.95)]
+    inside = [f"{100 * np.mean(nees < limit):.0f} %" for limit in (HALF, MOST)]
     ends = "all along" if share == 1.0 else "the first third"
     return [f"{correlation_s:.0f} s", ends, median_and(error_m, 95, 1), *inside, f"{np.mean(nis):.2f}"]
 
@@ -139,7 +139,7 @@ def of_phone(name: str, recording: Recording) -> list[list[str]]:
         track = pdr.track(seen, gnss=gnss)
         origin = track.origin or pdr.Origin(latitude_deg[0], longitude_deg[0])
         at_s, at_m = np.r_[track.start_time_s, track.time_s], np.vstack([track.start_position_m, track.position_m])
-        at_m = np.column_stack([np.interp(time_s, at_s, at_m[:, k]) for k in (0, 1)])
+        at_m = interpolated_rows(time_s, at_s, at_m)
         away_m = np.linalg.norm(at_m - origin.east_north_m(latitude_deg, longitude_deg), axis=1)
         std_m = np.sqrt(np.trace(track.position_cov_m2[-1]))
         rows.append([name, what, median_and(away_m, 90, 1), median_and(away_m[time_s > cut_s], 90, 1), f"{std_m:.0f}"])
@@ -150,27 +150,20 @@ def locations(tables: Tables, arguments: argparse.Namespace) -> None:
     """All tables."""
     walks = [walked(k) for k in range(arguments.walks)]
     fewer = walks[: max(arguments.walks // 8, 1)]
-    tables.write(
-        "gnss_phones",
-        ["walk", "locations", "m from its own: median, 90 %", "after the first third", "std of the end m"],
-        [row for name, file in PHONES.items() for row in of_phone(name, pdr.read(arguments.app_files / file))],
-    )
-    tables.write(
-        "gnss_recovery",
-        ["locations", "moved", "s until it is within 25 m: median, 90 %", "error m 120 s later: median, 95 %"],
-        [recovered(what, wrong, fewer) for what, wrong in WRONGS.items()],
-        f"{len(fewer)} walks.",
-    )
-    tables.write(
-        "gnss_simulated",
-        ["T", "locations", "error m: median, 95 %", "in 50 % ellipses", "in 95 % ellipses", "mean NIS"],
-        [
-            simulated(T, share, walks if T == CORRELATION_S else fewer)
-            for T in (10.0, CORRELATION_S, 60.0)
-            for share in (1.0, 1 / 3)
-        ],
-        f"{arguments.walks} walks with T = {CORRELATION_S:.0f} s, {len(fewer)} with others.",
-    )
+    rows = [row for name, file in PHONES.items() for row in of_phone(name, pdr.read(arguments.app_files / file))]
+    columns = "walk | locations | m from its own: median, 90 % | after the first third | std of the end m"
+    tables.write("gnss_phones", columns, rows)
+    rows = [recovered(what, wrong, fewer) for what, wrong in WRONGS.items()]
+    columns = "locations | moved | s until it is within 25 m: median, 90 % | error m 120 s later: median, 95 %"
+    tables.write("gnss_recovery", columns, rows, f"{len(fewer)} walks.")
+    rows = [
+        simulated(T, share, walks if T == CORRELATION_S else fewer)
+        for T in (10.0, CORRELATION_S, 60.0)
+        for share in (1.0, 1 / 3)
+    ]
+    columns = "T | locations | error m: median, 95 % | in 50 % ellipses | in 95 % ellipses | mean NIS"
+    about = f"{arguments.walks} walks with T = {CORRELATION_S:.0f} s, {len(fewer)} with others."
+    tables.write("gnss_simulated", columns, rows, about)
 
 
 if __name__ == "__main__":

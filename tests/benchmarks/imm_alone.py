@@ -117,7 +117,7 @@ def imm_alone(tables: Tables, arguments: argparse.Namespace) -> None:
         f"Root mean square difference of the filter from exact enumeration after 7 measurements: {gap:.3f} m. "
         f"One filter is {us['filterpy'] / us['`filter`']:.1f} times as fast as filterpy."
     )
-    columns = ["", "RMSE of the position, m", "right mode %", "largest difference to filterpy", "us a measurement"]
+    columns = " | RMSE of the position, m | right mode % | largest difference to filterpy | us a measurement"
     tables.write("imm_alone", columns, rows, about)
 
 

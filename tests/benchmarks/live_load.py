@@ -1,14 +1,13 @@
 """Phones that one machine tracks in real time: messages over HTTP to `pdr-filter live` on this machine.
 
-usage: python -m tests.benchmarks.live_load [load] [page] [--phones 10 50 100 200] [--rates 1 5] [--seconds 20]
+usage: python -m tests.benchmarks.live_load [--phones 10 50 100 200] [--rates 1 5] [--seconds 20]
            [--workers 2]
 
 Each phone posts messages like Sensor Logger, one or five a second, with accelerometer and gyroscope at 100 Hz and the
 magnetometer at 50 Hz. All walk the embedded simulated walk, at times spread over the second. The sender runs on the
 same cores, and nothing is sent to any other machine. "Told" is the delay from a message to the first event that a
 program reads after it. "Of the filter alone" is the cost of one process with the same samples in blocks of a second,
-before and after each row. It shows how fast a core was, because other programs make it slower. `page` measures the
-delay until a page in Chromium has drawn it. The page is drawn ten times a second at most.
+before and after each row. It shows how fast a core was, because other programs make it slower.
 """
 
 from __future__ import annotations
@@ -29,12 +28,11 @@ from websockets.asyncio.client import connect
 
 import pdr_filter as pdr
 from pdr_filter.sensing.stream_merging import SENSORS
-from pdr_filter.values import FloatArray, Samples
+from pdr_filter.values import Samples
 from tests.benchmarks.common import Tables, run
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "apps" / "live"))
-from browser import Browser
 from serving import Server, sensor_logger_messages
 
 _NAME = "phone-000000"
@@ -118,35 +116,6 @@ async def crowd(
     return used_s / measured_s, 1e3 * used_s / max(phone_s, 1e-9)
 
 
-# When what was shown last was received, each time that it is drawn.
-_TIMED = """(() => {
-  const show = live.map.show.bind(live.map);
-  let last = null;
-  window.drawn = [];
-  live.map.show = way => {
-    show(way);
-    const { now } = way;
-    if (!now?.received_unix_s || now === last) return;
-    last = now;
-    requestAnimationFrame(() => drawn.push(Date.now() / 1000 - now.received_unix_s)); // after the map has drawn in it
-  };
-})()"""
-
-
-def in_chromium(n: int, seconds: float, workers: int, bodies: list[bytes]) -> FloatArray:
-    """How long after a message a page has drawn what it says, while so many phones send."""
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        Server("--workers", str(workers)) as server,
-        Browser(Path(folder)) as browser,
-    ):
-        browser.open(server.address)
-        browser.ask("Network.disable")  # each event of the page would be told
-        browser.value(_TIMED)
-        asyncio.run(crowd(n, 1, server, bodies, seconds, Seen()))
-        return np.array(browser.value("drawn"))
-
-
 def filter_ms(walk: pdr.Recording) -> float:
     """Processor time in ms of the filter alone for a second of samples, in blocks of a second: how fast a core is."""
     online, begun, seconds = pdr.OnlineFilter(), time.process_time(), np.arange(0.0, 60.0)
@@ -174,67 +143,24 @@ def of_phones(
         alone_ms = (alone_ms + filter_ms(walk)) / 2
         answer, shown = (np.percentile(1e3 * np.array(s), [50, 99]) for s in (seen.answer_s, seen.shown_s or [np.nan]))
         keeps_up = np.percentile(seen.late_s, 99) < 1.0 and not seen.refused
-        rows.append(
-            [
-                str(n),
-                str(rate_hz),
-                "yes" if keeps_up else "no",
-                f"{cores:.2f}",
-                f"{phone_ms:.1f}",
-                f"{alone_ms:.1f}",
-                f"{answer[0]:.0f} / {answer[1]:.0f}",
-                f"{shown[0]:.0f} / {shown[1]:.0f}",
-                f"{phone_mb:.1f}",
-            ]
-        )
+        costs = [f"{cores:.2f}", f"{phone_ms:.1f}", f"{alone_ms:.1f}"]
+        delays = [f"{median:.0f} / {late:.0f}" for median, late in (answer, shown)]
+        rows.append([str(n), str(rate_hz), "yes" if keeps_up else "no", *costs, *delays, f"{phone_mb:.1f}"])
         print(rows[-1], f"load {os.getloadavg()[0]:.1f}", flush=True)
     return rows
 
 
-def bodies(arguments: argparse.Namespace, walk: pdr.Recording) -> dict[int, list[bytes]]:
-    """Messages of the app at each rate."""
-    return {
-        rate_hz: [json.dumps(m).encode() for m in sensor_logger_messages(walk, _NAME, part_s=1.0 / rate_hz)]
-        for rate_hz in arguments.rates
-    }
-
-
-def machine(arguments: argparse.Namespace) -> str:
-    return f"{arguments.workers} workers; {os.cpu_count()} cores, shared with"
-
-
 def load(tables: Tables, arguments: argparse.Namespace) -> None:
     """How many phones a server filters."""
-    walk = pdr.simulate.demo_walk()
-    rows = [
-        row
-        for rate_hz, messages in bodies(arguments, walk).items()
-        for row in of_phones(arguments.phones, rate_hz, arguments.seconds, arguments.workers, messages, walk)
-    ]
-    columns = [
-        "phones",
-        "messages a second",
-        "in real time",
-        "cores used",
-        "ms of one core a second and phone",
-        "of the filter alone, then",
-        "answer p50 / p99, ms",
-        "event p50 / p99, ms",
-        "memory a phone, MB",
-    ]
-    tables.write("live_load", columns, rows, f"{machine(arguments)} others (load {os.getloadavg()[0]:.0f}).")
-
-
-def page(tables: Tables, arguments: argparse.Namespace) -> None:
-    """How late a page draws."""
-    rows, messages = [], bodies(arguments, pdr.simulate.demo_walk())[arguments.rates[0]]
-    for n in (1, 10):
-        drawn_ms = 1e3 * in_chromium(n, 3 * arguments.seconds, arguments.workers, messages)
-        p50, p99 = np.percentile(drawn_ms, [50, 99])
-        rows.append([str(n), str(len(drawn_ms)), f"{p50:.0f}", f"{p99:.0f}"])
-    about = f"{machine(arguments)} Chromium and others (load {os.getloadavg()[0]:.0f})."
-    tables.write("live_page", ["phones", "n", "p50, ms", "p99, ms"], rows, about)
+    walk, rows = pdr.simulate.demo_walk(), list[list[str]]()
+    for rate_hz in arguments.rates:
+        bodies = [json.dumps(m).encode() for m in sensor_logger_messages(walk, _NAME, part_s=1.0 / rate_hz)]
+        rows += of_phones(arguments.phones, rate_hz, arguments.seconds, arguments.workers, bodies, walk)
+    columns = "phones | messages a second | in real time | cores used | ms of one core a second and phone | "
+    columns += "of the filter alone, then | answer p50 / p99, ms | event p50 / p99, ms | memory a phone, MB"
+    about = f"{arguments.workers} workers; {os.cpu_count()} cores, shared with others (load {os.getloadavg()[0]:.0f})."
+    tables.write("live_load", columns, rows, about)
 
 
 if __name__ == "__main__":
-    run(__doc__, load, page, phones=[10, 50, 100, 150, 200], rates=[1, 5], seconds=20.0, workers=2)
+    run(__doc__, load, phones=[10, 50, 100, 150, 200], rates=[1, 5], seconds=20.0, workers=2)

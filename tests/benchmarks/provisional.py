@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 import pdr_filter as pdr
-from tests.benchmarks.common import Tables, median_and, paths, run
+from pdr_filter.values import interpolated_rows
+from tests.benchmarks.common import Tables, median_and, paths, push, run
 
 _SAMPLES = 25
 _PAUSE_S, _EDGE_S = 1.5, 3.0
@@ -27,14 +28,8 @@ def errors(path: Path) -> list[tuple[str, float, float]]:
     recording = pdr.read(path)
     samples, online = pdr.merge_streams(recording), pdr.OnlineFilter(pdr.recipes.default(recording.subject))
     seen, updates = list[tuple[float, np.ndarray, np.ndarray]](), list[pdr.StepUpdate]()
-    for start in range(0, len(samples.time_s), _SAMPLES):
-        part = slice(start, start + _SAMPLES)
-        updates += online.push(
-            samples.time_s[part],
-            samples.specific_force_mps2[part],
-            samples.angular_rate_radps[part],
-            samples.magnetic_field_ut[part],
-        )
+    for part in samples.parts(_SAMPLES):
+        updates += push(online, part)
         now = online.now()
         seen.append((now.time_s, online.position_m, now.position_m))
     updates += online.finish()
@@ -48,7 +43,7 @@ def errors(path: Path) -> list[tuple[str, float, float]]:
             continue
         after = int(np.searchsorted(time_s, now_s, side="right"))
         if after < len(time_s) and time_s[after] - time_s[after - 1] < _PAUSE_S:
-            true_m = np.array([np.interp(now_s, time_s, axis) for axis in position_m.T])
+            true_m = interpolated_rows(now_s, time_s, position_m)
             where = "start" if now_s - begins_s[begins_s <= now_s][-1] < _EDGE_S else "walk"
         else:
             true_m, where = position_m[after - 1], "stop" if now_s - time_s[after - 1] < _EDGE_S else "rest"
@@ -71,7 +66,7 @@ def between_steps(tables: Tables, arguments: argparse.Namespace) -> None:
             accepted, shown = np.array([r[1:] for r in found if r[0] == where]).T
             rows.append([name, len(files), where, len(shown), median_and(accepted, 90), median_and(shown, 90)])
     about = "Errors in m at one time against the track accepted later, median and 90th percentile."
-    columns = ["recordings", "walks", "where", "n", "last accepted step", "`now()`"]
+    columns = "recordings | walks | where | n | last accepted step | `now()`"
     tables.write("provisional", columns, rows, about)
 
 

@@ -11,7 +11,7 @@ the map that it is located with: the map is that of all other walks of its store
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -19,13 +19,13 @@ from pathlib import Path
 import numpy as np
 
 import pdr_filter as pdr
+from pdr_filter import evaluate
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
-from tests.benchmarks.common import Tables, median_and, paths, run
+from pdr_filter.values import interpolated_rows
+from tests.benchmarks.common import HALF, MOST, Tables, median_and, paths, run
 
 CHOSEN_ON = "f1"
-# chi-square with two degrees of freedom, 50 and 95 %
-HALF, MOST = 1.386, 5.991
 START_STD_RAD = np.radians(10.0)
 
 
@@ -47,8 +47,7 @@ class Known:
 
 def place(track: pdr.Track, time_s: float) -> np.ndarray:
     times = np.concatenate([[min(track.start_time_s, track.time_s[0]) - 1e-3], track.time_s])
-    position = np.vstack([track.start_position_m, track.position_m])
-    return np.array([np.interp(time_s, times, axis) for axis in position.T])
+    return interpolated_rows(time_s, times, np.vstack([track.start_position_m, track.position_m]))
 
 
 @cache
@@ -98,17 +97,12 @@ def located(data: Path) -> dict[str, list[pdr.PositionFix]]:
 def scores(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[str]:
     """Of errors (2,) and covariances (2, 2): how many, how far, in 50 and 95 % regions, mean log density."""
     error, cov = np.array([e for e, _ in pairs]), np.array([c for _, c in pairs])
-    nees = np.einsum("fa,fab,fb->f", error, np.linalg.inv(cov), error)
+    nees = evaluate.nees(error, cov)
     loss = 0.5 * nees + 0.5 * np.log(np.linalg.det(cov)) + np.log(2 * np.pi)
     shares = [f"{100 * (nees < limit).mean():.0f} %" for limit in (HALF, MOST)]
     far = np.hypot(*error.T)
-    return [
-        str(len(error)),
-        f"{np.median(far):.1f} m",
-        f"{np.percentile(far, 90):.1f} m",
-        *shares,
-        f"{loss.mean():.2f}",
-    ]
+    quantiles = [f"{value:.1f} m" for value in (np.median(far), np.percentile(far, 90))]
+    return [str(len(error)), *quantiles, *shares, f"{loss.mean():.2f}"]
 
 
 def errors_of(walk: Known, fixes: Sequence[pdr.PositionFix]) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -130,18 +124,7 @@ def fixes(tables: Tables, arguments: argparse.Namespace) -> None:
         pairs = [e for k in group for e in errors_of(k, found[k.recording.name])]
         without = sum(not found[k.recording.name] for k in group)
         rows.append([name, str(len(group)), str(without), str(len(asked)), *scores(pairs)])
-    columns = [
-        "storey",
-        "walks",
-        "without a fix",
-        "scans",
-        "fixes",
-        "median",
-        "90 %",
-        "in 50 % region",
-        "in 95 %",
-        "-log density",
-    ]
+    columns = "storey | walks | without a fix | scans | fixes | median | 90 % | in 50 % region | in 95 % | -log density"
     about = "Each walk by the map of all others of its storey."
     tables.write("radio_fixes", columns, rows, about)
 
@@ -197,25 +180,14 @@ def walks(tables: Tables, arguments: argparse.Namespace) -> None:
         points, radio = from_start(walk, by_map[walk.recording.name])
         here = pdr.PositionFix(points[0, 0], points[0, 1:], 0.25 * np.eye(2))
 
-        def smoothed(
-            known: list[pdr.PositionFix], loops: bool = False, walk: Known = walk, here: pdr.PositionFix = here
-        ) -> pdr.Track:
+        def smoothed(known: Sequence[pdr.PositionFix], loops: bool, walk: Known = walk) -> pdr.Track:
             closed = wifi_loop_closures(walk.recording) if loops else ()
-            found = pdr.smooth(
-                walk.recording, [here, *known], loop_closures=closed, start_heading_std_rad=START_STD_RAD
-            )
-            return found.track
+            return pdr.smooth(walk.recording, known, loop_closures=closed, start_heading_std_rad=START_STD_RAD).track
 
-        runs: tuple[Callable[[], pdr.Track], ...] = (
-            lambda walk=walk, here=here: pdr.track(walk.recording, fixes=[here]),
-            lambda walk=walk, here=here, radio=radio: pdr.track(walk.recording, fixes=[here, *radio]),
-            lambda run=smoothed: run([]),
-            lambda run=smoothed: run([], True),
-            lambda run=smoothed, radio=radio: run(radio),
-            lambda run=smoothed, radio=radio: run(radio, True),
-        )
-        errors = [mean_error_m(run(), points) for run in runs]
-        all_errors.append(errors)
+        both = [here, *radio]
+        tracks = [pdr.track(walk.recording, fixes=fixes) for fixes in ([here], both)]
+        tracks += [smoothed(fixes, loops) for fixes in ([here], both) for loops in (False, True)]
+        all_errors.append([mean_error_m(track, points) for track in tracks])
     error = np.array(all_errors)
     long = np.array([k.recording.duration_s >= 45 for k in every])
     summary: list[list[str]] = []
@@ -267,17 +239,7 @@ def start(tables: Tables, arguments: argparse.Namespace) -> None:
             median = f"{np.median(error):.1f} m" if error else "-"
             row = [str(len(error)), median, *shares, f"{100 * np.sum(outside) / len(long):.0f} %"]
             rows.append([name, f"{after_s:.0f} s", str(len(long)), *row])
-    columns = [
-        "storey",
-        "after",
-        "walks",
-        "placed",
-        "their median",
-        "within 3 m",
-        "5 m",
-        "10 m",
-        "outside of the 95 % ellipse",
-    ]
+    columns = "storey | after | walks | placed | their median | within 3 m | 5 m | 10 m | outside of the 95 % ellipse"
     about = "Start and direction unknown: `track(recording, config.in_world_frame(), fixes=radio.fixes(recording))`. "
     about += "Shares are of all walks that last so long; one without a fix is not placed, and says so (`Track.frame`)."
     tables.write("radio_start", columns, rows, about)

@@ -11,8 +11,8 @@ in the digits.
 
 ubicomp13: steps counted on video against those found from 0.3 s before to 0.3 s after the walk; one found more than a
 second outside of it is false. oxford: F1 against foot switches, a constant offset removed. humolire, ms_indoor: RMSE of
-the position at the waypoints after rotation and translation onto all of them, or onto those of the first 20 % of the
-path; end error in per cent of the path, after the latter; distance on straight legs by displacement (humolire; "a leg":
+the position at the waypoints after rotation and translation onto all of them; end error in per cent of the path, after
+that onto the first 20 % of the path; distance on straight legs by displacement (humolire; "a leg":
 each of them), or the sum of the step lengths against the line through the waypoints (ms_indoor). tyrex: against the
 path of the phone in a room, smoothed below the frequency of steps. pyshoe: against the way of the foot, for a recipe
 that fits one. motionsense: share of the steps whose most probable mode is the label, and the distance that the track
@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -40,7 +40,7 @@ from pdr_filter.filter.chain.weighted_tracker import DetectedStepTracker, Weight
 from pdr_filter.filter.imm.weighting import HC, WEIGHTINGS
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import Step
-from tests.benchmarks.common import Tables, absolute_bias_spread, median_and, paths, run
+from tests.benchmarks.common import Tables, paths, places_of, run
 from tests.benchmarks.peers.tables import EDGE_S, OUTSIDE_S, SWITCH_EDGE_S, WALKING, true_speed, walk_of
 from tests.benchmarks.peers.walks import GRID_S, Walk
 from tests.benchmarks.step_length import way_of_the_foot_m
@@ -89,8 +89,7 @@ def count_scores(walk: Walk, step_s: FloatArray) -> Values:
     before_s, after_s = walk.start_s - OUTSIDE_S, walk.end_s + OUTSIDE_S
     error = float(evaluate.count_error_percent(inside.sum(), walk.recording.truth.segments.n_steps[0]))
     return {
-        "count_percent": error,
-        "absolute_count_percent": abs(error),
+        "count_percent": abs(error),
         "n_false": float(((step_s < before_s) | (step_s > after_s)).sum()),
         "outside_s": max(0.0, before_s) + max(0.0, walk.recording.duration_s - after_s),
     }
@@ -110,11 +109,10 @@ def switch_scores(walk: Walk, step_s: FloatArray) -> Values:
 def waypoint_scores(walk: Walk, found: Found) -> Values:
     """Positions and distances of humolire and ms_indoor."""
     points, segments = walk.recording.truth.waypoints, walk.recording.truth.segments
-    reference_m = np.column_stack([points.east_m, points.north_m])
+    reference_m = places_of(points)
     estimate_m = evaluate.positions_at(found.time_s, found.position_m, points.time_s)
     values = {
         "rmse_m": evaluate.position_rmse_m(estimate_m, reference_m, "all"),
-        "first_rmse_m": evaluate.position_rmse_m(estimate_m, reference_m, "first"),
         "end_percent": evaluate.end_error_percent(estimate_m, reference_m, "first"),
     }
     if segments is None:
@@ -129,10 +127,11 @@ def waypoint_scores(walk: Walk, found: Found) -> Values:
 
 
 def room_scores(walk: Walk, found: Found) -> Values:
-    """Distances of tyrex; %RMSE is of the recordings in which the person walks."""
+    """Distances of tyrex where the person walks."""
+    if not walk.recording.name.endswith(WALKING):
+        return {}
     true_m = GRID_S * true_speed(walk)[1].sum()
-    error = float(evaluate.percent_error(found.walked_m(walk.start_s, walk.end_s), true_m))
-    return {"room_percent": error} | ({"walking_percent": error} if walk.recording.name.endswith(WALKING) else {})
+    return {"walking_percent": float(evaluate.percent_error(found.walked_m(walk.start_s, walk.end_s), true_m))}
 
 
 def foot_scores(walk: Walk, found: Found) -> Values:
@@ -233,7 +232,7 @@ class Column:
 
 
 MAIN = (
-    Column("steps %", "ubicomp13", "absolute_count_percent", 2),
+    Column("steps %", "ubicomp13", "count_percent", 2),
     Column("humolire distance %RMSE", "humolire", "distance_percent", root=True),
     Column("position m", "humolire", "rmse_m", 2),
     Column("end %", "humolire", "end_percent", 2),
@@ -327,18 +326,10 @@ def readme_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[st
     steps, *others = [[cell.split(" ±")[0] for cell in cells(c, of_row)] for c in MAIN]
     speed = [over(total(r, "recorded_s"), total(r, "spent_s"), 0) for r in of_row]
     false = [over(60 * total(r, "n_false"), total(r, "outside_s"), 1) for r in of_row]
-    titles = ["recipe", "steps %", "false steps a minute", "corridors: distance %", "position m", "end %"]
-    titles += ["mall: distance %", "position m", "end %", "x real time"]
+    titles = "recipe | steps % | false steps a minute | corridors: distance % | position m | end % | "
+    titles += "mall: distance % | position m | end % | x real time"
     rows = list(zip(names, steps, false, *others, speed, strict=True))
     tables.write("recipes_readme", titles, rows, "Bold: not distinguishable from the best.")
-
-
-# --- Tables of the recipes, each with its own weighting --------------------------------------------------------------
-
-
-def values_of(records: Sequence[Scored], recipe: str, site: str, value: str) -> FloatArray:
-    """Scores (N,) of the recipe's own weighting."""
-    return np.array([r.values[value] for r in records if (r.recipe, r.weighting, r.site) == (recipe, OWN, site)])
 
 
 def decisions(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -358,43 +349,6 @@ def decisions(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("recipes_decisions", titles, list(zip(names, *texts, strict=True)), about)
 
 
-def step_tables(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
-    """Counts over all walks, then by the placement of the phone, which the names of the recordings end with."""
-    names = [r.name for r in records if (r.recipe, r.weighting, r.site) == (recipes[0], OWN, "ubicomp13")]
-    place = np.array([name.split("_", 3)[3] for name in names])
-    places = sorted(set(place))
-    rows, by_place = [], []
-    for recipe in recipes:
-        error, n_false, outside_s = (
-            values_of(records, recipe, "ubicomp13", v) for v in ("count_percent", "n_false", "outside_s")
-        )
-        f1 = ", ".join(f"{values_of(records, recipe, 'oxford', v).mean():.3f}" for v in ("f1", "f1_close"))
-        false = f"{60 * n_false.sum() / outside_s.sum():.1f}"
-        rows.append([recipe, absolute_bias_spread(error), f"{np.abs(error).max():.1f}", false, f1])
-        by_place.append([recipe, *(absolute_bias_spread(error[place == p]) for p in places)])
-    about = "Count error in %: mean absolute (bias, spread)."
-    columns = ["recipe", f"ubicomp13 (n={len(place)})", "largest", "false steps a minute", "oxford F1 0.25 s, 0.1 s"]
-    tables.write("recipes_steps", columns, rows, about)
-    columns = ["recipe", *(f"{p} (n={(place == p).sum()})" for p in places)]
-    tables.write("recipes_placements", columns, by_place, about)
-
-
-def track_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
-    """Medians over the walks."""
-
-    def row(recipe: str, site: str) -> Iterator[str]:
-        rmse, first, end, distance = (
-            values_of(records, recipe, site, v) for v in ("rmse_m", "first_rmse_m", "end_percent", "distance_percent")
-        )
-        yield from (f"{site} (n={len(rmse)})", recipe, median_and(rmse, 90), f"{np.median(first):.2f}")
-        yield f"{np.median(end):.1f}"
-        yield f"{distance.mean():+.1f}, {distance.std():.1f}"
-
-    columns = ["site", "recipe", "RMSE m: median, 90 %", "first 20 %: RMSE m, median", "end %, median"]
-    rows = [list(row(recipe, site)) for site in ("humolire", "ms_indoor") for recipe in recipes]
-    tables.write("recipes_tracks", [*columns, "distance %: bias, spread"], rows)
-
-
 def tables_of_recipes(tables: Tables, arguments: argparse.Namespace) -> None:
     """All tables."""
     files = [p for site in SITES for p in paths(arguments.data, site)[:: arguments.every]]
@@ -402,8 +356,8 @@ def tables_of_recipes(tables: Tables, arguments: argparse.Namespace) -> None:
     records = [r for found in Parallel(arguments.jobs)(jobs) for r in found]
     if arguments.every > 1 or tuple(arguments.recipes) != RECIPES:
         tables = Tables(tables.command, None)
-    for write in (weighting_tables, readme_table, step_tables, track_table):
-        write(tables, records, arguments.recipes)
+    weighting_tables(tables, records, arguments.recipes)
+    readme_table(tables, records, arguments.recipes)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,9 @@
-# ruff: noqa: N806  (X as in scikit-learn)
 """How fast the relevance vector machine trains and predicts, and how good its probabilities are.
 
 usage: python -m tests.benchmarks.rvm_speed
 
-One core: BLAS threads are set to one. Problems are `sklearn.datasets.make_classification` with six classes; other rows
-than those of the training (1200 for fastrvm) are scored. fastrvm, if it can be imported, is timed on the first problem.
+One core: BLAS threads are set to one. The problem is `sklearn.datasets.make_classification` with six classes; 1200
+other rows than those of the training are scored. Needs fastrvm.
 """
 
 from __future__ import annotations
@@ -21,32 +20,21 @@ import pdr_filter as pdr
 from pdr_filter.classifiers.rvm import median_distance
 from tests.benchmarks.common import Tables, run
 
-Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+N_TRAINED, N_TESTED, N_FEATURES = 800, 1200, 20
+X, Y = make_classification(
+    N_TRAINED + N_TESTED, N_FEATURES, n_informative=10, n_classes=6, n_clusters_per_class=1, random_state=0
+)
 
 
-def six_classes(n_train: int, n_test: int, n_features: int, n_clusters: int, n_informative: int = 10) -> Problem:
-    """Training rows and labels, test rows and labels, of `make_classification` with random_state 0."""
-    X, y = make_classification(
-        n_train + n_test,
-        n_features,
-        n_informative=n_informative,
-        n_classes=6,
-        n_clusters_per_class=n_clusters,
-        random_state=0,
-    )
-    return X[:n_train], y[:n_train], X[n_train:], y[n_train:]
-
-
-def measure(classifier: Any, problem: Problem, repeats: int = 1) -> tuple[float, float, float]:
+def measure(classifier: Any, repeats: int = 1) -> tuple[float, float, float]:
     """Best training time in seconds, accuracy, log loss in nats."""
-    X, y, X_test, y_test = problem
     best = np.inf
     for _ in range(repeats):
         start = time.perf_counter()
-        classifier.fit(X, y)
+        classifier.fit(X[:N_TRAINED], Y[:N_TRAINED])
         best = min(best, time.perf_counter() - start)
-    p = classifier.predict_proba(X_test)
-    return best, float(np.mean(classifier.classes_[p.argmax(axis=1)] == y_test)), float(log_loss(y_test, p))
+    p, y = classifier.predict_proba(X[N_TRAINED:]), Y[N_TRAINED:]
+    return best, float(np.mean(classifier.classes_[p.argmax(axis=1)] == y)), float(log_loss(y, p))
 
 
 def fastrvm(tables: Tables, arguments: argparse.Namespace) -> None:
@@ -55,12 +43,11 @@ def fastrvm(tables: Tables, arguments: argparse.Namespace) -> None:
     except ImportError:
         print("fastrvm cannot be imported: no comparison.")
         return
-    problem = six_classes(800, 1200, 20, 1)
-    width = median_distance(np.unique(problem[0], axis=0))
+    width = median_distance(np.unique(X[:N_TRAINED], axis=0))
     found = {
-        "pdr_filter": measure(pdr.RelevanceVectorClassifier(kernel_width=width), problem, 2),
-        "fastrvm": measure(RVC(kernel="rbf", gamma=0.5 / width**2, fit_intercept=True), problem),
-        'fastrvm, its defaults (gamma="scale")': measure(RVC(), problem),
+        "pdr_filter": measure(pdr.RelevanceVectorClassifier(kernel_width=width), 2),
+        "fastrvm": measure(RVC(kernel="rbf", gamma=0.5 / width**2, fit_intercept=True)),
+        'fastrvm, its defaults (gamma="scale")': measure(RVC()),
     }
     rows = [[name, f"{s:.2f} s", f"{right:.3f}", f"{loss:.3f}"] for name, (s, right, loss) in found.items()]
     columns = ["800 x 20, one cluster a class, same kernel", "training", "accuracy", "log loss"]

@@ -301,10 +301,8 @@ def simulated(tables: Tables, arguments: argparse.Namespace) -> None:
     walks = [simulated_walk(seed) for seed in range(arguments.walks)]
     with ProcessPoolExecutor(len(NOISE)) as pool:
         rows = [row for rows in pool.map(rows_of_sensor, repeat(walks), NOISE) for row in rows]
-    columns = (
-        "sensor and fault | distance, % | smoothed | end, m (stated) | smoothed | direction, degrees | smoothed | "
-    )
-    columns += "height, m (stated) | storey right, % | first note on it"
+    columns = "sensor and fault | distance, % | smoothed | end, m (stated) | smoothed | direction, degrees | "
+    columns += "smoothed | height, m (stated) | storey right, % | first note on it"
     about = f"{arguments.walks} simulated walks: medians of absolute errors; outside are more than three deviations."
     tables.write("sensor_faults_simulated", columns, rows, about)
 

@@ -144,10 +144,10 @@ def contexts(tables: Tables, arguments: argparse.Namespace) -> None:
             else:
                 cells += ["-", "-"]
             rows.append([place, context, *cells])
-    columns = ["place", "context", "recall: simulated", "real, held out", "real people", "tree: AUC"]
+    columns = "place | context | recall: simulated | real, held out | real people | tree: AUC | its best feature"
     about = f"{arguments.people} simulated people in each place. Recall of windows, mean over people; "
     about += "medians: real, simulated."
-    tables.write("simulated_people", [*columns, "its best feature"], rows, about)
+    tables.write("simulated_people", columns, rows, about)
 
 
 if __name__ == "__main__":

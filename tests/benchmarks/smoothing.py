@@ -12,6 +12,7 @@ are.
 from __future__ import annotations
 
 import argparse
+from collections import defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from pdr_filter.offline.smoothing.preintegration import step_states
 from pdr_filter.offline.smoothing.problem import NO_OFFSETS, Problem, pose_problem
 from pdr_filter.offline.smoothing.smooth import smooth
 from pdr_filter.offline.smoothing.solve import solve
-from tests.benchmarks.common import Tables, bias_spread_rms, median_and, recordings, run
+from tests.benchmarks.common import MOST, Tables, bias_spread_rms, median_and, recordings, run
 from tests.simulated_steps import Walk, simulated_walk
 
 WIDE_RAD = float(np.pi / np.sqrt(3))
@@ -54,7 +55,7 @@ def coverage(tables: Tables, arguments: argparse.Namespace) -> None:
             wild = np.linalg.norm([f.position_m - p for f, p in zip(fixes, places, strict=True)], axis=1) > 15
             mean, cov, weight = smoothed(walk, fixes)
             error = mean[:, :2] - walk.position_m[1:]
-            inside.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov[:, :2, :2]), error) < 5.991)
+            inside.append(evaluate.nees(error, cov[:, :2, :2]) < MOST)
             rmse.append(np.sqrt(np.square(error).sum(axis=1).mean()))
             kept, lost = kept + (wild & (weight > 0)).sum(), lost + (~wild & (weight == 0)).sum()
             n_wild, n_good = n_wild + wild.sum(), n_good + (~wild).sum()
@@ -62,16 +63,16 @@ def coverage(tables: Tables, arguments: argparse.Namespace) -> None:
         rows.append(
             [f"{wild_share:.0%}", jumps, share, median_and(rmse, 100), f"{kept} of {n_wild}", f"{lost} of {n_good}"]
         )
-    columns = ["outliers", "changes of the offset", "in 95 % ellipse", "RMSE m: median, largest", "outliers kept"]
-    tables.write("smoothing_coverage", [*columns, "good fixes lost"], rows, "300 simulated walks a row.")
+    columns = "outliers | changes of the offset | in 95 % ellipse | RMSE m: median, largest | outliers kept | "
+    columns += "good fixes lost"
+    tables.write("smoothing_coverage", columns, rows, "300 simulated walks a row.")
 
 
 def real(tables: Tables, arguments: argparse.Namespace) -> None:
     walks = list(recordings(arguments.data, "humolire"))
     columns: dict[str, dict[str, str]] = {}
     for wild in (False, True):
-        rows: dict[str, list[float]] = {}
-        walked: dict[str, list[float]] = {}
+        rmse, walked = defaultdict[str, list[float]](list), defaultdict[str, list[float]](list)
         covered, scales = [], []
         rng = np.random.default_rng(5)
         for recording in walks:
@@ -98,24 +99,17 @@ def real(tables: Tables, arguments: argparse.Namespace) -> None:
             }
             for name, (track, start_m, reference) in tracks.items():
                 error = evaluate.positions_at(track.time_s, track.position_m, times, start_m) - reference
-                rows.setdefault(name, []).append(float(np.sqrt(np.square(error[other]).sum(axis=1).mean())))
+                rmse[name].append(float(np.sqrt(np.square(error[other]).sum(axis=1).mean())))
                 legs = recording.truth.segments
-                ends = [
-                    evaluate.positions_at(track.time_s, track.position_m, t, start_m)
-                    for t in (legs.start_s, legs.end_s)
-                ]
-                length = np.linalg.norm(ends[1] - ends[0], axis=1)
-                walked.setdefault(name, []).append(100 * float(length.sum() / legs.distance_m.sum() - 1))
-            error = (
-                evaluate.positions_at(result.track.time_s, result.track.position_m, times, result.start_position_m)
-                - places
-            )
+                moved_m = evaluate.moved_m(track.time_s, track.position_m, legs.start_s, legs.end_s, start_m)
+                walked[name].append(100 * float(moved_m.sum() / legs.distance_m.sum() - 1))
+            # the last error is that of the smoother
             nearest = np.clip(np.searchsorted(result.track.time_s, times), 0, result.track.n_steps - 1)
             cov = result.track.position_cov_m2[nearest] + 0.3**2 * np.eye(2)  # clicks are good to a third of a metre
-            covered.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov), error)[other] < 5.991)
+            covered.append(evaluate.nees(error, cov)[other] < MOST)
             scales.append(result.scale)
         what = "with one fix 40 m away" if wild else "RMSE m: median, largest"
-        columns[what] = {name: median_and(row, 100) for name, row in rows.items()}
+        columns[what] = {name: median_and(e, 100) for name, e in rmse.items()}
         if not wild:
             columns["straight legs %: bias, spread, RMS"] = {n: bias_spread_rms(row) for n, row in walked.items()}
             held, scale = 100 * np.concatenate(covered).mean(), f"{np.mean(scales):.3f} ± {np.std(scales):.3f}"

@@ -34,8 +34,8 @@ import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.tracking.warnings import notes_of
-from pdr_filter.values import BoolArray, FloatArray, ImuBlock, PositionFix
-from tests.benchmarks.common import Tables, run
+from pdr_filter.values import BoolArray, FloatArray, ImuBlock, PositionFix, interpolated_rows
+from tests.benchmarks.common import Tables, part_of, push, run
 from tests.benchmarks.placements import Walk, walks
 
 G = np.array([0.0, 0.0, 9.81])
@@ -88,8 +88,7 @@ def of_walk(walk: Walk, rng: np.random.Generator) -> Stretch:
     if rng.random() < 0.5:
         time_s = np.arange(start_s, block.time_s[-1], 1 / rng.choice([20.0, 25.0, 50.0, 100.0, 200.0, 400.0]))
         nearest = np.searchsorted(block.time_s, time_s).clip(max=len(block.time_s) - 1)
-        values = (block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
-        block = ImuBlock(time_s, *(v[nearest] for v in values))
+        block = replace(part_of(block, nearest), time_s=time_s)
     return Stretch(replace(block, time_s=block.time_s - start_s), walk.time_s - start_s, walk.position_m)
 
 
@@ -118,7 +117,7 @@ def broken(stretch: Stretch, rng: np.random.Generator) -> Stretch:
         sensor[some, axis] = sensor[some.argmax(), axis]
     if rng.random() < 0.2:
         keep &= ~between(stretch, rng.uniform(0.4, 30.0), rng)
-    block = ImuBlock(time_s[keep], force[keep], rate[keep], block.magnetic_field_ut[keep])
+    block = part_of(replace(block, specific_force_mps2=force, angular_rate_radps=rate), keep)
     return replace(stretch, block=block)
 
 
@@ -145,7 +144,7 @@ def fixes_of(stretch: Stretch, rng: np.random.Generator) -> list[PositionFix]:
 
 
 def at_time(stretch: Stretch, t: float) -> FloatArray:
-    return np.array([np.interp(t, stretch.truth_s, stretch.truth_m[:, k]) for k in (0, 1)])
+    return interpolated_rows(t, stretch.truth_s, stretch.truth_m)
 
 
 # --- the run ----------------------------------------------------------------------------------------------------------
@@ -180,19 +179,15 @@ class Soak:
         time_s = self.true_s + self.clock_s + block.time_s
         if len(stretch.truth_s) == 0 and self.rng.random() < 0.2:
             time_s[len(time_s) // 2 : len(time_s) // 2 + 2] += YEARS_S
+        clocked = replace(block, time_s=time_s)
         start, resume_s = 0, self.rng.uniform(0, 4 * stretch.duration_s)
         while start < len(time_s):
             end = start + max(1, round(self.rng.uniform(0.1, 2.0) * len(time_s) / stretch.duration_s))
-            part = ImuBlock(
-                time_s[start:end],
-                block.specific_force_mps2[start:end],
-                block.angular_rate_radps[start:end],
-                block.magnetic_field_ut[start:end],
-            )
+            part = part_of(clocked, slice(start, end))
             if block.time_s[start] > resume_s:
                 resume_s = np.inf
-                self.resume(stretch, time_s, start)
-            updates = pushed(self.online, part)
+                self.resume(stretch, clocked, start)
+            updates = push(self.online, part)
             now_s = float(block.time_s[min(end, len(time_s)) - 1])
             while fixes and fixes[0].time_s <= now_s:
                 fix = fixes.pop(0)
@@ -201,17 +196,13 @@ class Soak:
             start = end
         self.true_s += stretch.duration_s + 0.01
 
-    def resume(self, stretch: Stretch, time_s: FloatArray, start: int) -> None:
+    def resume(self, stretch: Stretch, clocked: ImuBlock, start: int) -> None:
         """Save, load, and run both on for 20 s; the loaded one goes on."""
         tally, saved = self.hours[-1], self.online.save()
         end = int(np.searchsorted(stretch.block.time_s, stretch.block.time_s[start] + 20.0))
-        block = stretch.block
-        part = ImuBlock(
-            time_s[start:end],
-            *(v[start:end] for v in (block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)),
-        )
-        said = [[said_bits(u) for u in pushed(pdr.OnlineFilter.load(blob), part)] for blob in (saved, saved)]
-        said.append([said_bits(u) for u in pushed(self.online, part)])
+        part = part_of(clocked, slice(start, end))
+        said = [[said_bits(u) for u in push(pdr.OnlineFilter.load(blob), part)] for blob in (saved, saved)]
+        said.append([said_bits(u) for u in push(self.online, part)])
         self.online = pdr.OnlineFilter.load(saved)
         tally.n_resumed += 1
         tally.n_resumed_differently += not (said[0] == said[1] == said[2])
@@ -248,10 +239,6 @@ class Soak:
         self.hours[-1].memory_mb = memory_mb()
         self.hours[-1].save_bytes.append(len(self.online.save()))
         self.hours.append(Tally())
-
-
-def pushed(online: pdr.OnlineFilter, block: ImuBlock) -> list[StepUpdate]:
-    return online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
 
 
 def said_bits(update: StepUpdate) -> bytes:
@@ -301,27 +288,12 @@ def days(tables: Tables, arguments: argparse.Namespace) -> None:
             return 100.0 * sum(getattr(tally, name)[kind] for tally in some) / of_all
 
         sizes = [size for tally in some for size in tally.save_bytes]
-        rows.append(
-            [
-                f"{start + 1} to {start + len(some)}",
-                total("n_steps"),
-                f"{some[-1].memory_mb:.0f}",
-                f"{min(sizes) / 1e3:.0f} to {max(sizes) / 1e3:.0f}",
-                f"{total('n_nan')}, {total('n_not_psd')}",
-                f"{total('n_resumed')}, {total('n_resumed_differently')}",
-                *(f"{share('n_beyond', kind):.1f}, {share('n_unsaid', kind):.1f}" for kind in (0, 1)),
-            ]
-        )
-    columns = [
-        "hours",
-        "steps",
-        "memory MB",
-        "save kB",
-        "NaN, not PSD",
-        "resumed, differently",
-        "beyond 99 %, without a note",
-        "with wrong fixes",
-    ]
+        row = [f"{start + 1} to {start + len(some)}", total("n_steps"), f"{some[-1].memory_mb:.0f}"]
+        row += [f"{min(sizes) / 1e3:.0f} to {max(sizes) / 1e3:.0f}", f"{total('n_nan')}, {total('n_not_psd')}"]
+        row += [f"{total('n_resumed')}, {total('n_resumed_differently')}"]
+        rows.append([*row, *(f"{share('n_beyond', kind):.1f}, {share('n_unsaid', kind):.1f}" for kind in (0, 1))])
+    columns = "hours | steps | memory MB | save kB | NaN, not PSD | resumed, differently | "
+    columns += "beyond 99 %, without a note | with wrong fixes"
     tables.write("soak", columns, rows, "One filter, see the script.")
 
 

@@ -37,7 +37,7 @@ from pdr_filter.recipes import default
 from pdr_filter.recipes.modes import context_modes
 from pdr_filter.values import PositionFix, Samples
 from tests.apps.maps.made_up import box, feature, line, write
-from tests.benchmarks.common import ROOT, Tables, paths, run
+from tests.benchmarks.common import ROOT, Tables, part_of, paths, push, run
 
 SITES = ("humolire", "ms_indoor", "oxiod", "ubicomp13", "tyrex", "oxford", "ipol", "motionsense", "ipin2023")
 # In another process, so that trees can be compared: reads nothing but the package and the recordings.
@@ -209,15 +209,10 @@ def costs(tables: Tables, arguments: argparse.Namespace) -> None:
         ("steps alone (`detect_steps`)", lambda: pdr.detect_steps(recording)),
     ]
     taken = np.min([[best_s(run, 1) for _, run in runs] for _ in range(4)], axis=0)
-    rows = [
-        [
-            name,
-            f"{1e3 * t / recording.duration_s:.2f}",
-            f"{1e3 * (t - taken[0]) / n_steps:+.2f}" if i else "",
-            f"{recording.duration_s / t:.0f}",
-        ]
-        for i, ((name, _), t) in enumerate(zip(runs, taken, strict=True))
-    ]
+    rows = list[list[str]]()
+    for (name, _), t in zip(runs, taken, strict=True):
+        more = f"{1e3 * (t - taken[0]) / n_steps:+.2f}" if rows else ""
+        rows.append([name, f"{1e3 * t / recording.duration_s:.2f}", more, f"{recording.duration_s / t:.0f}"])
     about = (
         f"{recording.duration_s:.0f} s of walking, {n_steps} steps, processor time; the least of four runs in turns, "
         f"{load()}."
@@ -230,20 +225,19 @@ def calls(tables: Tables, arguments: argparse.Namespace) -> None:
     block = pdr.merge_streams(pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
     n = int(np.searchsorted(block.time_s, block.time_s[0] + 60.0))
 
+    minute = part_of(block, slice(0, n))
+
     def merged(samples: int) -> None:
         online = pdr.OnlineFilter()
-        for i in range(0, n, samples):
-            part = slice(i, i + samples)
-            sensors = block.specific_force_mps2[part], block.angular_rate_radps[part], block.magnetic_field_ut[part]
-            online.push(block.time_s[part], *sensors)
+        for part in minute.parts(samples):
+            push(online, part)
 
     def apart(samples: int) -> None:
         online = pdr.OnlineFilter()
-        for i in range(0, n, samples):
-            part = slice(i, i + samples)
-            online.push_accelerometer(block.time_s[part], block.specific_force_mps2[part])
-            online.push_gyroscope(block.time_s[part], block.angular_rate_radps[part])
-            online.push_magnetometer(block.time_s[part], block.magnetic_field_ut[part])
+        for part in minute.parts(samples):
+            online.push_accelerometer(part.time_s, part.specific_force_mps2)
+            online.push_gyroscope(part.time_s, part.angular_rate_radps)
+            online.push_magnetometer(part.time_s, part.magnetic_field_ut)
 
     pieces = {"blocks of 1 s": 100, "blocks of 0.1 s": 10, "single samples": 1}
     runs = [lambda way=way, size=size: way(size) for size in pieces.values() for way in (merged, apart)]
@@ -259,11 +253,9 @@ def _pushed_hours(n_hours: int) -> list[list[str]]:
     block, online, rows = pdr.merge_streams(long_walk(1.0)), pdr.OnlineFilter(), []
     period_s, used_s = float(block.time_s[-1]) + 0.01, 0.0
     for hour in range(n_hours):
-        for i in range(0, len(block.time_s), 6000):
-            part = slice(i, i + 6000)
-            time_s = block.time_s[part] + hour * period_s
+        for part in block.parts(6000):
             start = time.process_time()
-            online.push(time_s, block.specific_force_mps2[part], block.angular_rate_radps[part])
+            online.push(part.time_s + hour * period_s, part.specific_force_mps2, part.angular_rate_radps)
             used_s += time.process_time() - start
         if hour + 1 in (1, n_hours):
             peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3

@@ -156,15 +156,12 @@ if __name__ == "__main__":
                 measured.write_text(done.stdout.splitlines()[-1])
             f = json.loads(measured.read_text())
             print(n, f, file=sys.stderr, flush=True)
-            row = [
-                str(n),
-                f"{f['first']:.0f} s",
-                f"{f['second']:.0f} s",
-                f"{f['mb']:.0f} MB",
-                f"{f['worker_mb']:.0f} MB",
-            ]
-            rows.append([*row, f"{100 * f['joined']:.0f} %", f"{100 * f['wrong']:.1f} %", f"{f['median']:.1f} m"])
-    columns = ["walks", "time", "from the cache", "memory", "of a worker", "joined", "of these wrong", "median"]
+            costs = [f"{f[run]:.0f} s" for run in ("first", "second")]
+            costs += [f"{f[size]:.0f} MB" for size in ("mb", "worker_mb")]
+            rows.append(
+                [str(n), *costs, f"{100 * f['joined']:.0f} %", f"{100 * f['wrong']:.1f} %", f"{f['median']:.1f} m"]
+            )
+    columns = "walks | time | from the cache | memory | of a worker | joined | of these wrong | median"
     where = f"{arguments.workers} {'workers of a Dask cluster' if arguments.cluster else 'processes'}"
     about = f"Simulated walks of 120 m, tracked on {where} and solved in one."
     tables.write("walk_map_scale", columns, rows, about)

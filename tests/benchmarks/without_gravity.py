@@ -24,8 +24,8 @@ import pdr_filter as pdr
 from pdr_filter.sensing.gravity import with_gravity
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated_rows
 from pdr_filter.values.quaternions import rotation_matrix
-from tests.benchmarks.common import Tables, median_and, recordings, run
-from tests.benchmarks.smoothed_places import shape_error_m
+from tests.benchmarks.common import Tables, median_and, places_of, recordings, run
+from tests.benchmarks.smoothed_places import aligned_errors_m, is_on_one_storey, rms
 
 SITES = ["tyrex", "motionsense", "oxiod", "ms_indoor", "ipin2023"]
 _NOT_WALKED = re.compile(r"_ar$|_sit_|_std_|trolley")
@@ -57,13 +57,13 @@ def shape_m(recording: pdr.Recording, track: pdr.Track) -> float:
     """Shape error against the waypoints or the continuous reference, once a second; NaN without three places."""
     truth = recording.truth
     points = truth.waypoints if truth.waypoints is not None else truth.position
-    if points is None or len(points) < 3 or ("floor" in points.dtype.names and len(set(points.floor)) > 1):
+    if points is None or len(points) < 3 or not is_on_one_storey(points):
         return np.nan
-    time_s, true_m = points.time_s, np.column_stack([points.east_m, points.north_m])
+    time_s, true_m = points.time_s, places_of(points)
     if len(time_s) > 300:
         at_s = np.arange(time_s[0], time_s[-1])
         time_s, true_m = at_s, interpolated_rows(at_s, time_s, true_m)
-    return shape_error_m(true_m, pdr.evaluate.positions_at(track.time_s, track.position_m, time_s))
+    return rms(aligned_errors_m(true_m, pdr.evaluate.positions_at(track.time_s, track.position_m, time_s)))
 
 
 def group_of(name: str) -> str:
@@ -138,10 +138,8 @@ def tracks(tables: Tables, arguments: argparse.Namespace) -> None:
         n_unsure = sum(not pair.is_sure for pair in tracked)
         mirrored = f"{n_mirrored} ({n_told})"
         rows.append([group, len(of_group), len(of_group) - len(tracked), *steps, *shape, mirrored, n_unsure])
-    columns = [
-        *("walks", "number", "refused", "steps %: median, worst"),
-        *("shape m: without, with gravity", "median ratio", "mirrored (of these unsure)", "unsure"),
-    ]
+    columns = "walks | number | refused | steps %: median, worst | shape m: without, with gravity | median ratio | "
+    columns += "mirrored (of these unsure) | unsure"
     tables.write("without_gravity", columns, rows)
 
 

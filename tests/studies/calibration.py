@@ -21,8 +21,8 @@ from pdr_filter.evaluate.tracks import moved_m
 from pdr_filter.recipes import RECIPES
 from pdr_filter.tracking.track import Track
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, run
-from tests.studies.data import paper_table, recordings
+from tests.benchmarks.common import Tables, recordings, run
+from tests.studies.data import paper_table
 
 
 def error_percent(walk: Recording, track: Track) -> float:

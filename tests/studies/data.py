@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.data.io.formats import read
 from pdr_filter.evaluate.steps import StepScores
 from pdr_filter.evaluate.tables import markdown
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, interpolated_rows
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables
+from tests.benchmarks.common import Tables, places_of, recordings
 
 NAN = float("nan")
 
@@ -21,17 +20,6 @@ NAN = float("nan")
 HEIGHT_M = 1.70
 # Persons 1 to 6 had a say in thresholds, trees and detector constants.
 _LEFT_OUT = ("ubicomp13_p0[7-9]_*.zip", "ubicomp13_p1?_*.zip")
-
-
-def recordings(data: Path, name: str, pattern: str = "*.zip") -> Iterator[Recording]:
-    """Recordings of a data set whose file names match, by name; none if the folder lacks the set."""
-    for path in sorted((data / name).glob(pattern)):
-        yield read(path)
-
-
-def has(data: Path, name: str) -> bool:
-    """Whether the folder has the data set."""
-    return any((data / name).glob("*.zip"))
 
 
 def people_left_out(data: Path, places: Collection[str] = ()) -> Iterator[Recording]:
@@ -59,8 +47,7 @@ def even_way(recording: Recording, every_s: float) -> tuple[FloatArray, FloatArr
     if position is None:
         raise ValueError(f"{recording.name}: no truth_position.csv")
     time_s = np.arange(position.time_s[0], position.time_s[-1], every_s)
-    way_m = [np.interp(time_s, position.time_s, c) for c in (position.east_m, position.north_m)]
-    return time_s, np.column_stack(way_m)
+    return time_s, interpolated_rows(time_s, position.time_s, places_of(position))
 
 
 def with_subject(recording: Recording, **known: object) -> Recording:

@@ -28,7 +28,6 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from models.training import guo2018_training as train_guo
-from models.training.data_sets import DUPLICATES
 from pdr_filter.classifiers.context_model import load_model
 from pdr_filter.classifiers.forest import Forest
 from pdr_filter.classifiers.rvm import basis_functions
@@ -65,13 +64,13 @@ from pdr_filter.values import (
     wrap_angle,
 )
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, run
+from tests.benchmarks.common import Tables, recordings, run
 from tests.oracles.rvm_reference import train_plain
 from tests.studies import guo2018 as study_guo
 from tests.studies import martinelli2018 as study_martinelli
 from tests.studies import tian2016 as study_tian
 from tests.studies import zhou2019 as study_zhou
-from tests.studies.data import NAN, counted_walk, paper_table, people_left_out, place_of, recordings
+from tests.studies.data import NAN, counted_walk, paper_table, people_left_out, place_of
 
 Row = Mapping[str, object]
 
@@ -144,8 +143,9 @@ def step_length_m(walks: Sequence[Recording], config: Config, max_variance: floa
 
 def recall_of_plain(data: Path, with_bias: bool) -> float:
     """Mean recall in % of people left out, by the literal machines of eq. 4 to 11 with and without a bias term."""
-    walks = (r for r in recordings(data, "motionsense") if r.name not in DUPLICATES)
-    of = study_martinelli.examples_of(walks, {"2": FeatureWindows(features=TABLE_II)}, 12)["2"]
+    of = study_martinelli.examples_of(study_martinelli.in_pocket(data), {"2": FeatureWindows(features=TABLE_II)}, 12)[
+        "2"
+    ]
     classes = np.unique(of.context)
     label, found = list[int](), list[int]()
     for people in study_martinelli.subgroups(of.person):

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from models.training import guo2018_training as train_guo
 from models.training.data_sets import recordings_of
@@ -42,17 +41,15 @@ from pdr_filter.simulate.motion import CARRYING
 from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, steps_of
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, run
+from tests.benchmarks.common import Tables, recordings, run, way_of
 from tests.studies.data import (
     HEIGHT_M,
     NAN,
     counted_walk,
-    even_way,
     paper_table,
     people_left_out,
     place_of,
     prefixed,
-    recordings,
     with_subject,
 )
 
@@ -280,10 +277,9 @@ def real_walks(data: Path) -> list[PoseWalk]:
 
 def _mean_speed_mps(recording: Recording, start_s: float, end_s: float) -> float:
     """Of the phone in motion capture, its path low-passed at 0.5 Hz, so that sway and swing are not walked."""
-    grid_s, place = even_way(recording, 0.02)
-    smooth = sosfiltfilt(butter(2, 0.5, fs=50.0, output="sos"), place, axis=0)
+    grid_s, way_m = way_of(recording)
     inside = (grid_s >= start_s) & (grid_s <= end_s)
-    return float(np.linalg.norm(np.gradient(smooth, 0.02, axis=0), axis=1)[inside].mean())
+    return float(np.linalg.norm(np.gradient(way_m, 0.02, axis=0), axis=1)[inside].mean())
 
 
 # --- tables ---------------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -42,16 +42,16 @@ from pdr_filter.offline.training.cross_validation import LabelledWindows
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.martinelli2018.features import NAMES, TABLE_II, WITHOUT_MAGNETOMETER
-from pdr_filter.sensing.attitude import AttitudeEstimator
-from pdr_filter.sensing.conditioning import Conditioner, merge_streams
+from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
+from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, run
+from tests.benchmarks.common import Tables, recordings, run
 from tests.benchmarks.weightings import Piece, clip, joined_walk
-from tests.studies.data import NAN, paper_table, prefixed, recordings
+from tests.studies.data import NAN, paper_table, prefixed
 
 TextArray = NDArray[np.str_]
 
@@ -77,25 +77,23 @@ class Examples:
         return replace(self, features=self.features[use], context=self.context[use], person=self.person[use])
 
 
+def in_pocket(data: Path) -> Iterator[Recording]:
+    """Recordings of MotionSense, each once."""
+    return (r for r in recordings(data, "motionsense") if r.name not in DUPLICATES)
+
+
 def examples_of(
     walks: Iterable[Recording], stages: Mapping[str, FeatureWindows], n_windows: int
 ) -> dict[str, Examples]:
-    """Labelled windows of all stages, every recording conditioned once."""
+    """Labelled windows of all stages."""
     found: dict[str, list[tuple[FloatArray, str, str]]] = {name: [] for name in stages}
     for recording in walks:
-        conditioner, attitude_estimator = Conditioner(), AttitudeEstimator()
-        attitude_state, states = attitude_estimator.init(), {name: s.init() for name, s in stages.items()}
-        for part in conditioner.update(conditioner.init(), merge_streams(recording))[1]:
-            if part.gap_before_s > 0:
-                attitude_state = attitude_estimator.after_gap(attitude_state)
-                states = {name: s.init() for name, s in stages.items()}
-            attitude_state, attitude = attitude_estimator.update(attitude_state, part)
-            for name, stage in stages.items():
-                states[name], windows = stage.update(states[name], part, attitude)
-                for _, window in windows:
-                    label = label_of(recording, window.time_s - stage.window_s, window.time_s)
-                    if label is not None:
-                        found[name].append((window.features, label[0], str(recording.subject.id)))
+        samples = merge_streams(recording)
+        for name, stage in stages.items():
+            for window in feature_windows(stage, [samples]):
+                label = label_of(recording, window.time_s - stage.window_s, window.time_s)
+                if label is not None:
+                    found[name].append((window.features, label[0], str(recording.subject.id)))
     return {name: _balanced(stages[name].features.names, rows, n_windows) for name, rows in found.items() if rows}
 
 
@@ -293,7 +291,7 @@ _RECALL_PERCENT = (93.7, 85.2, 82.5, 95.2, 90.0, 100.0)
 _ACCURACY = 91.1
 # Table V: %error of subjects 1 to 15, of which Table IV has the %RMSE of subjects 1-5, 6-10, 11-15, and of all.
 _TABLE_IV = {"hc": (4.5, 6.2, 11.5, 7.9), "wc": (5.7, 5.9, 3.6, 5.2)}
-_TABLE_V = {
+TABLE_V = {
     "hc": (0.6, -3.3, -5.7, -3.0, -6.9, -7.8, -3.6, -6.0, -4.5, -7.5, -13.6, -13.5, -7.8, -7.5, -13.1),
     "wc": (5.1, 1.2, 4.5, -3.3, -10.3, -9.0, 0.0, -7.5, -0.3, -6.0, -3.0, -3.9, 1.8, 1.2, -6.1),
 }
@@ -337,7 +335,7 @@ def _table_iv(errors: Columns, people: Sequence[str]) -> Rows:
         rows.append(row | {c: distance_scores(np.array(e)[use]).rmse_percent for c, e in errors.items()})
     for name, field in (("all: bias", "bias_percent"), ("all: spread", "spread_percent")):
         row = {"%RMSE of": name}
-        row |= {f"paper {k.upper()}": getattr(distance_scores(v), field) for k, v in _TABLE_V.items()}
+        row |= {f"paper {k.upper()}": getattr(distance_scores(v), field) for k, v in TABLE_V.items()}
         rows.append(row | {c: getattr(distance_scores(e), field) for c, e in errors.items()})
     return tuple(rows)
 
@@ -368,8 +366,8 @@ def _matrices(confusions: Mapping[str, IntArray]) -> Rows:
 
 def _people(errors: Columns) -> Rows:
     """Table V: error of each person; bias and spread, and %RMSE with the mean error of the others subtracted."""
-    n = max(len(_TABLE_V["hc"]), len(errors["ours HC"]))
-    columns = {f"paper {k.upper()}": np.array(v) for k, v in _TABLE_V.items()}
+    n = max(len(TABLE_V["hc"]), len(errors["ours HC"]))
+    columns = {f"paper {k.upper()}": np.array(v) for k, v in TABLE_V.items()}
     columns |= {name: np.array(e) for name, e in errors.items()}
     rows: list[Mapping[str, object]] = [
         {"person": str(k + 1)} | {c: float(e[k]) if k < len(e) else NAN for c, e in columns.items()} for k in range(n)
@@ -409,9 +407,7 @@ def belt(tables: Tables, arguments: argparse.Namespace) -> None:
     stages = {"2": FeatureWindows(features=TABLE_II)}
     train = partial(relevance_machine, names=WITHOUT_MAGNETOMETER)
     waist = examples_of(recordings(arguments.data, "sisfall"), stages, _N_WINDOWS)["2"]
-    pocket = examples_of(
-        (r for r in recordings(arguments.data, "motionsense") if r.name not in DUPLICATES), stages, _N_WINDOWS
-    )["2"]
+    pocket = examples_of(in_pocket(arguments.data), stages, _N_WINDOWS)["2"]
     label, predicted = list[int](), list[int]()
     _classify(waist, train(pocket), label, predicted)
     confusions = {
@@ -428,9 +424,8 @@ def belt(tables: Tables, arguments: argparse.Namespace) -> None:
 def windows(tables: Tables, arguments: argparse.Namespace) -> None:
     """Fig. 12: recall by the length of the window."""
     stages = {f"{s:g}": FeatureWindows(features=TABLE_II, window_s=s, hop_s=0.5 * s) for s in (1.0, 2.0, 3.0, 4.0)}
-    recorded = (r for r in recordings(arguments.data, "motionsense") if r.name not in DUPLICATES)
     rows: list[Mapping[str, object]] = []
-    for length, examples in examples_of(recorded, stages, _N_WINDOWS).items():
+    for length, examples in examples_of(in_pocket(arguments.data), stages, _N_WINDOWS).items():
         models = of_subgroups(examples, partial(relevance_machine, names=WITHOUT_MAGNETOMETER))
         confusion = confusion_of(examples, models)
         cells = {"windows": len(examples.person), "mean recall %": 100.0 * macro_recall(confusion)}
@@ -478,8 +473,7 @@ def features(tables: Tables, arguments: argparse.Namespace) -> None:
     """Fig. 10: recall by the number of features that a floating search chose."""
     warnings.simplefilter("ignore", ConvergenceWarning)
     stages = {"2": FeatureWindows(features=TABLE_II)}
-    pocket = (r for r in recordings(arguments.data, "motionsense") if r.name not in DUPLICATES)
-    sets = {"pocket": (pocket, 8), "belt": (recordings(arguments.data, "sisfall"), 12)}
+    sets = {"pocket": (in_pocket(arguments.data), 8), "belt": (recordings(arguments.data, "sisfall"), 12)}
     rows: list[dict[str, object]] = [{"features": k + 1} for k in range(len(WITHOUT_MAGNETOMETER))]
     for name, (walks, n_windows) in sets.items():
         examples = examples_of(walks, stages, n_windows)["2"]
@@ -496,8 +490,7 @@ def features(tables: Tables, arguments: argparse.Namespace) -> None:
 def contexts_and_distances(tables: Tables, arguments: argparse.Namespace) -> None:
     """Tables III and IV, of the same machines."""
     stages = {"2": FeatureWindows(features=TABLE_II), "invariant": FeatureWindows(features=ATTITUDE_FREE)}
-    recorded = (r for r in recordings(arguments.data, "motionsense") if r.name not in DUPLICATES)
-    examples = examples_of(recorded, stages, _N_WINDOWS)
+    examples = examples_of(in_pocket(arguments.data), stages, _N_WINDOWS)
     two_s, of_default = examples["2"], examples["invariant"]
     warnings.simplefilter("ignore", ConvergenceWarning)  # it warns of the budget of candidates that is meant here
     models = of_subgroups(two_s, partial(relevance_machine, names=WITHOUT_MAGNETOMETER))

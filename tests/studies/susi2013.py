@@ -25,7 +25,7 @@ from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, Step, WindowContext
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, run
+from tests.benchmarks.common import Tables, recordings, run
 from tests.studies.data import (
     NAN,
     by_count,
@@ -35,7 +35,6 @@ from tests.studies.data import (
     people_left_out,
     place_of,
     prefixed,
-    recordings,
     together,
     with_subject,
 )

@@ -9,7 +9,7 @@ from tests.studies import martinelli2018 as study
 
 @pytest.mark.parametrize("weighting", ["hc", "wc"])
 def test_the_printed_table_v_gives_the_printed_table_iv(weighting: str) -> None:
-    errors = np.array(study._TABLE_V[weighting])
+    errors = np.array(study.TABLE_V[weighting])
     for part, rmse in zip((*np.split(errors, 3), errors), study._TABLE_IV[weighting], strict=True):
         assert distance_scores(part).rmse_percent == pytest.approx(rmse, abs=0.11)
 

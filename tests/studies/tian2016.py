@@ -26,7 +26,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from pdr_filter.evaluate.comparison import leg_error_percent
 from pdr_filter.evaluate.steps import count_error_percent
@@ -36,10 +35,10 @@ from pdr_filter.recipes import default, tian2016
 from pdr_filter.recipes.tian2016.recipe import tian_fit
 from pdr_filter.sensing.front_end import Event
 from pdr_filter.tracking.whole_recording import run_sensing, track
-from pdr_filter.values import CARRYING_MODES, FloatArray, Step, WindowContext, steps_of
+from pdr_filter.values import CARRYING_MODES, FloatArray, Step, WindowContext, interpolated_rows, steps_of
 from pdr_filter.values.recording import Recording, Subject
-from tests.benchmarks.common import Tables, run
-from tests.studies.data import counted_walk, even_way, paper_table, prefixed, recordings
+from tests.benchmarks.common import Tables, places_of, recordings, run, way_of
+from tests.studies.data import counted_walk, paper_table, prefixed
 
 # --- Carrying modes --------------------------------------------------------------------------------------------------
 
@@ -180,7 +179,7 @@ def _humolire_rows(data: Path) -> Rows:
     for walk in recordings(data, "humolire"):
         points = walk.truth.waypoints
         assert points is not None
-        reference = np.column_stack([points.east_m, points.north_m])
+        reference = places_of(points)
         for name, recipe in RECIPES.items():
             own = track(walk, recipe(walk.subject))
             estimate = positions_at(own.time_s, own.position_m, points.time_s)
@@ -269,8 +268,7 @@ class Heading:
 
 def heading_of(recording: Recording, config: Any) -> Heading | None:
     """Errors against motion capture; None with fewer than ten steps."""
-    time_s, raw_m = even_way(recording, 0.02)
-    way_m = sosfiltfilt(butter(2, 0.5, fs=50.0, output="sos"), raw_m, axis=0)  # without sway
+    time_s, way_m = way_of(recording)
     own = track(recording, replace(config, needs=()))
     use = (own.time_s > time_s[0] + 1.0) & (own.time_s < time_s[-1] - 1.0)
     if use.sum() < 10:
@@ -283,9 +281,9 @@ def heading_of(recording: Recording, config: Any) -> Heading | None:
     error = np.angle((step_m[:, 1] + 1j * step_m[:, 0]) / (north + 1j * east)[moves])
     first = max(len(error) // 5, 1)
     offset = np.angle(np.exp(1j * error[:first]).sum())
-    path = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(way_m, axis=0), axis=1))])
+    path = path_m(way_m)
     at_s = np.interp(np.arange(0.0, path[-1], 1.0), path, time_s)
-    reference = np.column_stack([np.interp(at_s, time_s, w) for w in way_m.T])
+    reference = interpolated_rows(at_s, time_s, way_m)
     estimate = positions_at(own.time_s, own.position_m, at_s)
     errors_m = position_errors_m(estimate, reference, "first")
     return Heading(np.degrees(np.abs(np.angle(np.exp(1j * (error - offset))))), errors_m)

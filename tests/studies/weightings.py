@@ -58,6 +58,7 @@ from tests.benchmarks.weightings import (
     tracked,
     updates_of,
 )
+from tests.studies.martinelli2018 import TABLE_V
 
 CLASSIFIERS = ("rvm", "forest", "blend", "martinelli2018")
 WEIGHTINGS = ("HC", "WC 0.8", "WC always", "IMM online", "IMM lagged", "IMM smoothed")
@@ -67,11 +68,6 @@ WC_THRESHOLD = 0.8  # of Algorithm 2
 NEAR_S = 3.0  # largest time from a step to a change of context that is near
 
 
-# Table V: error of the total distance of each of the 15 subjects, %.
-TABLE_V = {
-    "HC": (0.6, -3.3, -5.7, -3.0, -6.9, -7.8, -3.6, -6.0, -4.5, -7.5, -13.6, -13.5, -7.8, -7.5, -13.1),
-    "WC": (5.1, 1.2, 4.5, -3.3, -10.3, -9.0, 0.0, -7.5, -0.3, -6.0, -3.0, -3.9, 1.8, 1.2, -6.1),
-}
 # Table VI: error of the distance in each context, mean of the subjects, %.
 TABLE_VI = {
     "HC": {"walking": -8.5, "upstairs": 6.2, "downstairs": -5.5, "running": -4.8},
@@ -347,9 +343,11 @@ def bias_and_spread(errors: Sequence[float]) -> list[str]:
 def paper(tables: Tables, arguments: argparse.Namespace) -> None:
     """Write Tables V and VI of the paper beside our errors on the joined walks."""
     walks = walks_of(Training(arguments.data, arguments.cache), "joined walks")["martinelli2018"]
-    errors: dict[str, list[float]] = {f"paper, {name}": list(found) for name, found in TABLE_V.items()}
-    gain = float(np.mean(TABLE_V["WC"]) - np.mean(TABLE_V["HC"]))
-    errors[f"paper, HC {gain:+.1f} points"] = [e + gain for e in TABLE_V["HC"]]
+    errors: dict[str, list[float]] = {
+        f"paper, {name}": list(found) for name, found in (("HC", TABLE_V["hc"]), ("WC", TABLE_V["wc"]))
+    }
+    gain = float(np.mean(TABLE_V["wc"]) - np.mean(TABLE_V["hc"]))
+    errors[f"paper, HC {gain:+.1f} points"] = [e + gain for e in TABLE_V["hc"]]
     people = sorted({w.person for w in walks})
     for weighting in WEIGHTINGS:
         of_person = [[w.error_percent(weighting) for w in walks if w.person == p] for p in people]

@@ -47,7 +47,7 @@ from pdr_filter.tracking.whole_recording import detect_steps, run_sensing
 from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, WindowContext, steps_of
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, run
+from tests.benchmarks.common import Tables, recordings, run
 from tests.studies.data import (
     HEIGHT_M,
     NAN,
@@ -56,7 +56,6 @@ from tests.studies.data import (
     paper_table,
     people_left_out,
     prefixed,
-    recordings,
     together,
     with_subject,
 )

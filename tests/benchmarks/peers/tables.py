@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from tests.benchmarks.common import absolute_bias_spread, paths
+from tests.benchmarks.common import absolute_bias_spread, paths, way_of
 
 from .harness import Outcome, Table, table
 from .walks import GRID_S, FloatArray, Found, Walk
@@ -111,13 +110,8 @@ def step_times(outcomes: Sequence[Outcome]) -> Table:
                 offset_s = evaluate.best_offset_s(true_s, found_s, tolerance_s)
                 rows[-1].append(evaluate.f1_score(true_s, found_s + offset_s, tolerance_s))
         error, wide, narrow = np.array(rows).T
-        return [
-            _walk_known(o),
-            absolute_bias_spread(error, 1),
-            f"{wide.mean():.3f}",
-            f"{wide.min():.2f}",
-            f"{narrow.mean():.3f}",
-        ]
+        scores = [f"{wide.mean():.3f}", f"{wide.min():.2f}", f"{narrow.mean():.3f}"]
+        return [_walk_known(o), absolute_bias_spread(error, 1), *scores]
 
     columns = ("walk known", "count error %", "F1 within 0.25 s", "lowest", "F1 within 0.1 s")
     return table(columns, _finders(outcomes), cells)
@@ -155,15 +149,9 @@ def legs(outcomes: Sequence[Outcome]) -> Table:
             f"{100 * np.mean(covered):.0f}",
         ]
 
-    columns = (
-        "walk known",
-        "distance of a walk's legs, error %",
-        "of a leg, RMS %",
-        "the same, one factor from the other walks",
-        "speed on a leg, error m/s, number of legs",
-        "time covered %",
-    )
-    return table(columns, _speedometers(outcomes), cells)
+    columns = "walk known | distance of a walk's legs, error % | of a leg, RMS % | "
+    columns += "the same, one factor from the other walks | speed on a leg, error m/s, number of legs | time covered %"
+    return table(columns.split(" | "), _speedometers(outcomes), cells)
 
 
 def _rms_percent(predicted: Sequence[FloatArray], true: Sequence[FloatArray]) -> str:
@@ -186,13 +174,8 @@ def room(outcomes: Sequence[Outcome]) -> Table:
             covered.append(known.mean())
         every = [e for errors in distance.values() for e in errors]
         by_scenario = [" ".join(f"{e:+.0f}" for e in distance[s]) for s in WALKING]
-        return [
-            _walk_known(o),
-            absolute_bias_spread(every, 1),
-            *by_scenario,
-            f"{np.nanmean(speed_error):.2f}",
-            f"{100 * np.mean(covered):.0f}",
-        ]
+        of_speed = [f"{np.nanmean(speed_error):.2f}", f"{100 * np.mean(covered):.0f}"]
+        return [_walk_known(o), absolute_bias_spread(every, 1), *by_scenario, *of_speed]
 
     columns = ("walk known", "distance error %", *WALKING, "speed, mean absolute error m/s", "time covered %")
     return table(columns, _speedometers(outcomes), cells)
@@ -200,11 +183,8 @@ def room(outcomes: Sequence[Outcome]) -> Table:
 
 def true_speed(walk: Walk) -> tuple[FloatArray, FloatArray]:
     """Times of the walk (G,) and the speed of the phone, its path low-passed at 0.5 Hz, below the sway of steps."""
-    truth = walk.recording.truth.position
-    grid_s = np.arange(truth.time_s[0], truth.time_s[-1], GRID_S)
-    way = np.column_stack([np.interp(grid_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-    smooth = sosfiltfilt(butter(2, 0.5, fs=1 / GRID_S, output="sos"), way, axis=0)
-    speed = np.linalg.norm(np.gradient(smooth, GRID_S, axis=0), axis=1)
+    grid_s, way_m = way_of(walk.recording, GRID_S)
+    speed = np.linalg.norm(np.gradient(way_m, GRID_S, axis=0), axis=1)
     inside = (grid_s >= walk.start_s) & (grid_s <= walk.end_s)
     return grid_s[inside], speed[inside]
 
