@@ -179,7 +179,9 @@ def carrying_change() -> Figure:
     ]
     walk = pdr.simulate.simulate([pdr.simulate.Leg(**leg) for leg in legs], seed=1)
     truth = walk.truth.position
-    return pdr.plot.track(pdr.track(walk), None, np.column_stack([truth.east_m, truth.north_m]))
+    axes = pdr.plot.way(pdr.track(walk), reference_m=np.column_stack([truth.east_m, truth.north_m]))
+    assert isinstance(axes.figure, Figure)
+    return axes.figure
 
 
 PICTURES: dict[str, Callable[[], Figure | None]] = {

@@ -35,6 +35,7 @@ from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.step_detector import unknown_contexts
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.sensing.steps.walking_evidence import EVIDENCE, WalkEvidence
+from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import Samples, Step
 from tests.benchmarks.common import Tables, recordings, run
 
@@ -56,17 +57,12 @@ def thinned(recording: pdr.Recording, keep_every: int) -> pdr.Recording:
     return replace(recording, accelerometer=samples, gyroscope=None, magnetometer=None)
 
 
-def step_times(sensing: Sensing, recording: pdr.Recording) -> FloatArray:
-    state, events = sensing.update(sensing.init(), merge_streams(recording))
-    return np.array([e.time_s for _, e in [*events, *sensing.finish(state)[1]] if isinstance(e, Step)])
-
-
 def count_errors(sensing: Sensing, recordings: Iterable[pdr.Recording]) -> dict[str, list[float]]:
     """Per cent, by placement and together."""
     errors: dict[str, list[float]] = defaultdict(list)
     for recording in recordings:
         segment = recording.truth.segments[0]
-        time_s = step_times(sensing, recording)
+        time_s = np.array([e.time_s for e in run_sensing(sensing, recording)[1] if isinstance(e, Step)])
         n = ((time_s >= segment["start_s"] - 0.3) & (time_s <= segment["end_s"] + 0.3)).sum()
         error = 100.0 * float(n / segment["n_steps"] - 1)
         for name in ("all", recording.name.split("_", 3)[3]):

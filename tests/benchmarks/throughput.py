@@ -1,12 +1,12 @@
-"""How fast the whole pipeline is: recordings of all sets, a day in blocks, a block, and its parts.
+"""How fast the whole pipeline is: recordings of all sets, pieces of a minute, parts of the filter, and many hours.
 
 usage: python -m tests.benchmarks.throughput [recordings] [calls] [costs] [long] [--before TREE]
-       [--every 4] [--hours 24] [--batch 1000] [--days 7]
+       [--every 4] [--batch 1000] [--days 7]
 
-The day is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
-out or put in. `--before` is another checkout of the project: its recordings are timed in turns with
-ours, ours twice, so that the two figures of one tree show what the machine adds. Times are of the processor, one core.
-A batch is one simulated recording of ten minutes under many names. A recording of days is the same walk repeated.
+Costs are those of one real walk, a part of the filter left out or put in. `--before` is another checkout of the
+project: its recordings are timed in turns with ours, ours twice, so that the two figures of one tree show what the
+machine adds. Times are of the processor, one core. A batch is one simulated recording of ten minutes under many names,
+the embedded walk repeated in time. A recording of days is the same walk repeated.
 
 A step takes about 1,000 calls of Python and NumPy functions on small arrays, together 0.7 ms, and no function takes
 more than 7 % of a track. Only fewer calls, or compiled code, can make it faster. One row of the default classifier
@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -248,29 +247,13 @@ def calls(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("throughput_calls", columns, rows, about)
 
 
-def _pushed_hours(n_hours: int) -> list[list[str]]:
-    """Return rows for hours pushed in blocks of a minute: the cost grows with their number, and the memory does not."""
-    block, online, rows = pdr.merge_streams(long_walk(1.0)), pdr.OnlineFilter(), []
-    period_s, used_s = float(block.time_s[-1]) + 0.01, 0.0
-    for hour in range(n_hours):
-        for part in block.parts(6000):
-            start = time.process_time()
-            online.push(part.time_s + hour * period_s, part.specific_force_mps2, part.angular_rate_radps)
-            used_s += time.process_time() - start
-        if hour + 1 in (1, n_hours):
-            peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-            title = f"pushed in blocks of a minute, saved filter of {len(online.save()) / 1e3:.0f} kB"
-            rows.append([title, *_hours(hour + 1, used_s), "", "", f"{peak_mb:.0f} MB"])
-    return rows
-
-
 def _hours(hours: float, used_s: float) -> list[str]:
     return [f"{hours:.1f}", f"{used_s:.0f} s", f"{used_s / hours:.1f} s"]
 
 
 def long(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Hours pushed to one filter, many recordings in three ways, and one recording of days."""
-    rows, each_s = _pushed_hours(arguments.hours), 0.0
+    """Many recordings in three ways, and one recording of days."""
+    rows, each_s = list[list[str]](), 0.0
     with TemporaryDirectory() as folder:
         first = long_walk(1 / 6).save(Path(folder) / "walk 0.zip")
         for i in range(1, arguments.batch):
@@ -292,4 +275,4 @@ def long(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, recordings, calls, costs, long, before=None, every=4, hours=24, batch=1000, days=7.0)
+    run(__doc__, recordings, calls, costs, long, before=None, every=4, batch=1000, days=7.0)
