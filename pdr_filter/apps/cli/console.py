@@ -47,8 +47,8 @@ def escape(text: object) -> str:
 def message(error: Exception) -> str:
     """Return the message of an error, or the name of its class if the message is empty.
 
-    For an OSError of a file, it is the path with the usual remedy. Line breaks are kept, because some messages contain
-    the lines of a file to copy.
+    An OSError of a file gives the path and the usual remedy. Line breaks stay, because some messages have lines to
+    copy.
     """
     if isinstance(error, OSError) and error.strerror and error.filename:
         remedy = {

@@ -45,10 +45,9 @@ _AT_ONCE = 64
 
 
 def told(take: Taker, name: str, say: Callable[[str], None]) -> Taker:
-    """Return a function that passes messages to the server like `take`, but handles a busy server and refusals.
+    """Return a function that passes messages to the server like `take`, again after a pause while it is busy.
 
-    While the server is busy (status 429 or 503), the message is sent again after a pause. If the server refuses it, the
-    reason is passed to `say`, preceded by `name`. A reason that equals the last one is not repeated.
+    If the server refuses a message, the reason is passed to `say` after `name`, unless it equals the last one.
     """
     reason = ""
 

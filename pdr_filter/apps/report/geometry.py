@@ -72,8 +72,7 @@ def round_up(value: float) -> float:
 def window_starts(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArray]:
     """Return the drawn start of each window, and the end of the window before it, both (W,) in s.
 
-    A window is drawn from the end of the window before it, but at most 2 s before its own end. The two times therefore
-    differ where windows are missing. The first window follows the start of the track.
+    A window is drawn from the end of the window before it, but at most over 2 s, so that missing windows stay visible.
     """
     previous_s = np.concatenate([[start_time_s], windows.time_s[:-1]])
     return np.maximum(previous_s, windows.time_s - _WINDOW_S), previous_s

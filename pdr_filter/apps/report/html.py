@@ -224,8 +224,7 @@ def _facts(track: TrackRows) -> str:
 def _seconds(track: TrackRows) -> list[tuple[str, str, str]]:
     """Return name, colour and duration (as text, with its share) of each context that occurs.
 
-    A last entry without a colour is the time of moving without steps, if there is any. The list is empty if the total
-    time is zero.
+    A last entry without a colour is the time of moving without steps, if there is any.
     """
     seconds, without_steps_s = track.context_seconds(), track.seconds_without_steps
     total_s = sum(seconds.values()) + without_steps_s

@@ -182,10 +182,9 @@ def _plan(plan: FloorPlan | None, track: TrackRows) -> list[dict[str, Any]]:
 
 
 def _truth(track: TrackRows, recording: Recording, shown: IntArray) -> dict[str, Any]:
-    """Return the true path, or the waypoints, after rigid alignment to the whole track.
+    """Return the true path, or the waypoints, after rigid alignment to the whole track, whose frame is unrelated.
 
-    The alignment is needed because the frames of truth and track are unrelated. The error of each step is added if the
-    true path is known, not for waypoints. The result is empty without steps, or with fewer than two known points.
+    The error of each step is added for a true path. The result is empty with fewer than two known points.
     """
     position, waypoints = recording.truth.position, recording.truth.waypoints
     table = position if position is not None else waypoints

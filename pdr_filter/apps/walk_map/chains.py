@@ -186,10 +186,9 @@ def hashed(wifi: Wifi, salt: str) -> Wifi:
 
 
 def cached_chain(recording: Recording | str, cache: str | None, salt: str | None) -> Chain:
-    """Return the chain (walk reduced to knots and scans) of a recording or of one in a file.
+    """Return the chain of a recording, or of one in a file, which comes from the folder `cache` if it is unchanged.
 
-    For a file, it comes from the folder `cache` if the content has not changed. The cache makes a killed run resume:
-    each chain is written when it is finished. `salt` hashes the addresses of access points.
+    Each chain is written when it is finished, so that a killed run resumes. `salt` hashes the addresses.
     """
     from pdr_filter.apps.maps.marks import checksum_of
     from pdr_filter.data.io.formats import read

@@ -57,8 +57,7 @@ def solve_group(
 ) -> dict[int, States]:
     """Return the solved states of the walks of a group, by the index of the walk.
 
-    Walks in `fixed` keep their states. `known` has the fixes of each walk. The rigid poses of the group are the initial
-    guess.
+    Walks in `fixed` keep their states. `known` has the fixes of each walk. The rigid poses are the initial guess.
     """
     fixed = fixed or {}
     free = [i for i in group.poses if i not in fixed]

@@ -85,10 +85,9 @@ class Plans:
         }
 
     def save(self, name: str, version: str, content: Mapping[str, Any]) -> dict[str, Any]:
-        """Replace a plan and return it as `load` does.
+        """Replace a plan and return it as `load` does. ConflictError if the plan has another version.
 
-        ConflictError if the plan has another version. ValueError if it does not exist, or if a feature cannot be
-        stored. A plan that `FloorPlan.read` rejects is saved, too. The result then has the error message as `reason`.
+        A plan that `FloorPlan.read` rejects is saved, too. The result then has the error message as `reason`.
         """
         path = self._existing(name)
         features = [_plain(feature) for feature in content["features"]]
