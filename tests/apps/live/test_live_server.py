@@ -85,12 +85,15 @@ def test_a_pushed_walk_gives_the_track_of_its_recording_and_both_can_be_download
     (feature,) = server.http.get(f"/sessions/{track['id']}/track.geojson").json()["features"]
     assert feature["geometry"]["type"] == "LineString"
     assert len(feature["geometry"]["coordinates"]) == len(track["path"])
-    content = server.http.get(f"/sessions/{track['id']}/recording.zip").content
-    (tmp_path / "whole.zip").write_bytes(content)
+
+    def has_all_steps() -> bool:  # they are written after the samples
+        (tmp_path / "whole.zip").write_bytes(server.http.get(f"/sessions/{track['id']}/recording.zip").content)
+        with zipfile.ZipFile(tmp_path / "whole.zip") as archive:
+            assert {"meta.json", "steps.jsonl"} <= set(archive.namelist())
+            return len(archive.read("steps.jsonl").splitlines()) == len(track["path"])
+
+    until(has_all_steps)
     assert len(pdr.read(tmp_path / "whole.zip").accelerometer) == len(walk.accelerometer)
-    with zipfile.ZipFile(tmp_path / "whole.zip") as archive:
-        assert {"meta.json", "steps.jsonl"} <= set(archive.namelist())
-        assert len(archive.read("steps.jsonl").splitlines()) == len(track["path"])
 
 
 def test_a_websocket_gets_an_answer_to_each_message_and_the_track_of_its_recording(

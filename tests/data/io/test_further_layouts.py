@@ -53,7 +53,8 @@ LACCX; LAccX; acc_without_gravity_x; linear_ax
 Aceleração linear x; Aceleração sem g x; linaccel_x; linaccG_x
 """,
     "gyroscope": """
-rotationRate.alpha; rotation_rate_beta; rotationRateX(rad/s); motionRotationRateX(rad/s); gyroRotationX(rad/s); gyroX
+rotationRate.alpha; rotation_rate_beta; rotationRateAlpha; rotationrate_alpha; gyro alpha; rotationRateX(rad/s)
+motionRotationRateX(rad/s); gyroRotationX(rad/s); gyroX
 gyr_x; angular_velocity_x; angularVelocity.x; omega_x; wx; rot_rate_x; turn_rate_x; ang_vel_x; GYROSCOPE X (rad/s)
 Gyroskop x (rad/s); Giroscópio x (rad/s); Vitesse angulaire x (rad/s); body_gyro_x; uncal_gyro_x; calGyro_x
 rate_x; rateX (deg/s); spinal_gyro_x

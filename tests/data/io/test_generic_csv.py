@@ -101,11 +101,6 @@ def test_decimal_commas_are_read_if_the_mapping_says_so(tmp_path: Path) -> None:
     assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-8)
 
 
-def test_units_that_are_given_wrong_are_refused(tmp_path: Path) -> None:
-    assert "looks like g units" in refusal(mapped(tmp_path, mapping=GENERIC_MAPPING.replace('"g"', '"m/s2"')))
-    assert "looks like deg/s" in refusal(mapped(tmp_path, mapping=GENERIC_MAPPING.replace('"deg/s"', '"rad/s"')))
-
-
 @pytest.mark.parametrize(
     ("old", "new", "hint"),
     [

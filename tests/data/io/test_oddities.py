@@ -107,31 +107,6 @@ def test_the_acceleration_with_gravity_is_found_by_words_and_values(tmp_path: Pa
         assert_same_streams(read(path), WALK, BOTH, time_s=1e-6, rtol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["total_acc", "WAL_acc", "totalacc", "linear_acc", "lacc", "accIncludingGravity"])
-def test_the_command_line_and_read_find_the_same_recording_in_a_folder(tmp_path: Path, name: str) -> None:
-    files = {f"{name}.csv": {"time": TIME_S} | axes("%", FORCE), "gyro.csv": {"time": TIME_S} | axes("%", RATE)}
-    folder = write_folder(tmp_path / "walk", {name: table_text(text) for name, text in files.items()})
-    assert recordings_in(folder) == [folder]
-    assert_same_streams(read(folder), WALK, BOTH, time_s=1e-6, rtol=1e-9)
-
-
-@pytest.mark.parametrize("alpha", ["rotationRate.alpha", "rotationRateAlpha", "rotationrate_alpha", "gyro alpha"])
-def test_the_greek_axes_of_a_browser_are_x_y_and_z_in_degrees(tmp_path: Path, alpha: str) -> None:
-    turn = RATE + np.column_stack([2.0 * np.sin(TIME_S), 0 * TIME_S, 0 * TIME_S])
-    names = [alpha.replace("Alpha", greek.title()).replace("alpha", greek) for greek in ("alpha", "beta", "gamma")]
-    rate = dict(zip(names, np.degrees(turn).T, strict=True))
-    text = table_text({"t": TIME_S} | axes("accelerationIncludingGravity%", FORCE) | rate)
-    gyroscope = read(write_text(tmp_path / "walk.csv", text)).gyroscope
-    np.testing.assert_allclose(gyroscope.values, turn, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", ["accelerometer.csv", "Accelerometer.csv", "walk.csv", "gyroscope.csv"])
-def test_the_content_of_a_file_counts_and_not_its_name(tmp_path: Path, name: str) -> None:
-    path = write_text(tmp_path / name, table_text(columns("timestamp")))
-    assert_same_streams(read(path), WALK, BOTH, time_s=1e-6, rtol=1e-9)
-    assert_same_streams(read(tmp_path), WALK, BOTH, time_s=1e-6, rtol=1e-9)
-
-
 def test_a_mapping_beside_a_file_counts_in_a_folder_and_on_the_command_line(tmp_path: Path) -> None:
     oddity = next(oddity for oddity in ODDITIES if oddity.path == "accelerometer.csv")
     path = oddity.write(tmp_path)
