@@ -23,9 +23,9 @@ import numpy as np
 from pdr_filter.values import check_declared
 
 _PACKAGE = "pdr_filter"
-# Formats 2 to 7: 2 has modules of an older layout, 3 a flat state of the tracker, 4 no checksum, 5 modes by name, and 6
-# and 7 other names of classes and fields.
-_FORMAT = 8
+# Formats 2 to 8: 2 has modules of an older layout, 3 a flat state of the tracker, 4 no checksum, 5 modes by name, and 6
+# to 8 other names of classes and fields.
+_FORMAT = 9
 _VALUE = ', "value": '  # separates the header from the text of the checksum
 # A filter with own models has some MB, nearly all of it arrays, and some thousand values.
 _MAX_BYTES = 64 << 20
