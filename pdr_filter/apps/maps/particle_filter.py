@@ -10,7 +10,8 @@ probabilities. The walking direction estimated from the strides is used in close
 filter.
 
 Weights: a step has a likelihood on the plan (`Terrain`), and so have the fixes that the tracker used. The likelihood of
-a step is divided by its mean over all directions, because the pedestrian chooses one of the free directions. Without
+a step is divided by its mean over all directions, because the pedestrian chooses one of the free directions. In a
+corridor few directions are free, so a step along the corridor increases the weight more than a step in a hall. Without
 this division, noise would pull the particles out of corridors, because noisy steps hit corridor walls more often than
 the walls of a hall.
 
@@ -23,10 +24,11 @@ Lost walks: from an unknown start, the particles may be too few to cover all pos
 lost. The remaining particles then pay more for the plan than a random walk would. That excess is accumulated in
 `ParticleState.lost_log_odds`.
 
-Wrong starts and wrong plans: the mean weight of a step is its Bayes factor of the plan against free ground, where every
-direction is free. `ParticleState.wrong_log_odds` accumulates these factors over all sets of particles. A walk on the
-right plan gains evidence in its corridors. A walk with a wrong start loses it at each wall that its particles do not
-avoid, because the drift that leads around the wall is improbable.
+Wrong starts and wrong plans: particles drawn again find some way through any building. The mean weight of a step is
+its Bayes factor of the plan against free ground, where every direction is free. `ParticleState.wrong_log_odds`
+accumulates these factors over all sets of particles. A walk on the right plan gains evidence in its corridors. A walk
+with a wrong start loses it at each wall that its particles do not avoid, because the drift that leads around the wall
+is improbable.
 
 References
 ----------

@@ -281,7 +281,7 @@ def _positions(
         own * f.cov_m2 + max(extra, _BEST_FIX_M**2 - own * float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
         for f, own, extra in zip(fixes, own_shares, at.var_m2.tolist(), strict=True)
     ]
-    loop_var_m2 = [c.std_m**2 for c in loop_closures] + before.var_m2 + after.var_m2
+    loop_var_m2 = np.array([c.std_m**2 for c in loop_closures]) + before.var_m2 + after.var_m2
     cov_m2 = np.array([*fix_cov_m2, *(var_m2 * np.eye(2) for var_m2 in loop_var_m2)]).reshape(-1, 2, 2)
     nowhere_m = np.zeros((len(loop_closures), 2))
     return ObservedPositions(
