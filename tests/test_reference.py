@@ -64,13 +64,16 @@ def public_names() -> dict[str, str]:
         value = resolved(name)
         if not inspect.isclass(value):
             continue
-        for member, of_member in vars(value).items():
+        own = [base for base in value.__mro__ if base.__module__.startswith("pdr_filter.")]
+        members = [(base, *item) for base in own for item in vars(base).items()]
+        for base, member, of_member in members:
             is_documented = inspect.isfunction(of_member) or isinstance(
                 of_member, (classmethod, staticmethod, property)
             )
             is_inherited = not of_member.__doc__ and bool(inspect.getdoc(getattr(value, member)))
+            where = defined if base is value else f"{base.__module__}.{base.__qualname__}"
             if is_documented and not is_inherited and not member.startswith("_"):
-                names[f"{name}.{member}"] = f"{defined}.{member}"
+                names.setdefault(f"{name}.{member}", f"{where}.{member}")
     return names
 
 

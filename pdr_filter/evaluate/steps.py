@@ -145,8 +145,10 @@ def step_scores(true_s: FloatArray, found_s: FloatArray, tolerance_s: float = 0.
 
     Parameters
     ----------
-    true_s, found_s, tolerance_s : as in `matched_steps`
-        True and detected step times, and the largest difference of matched times, in s.
+    true_s, found_s : ndarray
+        True and detected step times in s.
+    tolerance_s : float, default 0.25
+        Largest difference of matched times in s.
 
     Returns
     -------
@@ -173,8 +175,10 @@ def f1_score(true_s: FloatArray, found_s: FloatArray, tolerance_s: float = 0.25)
 
     Parameters
     ----------
-    true_s, found_s, tolerance_s : as in `matched_steps`
-        True and detected step times, and the largest difference of matched times, in s.
+    true_s, found_s : ndarray
+        True and detected step times in s.
+    tolerance_s : float, default 0.25
+        Largest difference of matched times in s.
 
     Returns
     -------
@@ -208,8 +212,10 @@ def best_offset_s(
 
     Parameters
     ----------
-    true_s, found_s, tolerance_s : as in `matched_steps`
-        True and detected step times, and the largest difference of matched times, in s.
+    true_s, found_s : ndarray
+        True and detected step times in s.
+    tolerance_s : float, default 0.25
+        Largest difference of matched times in s.
     offsets_s : ndarray, default -0.4 to 0.4 in steps of 0.02
         Candidates of the offset in s.
 

@@ -237,7 +237,8 @@ def position_errors_m(
     ----------
     estimate_m, reference_m : ndarray of shape (N, 2)
         Estimated and true positions in m at the same times.
-    align, fraction : {"none", "origin", "first", "all"} and float
+    align : {"none", "origin", "first", "all"}, default "none"
+    fraction : float, default 0.2
         Alignment of the estimate, as in `aligned`.
 
     Returns
@@ -269,7 +270,8 @@ def position_rmse_m(
     ----------
     estimate_m, reference_m : ndarray of shape (N, 2)
         Estimated and true positions in m at the same times.
-    align, fraction : {"none", "origin", "first", "all"} and float
+    align : {"none", "origin", "first", "all"}, default "none"
+    fraction : float, default 0.2
         Alignment of the estimate, as in `aligned`.
 
     Returns
@@ -309,7 +311,8 @@ def axis_rmse_m(
     ----------
     estimate_m, reference_m : ndarray of shape (N, 2)
         Estimated and true positions in m at the same times.
-    align, fraction : {"none", "origin", "first", "all"} and float
+    align : {"none", "origin", "first", "all"}, default "none"
+    fraction : float, default 0.2
         Alignment of the estimate, as in `aligned`.
 
     Returns
@@ -386,7 +389,8 @@ def end_error_percent(
     ----------
     estimate_m, reference_m : ndarray of shape (N, 2)
         Estimated and true positions in m at the same times.
-    align, fraction : {"none", "origin", "first", "all"} and float
+    align : {"none", "origin", "first", "all"}, default "none"
+    fraction : float, default 0.2
         Alignment of the estimate, as in `aligned`.
 
     Returns

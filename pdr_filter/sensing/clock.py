@@ -48,7 +48,7 @@ class ClockState:
 
     last_s: float = -np.inf  # time of the last accepted row on the track clock, s
     offset_s: float = 0.0  # track time minus sample time, s. It changes when the sample clock is set back.
-    # (C,) rows after a possible gap each, held until later rows confirm the gap.
+    # Rows (C,), each after a possible gap, held until later rows confirm the gap.
     held: tuple[FloatArray, ...] = field(default=())
     behind_s: float = -np.inf  # time of the last row that lies behind the last accepted one, on the track clock, s
     # True if the time of any of the `n_behind` rows is later than the time of the row before it. False means that the

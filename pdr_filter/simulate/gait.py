@@ -315,11 +315,11 @@ class StepPlan:
     leg_end_s: FloatArray
     leg: IntArray  # (K,), as all following
     start_s: FloatArray
-    contact_s: FloatArray  # ends the step
+    contact_s: FloatArray  # of the foot that ends the step
     length_m: FloatArray
     rise_m: FloatArray
-    first: BoolArray  # step of a bout
-    last: BoolArray
+    first: BoolArray  # True for the first step of a bout
+    last: BoolArray  # True for the last one
 
 
 def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> StepPlan:

@@ -88,8 +88,9 @@ FeatureFunction = Callable[[Mapping[str, FloatArray]], Mapping[str, float]]
 class FunctionFeatures:
     """Features computed by a function, window by window.
 
-    The function gets the signals of a window, each (N,), in a dictionary by their names in `WINDOW_SIGNALS`, and
-    returns a dictionary of the features. Signals of a missing sensor are zeros.
+    The function gets the signals of a window, each (N,), in a dictionary by their names in `WINDOW_SIGNALS`, at the
+    rate of the windows (100 Hz in the default recipe). It returns a dictionary of the features. Signals of a missing
+    sensor are zeros.
     """
 
     function: FeatureFunction
@@ -98,7 +99,7 @@ class FunctionFeatures:
 
     @classmethod
     def of(cls, function: FeatureFunction) -> FunctionFeatures:
-        """Return the features of a function. It is called once, on noise, to get their names. ValueError for none."""
+        """Return the features of a function, which is called once, on noise, to get their names."""
         noise = np.random.default_rng(0).normal(size=(len(WINDOW_SIGNALS), 200))
         found = function(dict(zip(WINDOW_SIGNALS, noise, strict=True)))
         if not (isinstance(found, Mapping) and found):  # pyright: ignore[reportUnnecessaryIsInstance]

@@ -582,9 +582,11 @@ def _are_variances(values: NDArray[Any]) -> bool:
 def _prepare(fix: Any) -> None:
     """Convert the fields of a fix to floats or read-only arrays, and check its times.
 
-    ValueError for a value that is not numeric. None is allowed in a field whose default is None.
+    ValueError for a value that is not numeric. None is allowed in a field whose default is None. Fields of a subclass
+    of the user may be anything.
     """
-    for field in fields(fix):
+    own = next(c for c in type(fix).__mro__ if c.__module__ == __name__)
+    for field in fields(own):
         if field.default is None and getattr(fix, field.name) is None:
             continue
         value: Any = getattr(fix, field.name)
@@ -712,8 +714,9 @@ _SMALL = 1e-4
 def stated_fixes(fix: Measurement) -> tuple[HeadingFix | PositionFix, ...]:
     """Return the heading fix and the position fix that a measurement of both is equivalent to, in this order.
 
-    A measurement of one of them gives one fix, any other none. A measurement r = J x - z with covariance C and a
-    constant J has x = (east, north, heading). The fixes have the least-squares x and its covariance (J' C^-1 J)^-1.
+    A measurement of one of them gives one fix, any other none. A measurement r = J x - z with covariance C has a
+    constant J, with x = (east, north, heading). The fixes have the least-squares solution x and its covariance
+    (J' C^-1 J)^-1, without the covariance of heading and position.
     """
     if isinstance(fix, RangeFix):
         return ()

@@ -63,7 +63,6 @@ class ImuBlock:
 
     NaN marks missing values. A row without specific force is interpolated or becomes a gap. The angular rate may be
     missing for any time.
-
     """
 
     time_s: FloatArray  # (N,)

@@ -99,7 +99,7 @@ def _is_collection(value: Any, kind: type, parts: tuple[Any, ...]) -> bool:
 
 
 def _is_part(value: Any, protocol: type) -> bool:
-    """Return True if a value of this package, or of a caller's, has all members of a protocol."""
+    """Return True if a value has all members of a protocol, whichever package its class is from."""
     if type(value).__module__.split(".")[0] not in ("builtins", "numpy", "pdr_filter"):
         return not missing_members(value, protocol)
     return is_dataclass(value) and all(

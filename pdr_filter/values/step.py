@@ -46,7 +46,8 @@ class Step:
     device_heading_rad : float
         Mean heading of the phone during the step, rad, clockwise from its first heading, not wrapped.
     heading_unknown_s : float, default 0.0
-        Time without angular rate since the previous step, s. The heading is constant during that time.
+        Time without angular rate since the previous step in which the phone may have turned, s. The heading is constant
+        during that time.
     walking_heading_rad : float, default 0.0
         Walking direction measured from the samples, without the axes of the phone, rad. It has the zero of
         `device_heading_rad` and is not wrapped.
@@ -74,7 +75,7 @@ class Step:
         unknown.
     usual_amplitude_mps2, usual_duration_s : float, default 0.0
         Geometric means of the amplitude over the last steps of the person with this one, m/s^2, and of the duration of
-        earlier ones, s. 0 for the first step of a bout.
+        earlier ones, s. 0 if there are none.
     turn_rate_radps : float, default 0.0
         Absolute rotation rate of the phone about the vertical, over this step and the previous one, rad/s. The sway
         within a stride cancels.

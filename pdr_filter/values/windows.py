@@ -31,9 +31,11 @@ class WindowContext:
     ----------
     time_s : float
         End of the window, s.
-    prob, training_prior : FloatArray
-        Probabilities of the contexts of the stage, with the prior of the classifier at weight `unknown_share`, and this
-        prior, shape (C,).
+    prob : FloatArray
+        Probabilities of the contexts of the stage, shape (C,). The prior of the classifier has the weight
+        `unknown_share` in them.
+    training_prior : FloatArray
+        Prior of the classifier, shape (C,).
     carrying_prob : FloatArray
         Probabilities of `CARRYING_MODES` after this window, shape (5,).
     unknown_share, stairs_unknown_share : float

@@ -2,7 +2,7 @@
 
 C.-J. Kim, "Dynamic linear models with Markov-switching", Journal of Econometrics 60 (1994), section 3. With one mode it
 is the Rauch-Tung-Striebel smoother, with modes that move alike the forward-backward algorithm of a hidden Markov model;
-with both an approximation, because the filter is (tests/offline/smoothing/test_imm_smoother.py shows how good).
+with both an approximation, because the filter is.
 """
 
 from __future__ import annotations

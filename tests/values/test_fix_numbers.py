@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,15 @@ def test_numbers_of_any_kind_become_floats() -> None:
     fix = SpeedFix(3, np.float32(1.5), np.array(0.25))  # type: ignore[arg-type]
     assert (fix.time_s, fix.speed_mps, fix.std_mps) == (3.0, 1.5, 0.25)
     assert all(type(value) is float for value in (fix.time_s, fix.speed_mps, fix.std_mps))
+
+
+def test_a_subclass_of_a_fix_may_have_fields_of_any_kind() -> None:
+    @dataclass(frozen=True)
+    class Beacon(PositionFix):
+        source: str = "uwb"
+
+    fix = Beacon(1, [1, 2], np.eye(2), source="door")
+    assert (fix.time_s, fix.source, fix.position_m.tolist()) == (1.0, "door", [1.0, 2.0])
 
 
 def test_extreme_positions_and_variances_give_finite_tracks() -> None:

@@ -139,7 +139,7 @@ def calibrate(
         known_format(file_format)
     check_subject(subject, each_a_person)
     files = recordings_of(paths)
-    forms_of(priors, model, prior_std)
+    forms_of(priors, model, prior_std)  # an unknown model fails here, before any file is read
     reduce = partial(
         read_segments,
         subject=subject,

@@ -74,7 +74,7 @@ class Address:
         return (self.token or made_token(folder)) if self.is_open or self.token else ""
 
     def server(self, application: Any, folder: Path) -> Any:
-        """Return the server of an application. A folder holds the certificate for --https."""
+        """Return the server of an application. `folder` holds the certificate for --https."""
         import uvicorn
 
         from pdr_filter.apps.live.certificate import certificate
@@ -217,17 +217,18 @@ async def run_server(
 ) -> None:
     """Start the workers of all parts, serve until Ctrl+C, and stop the workers.
 
-    `say` is called, and the sources start, when the server accepts connections.
+    `say` is called, and the sources run, when the server accepts connections.
     """
     try:
         for part in parts:
             await part.start()
+        fetching = sources()  # before the server accepts connections, because a wrong address ends the command
         serving = asyncio.create_task(server.serve([listening]))
         while not (server.started or serving.done()):
             await asyncio.sleep(0.02)
         say()
         ends = [_end_events(server, part) for part in parts]
-        tasks = [*map(asyncio.create_task, ends), *(asyncio.create_task(_run_source(source)) for source in sources())]
+        tasks = [*map(asyncio.create_task, ends), *(asyncio.create_task(_run_source(source)) for source in fetching)]
         try:
             await serving
         finally:

@@ -1,4 +1,7 @@
-"""Options shared by several commands, and option groups: dataclasses with a field for each option."""
+"""Options shared by several commands, and option groups: dataclasses with a field for each option.
+
+Only `in_groups` makes groups, because the defaults of their fields are objects of typer.
+"""
 
 from __future__ import annotations
 

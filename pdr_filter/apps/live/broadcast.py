@@ -105,7 +105,7 @@ class Reader:
     async def get(self) -> str:
         """Return the next event; "" after some time without one, or if the reader needs the present state."""
         try:
-            text = await asyncio.wait_for(self._waiting.get(), _ALIVE_S)
+            text = self._waiting.get_nowait() if len(self) else await asyncio.wait_for(self._waiting.get(), _ALIVE_S)
         except TimeoutError:
             return ""
         return "" if self.is_stale else text

@@ -174,7 +174,7 @@ def _refusing(words: str) -> Generator[None]:
     try:
         yield
     except (ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError) as error:
-        raise MessageError(words.format(printable(error)[:60])) from None
+        raise MessageError(words.format(printable(error)[:80])) from None
 
 
 def _checked(value: Any, kind: type[T], words: str) -> T:

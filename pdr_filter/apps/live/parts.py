@@ -126,5 +126,5 @@ def _refusal(error: Exception) -> Answer:
 def answers_of_part(
     settings: Settings, folder: Path, part: int, n_parts: int
 ) -> Callable[[Sequence[Request]], list[Response]]:
-    """Load one part of the devices, and return its `Part.answer`. A worker process calls it once when it starts."""
+    """Load one part of the devices, and return its `Part.answer`. A worker process calls this function once."""
     return Part(settings, folder, part, n_parts).answer

@@ -222,7 +222,7 @@ def asset_of(request: Request, folders: Iterable[Path], tiles: str) -> Response:
 def event_stream(broadcast: Broadcast, events: AsyncIterator[str]) -> Response:
     """Return a response with the events of a server as server-sent events."""
     if broadcast.is_full:
-        return JSONResponse({"error": "too many pages are open; close one"}, 503)
+        return JSONResponse({"error": "too many pages or programs read already; close one"}, 503)
 
     async def lines() -> AsyncIterator[str]:
         async for text in events:

@@ -390,7 +390,10 @@ class DeviceSession:
         return [self.track()]
 
     def _corrected(self, is_due: bool = False) -> list[Event]:
-        """Return a list with a `path` event if later samples and fixes moved the drawn path by more than a metre."""
+        """Return a list with a `path` event if later samples and fixes moved the drawn path by more than a metre.
+
+        The list is empty within two seconds of the previous check, unless `is_due`.
+        """
         if self.online is None or (time.monotonic() - self._drawn_at < _CORRECTED_S and not is_due):
             return []
         self._drawn_at = time.monotonic()
@@ -414,7 +417,7 @@ class DeviceSession:
         return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path}
 
     def rest(self) -> list[Event]:
-        """Return a `now` event for the last samples if they came too soon after the previous event."""
+        """Return a list with a `now` event for the last samples if they came too soon after the previous event."""
         return self._now(is_due=True, is_live=False) if self._is_untold else []
 
     def snapshot(self) -> list[Event]:

@@ -177,7 +177,7 @@ def _got(address: str) -> bytes:
 
 
 async def sensor_server(address: str, session: str, take: Taker) -> None:
-    """Receive samples from an Android phone with SensorServer, and pass them to `take` every 0.2 s, until it breaks."""
+    """Pass samples of an Android phone with SensorServer to `take` every 0.2 s, until the connection breaks."""
     from websockets.asyncio.client import connect
 
     address = _with_scheme(address, "ws").rstrip("/")

@@ -68,9 +68,9 @@ class Terrain:
 
     Every `leg_m`, the pedestrian chooses among the directions in which `look_m` is free. A step that stays in a
     corridor, where few directions are free, is therefore stronger evidence than a step in a hall. Of `look_m` of 1.5,
-    3, 5 and 10 m, 3 m had the smallest errors on storeys F1 and B1 of the mall. `leg_m` of 3 m has smaller errors there
-    than 6 m. However, two of nine walks through the office of humolire with unknown start were then wrong with a small
-    covariance; with 6 m none.
+    3, 5 and 10 m, each with an equal `leg_m`, 3 m had the smallest errors on storeys F1 and B1 of the mall. `leg_m` of
+    3 m has smaller errors there than 6 m, but not on the other storeys. However, two of nine walks through the office
+    of humolire with unknown start were then wrong with a small covariance; with 6 m none.
 
     Examples
     --------

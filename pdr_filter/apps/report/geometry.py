@@ -47,7 +47,7 @@ def ellipse_extent(cov_m2: FloatArray) -> FloatArray:
 
 
 def places_at(track: TrackRows, row: int) -> list[Cluster]:
-    """Return the possible positions on a floor plan after a step, from 2 % on, or an empty list if there is one."""
+    """Return the possible positions on a floor plan after a step with 2 % or more, or an empty list if there is one."""
     places = [c for c in track.clusters[row] if c.share >= _MIN_SHARE] if track.clusters else []
     return places if len(places) > 1 else []
 

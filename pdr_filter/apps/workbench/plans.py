@@ -10,7 +10,6 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -112,8 +111,10 @@ class Plans:
         """Return the `problems` of a drawn plan, and as `reason` the error message of `FloorPlan.read`."""
         found: dict[str, Any] = {"problems": [], "reason": ""}
         if features:
-            with suppress(Exception):  # whatever a damaged geometry provokes; `FloorPlan.read` gives the reason
+            try:
                 found["problems"] = problems_of(features)
+            except Exception:  # whatever a damaged geometry provokes
+                found["reason"] = "the plan could not be checked"
             try:
                 FloorPlan.read(path)
             except ValueError as error:

@@ -54,7 +54,7 @@ def make_worker(cache: str) -> Callable[[tuple[str, Sequence[Any]]], Any]:
     """Return the function that answers requests; it is called in the worker process.
 
     A request is the name of a method of `Worker` and its arguments. The answer to a request that fails is
-    {"error": reason}, with "errno" for an OSError.
+    {"error": reason, "errno": number of an OSError, otherwise None}.
     """
     worker = Worker(Path(cache))
 

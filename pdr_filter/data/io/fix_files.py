@@ -188,12 +188,10 @@ def _rows(
     file without the first column of the group. `what` names the rows in messages. ValueError if a value is missing, a
     standard deviation is not positive, or the table has no row.
     """
-    table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
+    content = read_small(file, limits.MAX_WHOLE_BYTES)
+    table = TextTable([content], str(file))
     columns = (*names, *(("std_m",) if "std_m" in table.fields else ()))
-    groups = [group for group in optional if group[0] in table.fields]
-    places = [place for group in (columns, *groups) for place in table.places(group)]
-    parsed = table.parse(places, []).values
-    values = parsed[:, : len(columns)]
+    values = table.parse(table.places(columns), []).values
     unknown = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(unknown):
         raise ValueError(f"{file}, row {unknown[0] + 1}: {','.join(columns)} must all be numbers; leave the row out")
@@ -208,7 +206,11 @@ def _rows(
     wrong = np.flatnonzero(~(values[:, -1] > 0))
     if len(wrong):
         raise ValueError(f"{file}, row {wrong[0] + 1}: std_m is {values[wrong[0], -1]:g}; write a positive number")
-    found = iter(parsed[:, len(columns) :].T)
-    unknowns = np.full(len(values), np.nan)
-    more = [next(found) if group in groups else unknowns for group in optional for _ in group]
-    return np.column_stack([values, *more]).tolist()
+    for group in optional:
+        more = np.full((len(values), len(group)), np.nan)
+        if group[0] in table.fields:
+            own = TextTable([content], str(file))
+            known = own.parse(own.places(group), []).values[: len(more)]  # lacks a last line that is cut off
+            more[: len(known)] = known
+        values = np.column_stack([values, more])
+    return values.tolist()

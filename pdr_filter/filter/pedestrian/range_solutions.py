@@ -286,7 +286,7 @@ class _Problem:
         return normal, gradient
 
     def improved(self, pose: FloatArray, is_robust: bool, damping: float) -> FloatArray:
-        """Return the poses after one damped Gauss-Newton iteration (Levenberg-Marquardt) on `_normal`."""
+        """Return the poses after one iteration of Levenberg-Marquardt with the equations of `_normal`."""
         normal, gradient = self._normal(pose, is_robust)
         damped = normal + damping * np.einsum("paa->pa", normal)[:, :, None] * np.eye(3) + 1e-9 * np.eye(3)
         return pose - np.linalg.solve(damped, gradient[..., None])[..., 0]

@@ -28,7 +28,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.offline.columns import Columns
 from pdr_filter.values import INDEPENDENT_SHARE, BoolArray, FloatArray, IntArray, PositionFix, TrackRows
 from pdr_filter.values.fix_error_correlation import MAX_SHRINKAGE, SHRINKAGE_STD
 
@@ -54,7 +53,7 @@ _MAX_SPEED_MPS = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Errors(Columns):
+class Errors:
     """Errors of correlated fixes, one state (6,) per fix, in order of time.
 
     Each component is a Gauss-Markov process of variance one. Two components are the constant part of the position
@@ -66,6 +65,9 @@ class Errors(Columns):
     node: IntArray  # (E,) index of the anchor of the fix, increasing
     by: FloatArray  # (E, 2, 6) derivative of the observed position (east, north) with respect to the error state, in m
     decay: FloatArray  # (E - 1, 6) correlation of each component with the same component of the previous fix, 0 to 1
+
+    def __len__(self) -> int:
+        return len(self.node)
 
 
 NO_ERRORS = Errors(

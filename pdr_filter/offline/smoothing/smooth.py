@@ -464,7 +464,7 @@ class ReckonedWalk:
     stood: StandstillSteps = field(default_factory=StandstillSteps)  # steps within standstills
     guess: WalkedPath | None = None  # path at which measurements are first linearised
     start_heading_std_rad: float | None = None
-    anchor_interval_s: float = 2.0
+    anchor_interval_s: float = 2.0  # as in `smooth`
     # shifts of the clocks of the observations
     clocks: Mapping[Source, ClockShift] = field(default_factory=dict[Source, ClockShift])
     # (K + 1, 2) positions of the start and of the steps that show the shape of the walk (`errors_of`), None for those

@@ -28,7 +28,7 @@ class LabelledProbabilities:
     prob: FloatArray  # (W, C) predicted probabilities
     # (W, C) class probabilities in the training data of the classifier, which may differ between folds
     training_prior: FloatArray
-    label: IntArray  # (W,) True context, `UNKNOWN` if there is none
+    label: IntArray  # (W,) true context, `UNKNOWN` if there is none
     person: TextArray  # (W,) person of each window
     sequence: TextArray  # (W,) sequence of each window. Windows of one sequence are consecutive in time.
 

@@ -55,7 +55,7 @@ Reader = Callable[[Path], Recording]
 class LabelledSequences:
     """Steps and windows of recordings in which the context changes."""
 
-    step_label: IntArray  # (K,) True context of each step, `UNKNOWN` outside every label
+    step_label: IntArray  # (K,) true context of each step, `UNKNOWN` outside every label
     step_person: TextArray  # (K,) person of each step
     step_sequence: TextArray  # (K,) stretch without gaps of each step
     windows: LabelledProbabilities  # windows, with the true context at their middle

@@ -92,7 +92,11 @@ CARRIED = BehaviourThresholds(
 
 @dataclass(frozen=True, slots=True)
 class BehaviourMemory:
-    """State of the machine that recognises behaviours (see `BehaviourStage.assess`)."""
+    """State of the machine of Zhou et al. 2019, Table 1, that recognises behaviours.
+
+    The behaviour is kept while the maximum of the acceleration is unchanged. After a change it is classified in this
+    window and in the following ones that overlap it.
+    """
 
     behaviour: str  # one of BEHAVIOURS; empty before the first window
     last_max_mps2: tuple[float, ...]  # maxima of the windows within the last window length, oldest first

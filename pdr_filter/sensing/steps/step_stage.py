@@ -10,7 +10,7 @@ from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.values import Step
 
 S = TypeVar("S")  # type of the state
-_WITHOUT_MEMORY: Any = None
+_WITHOUT_MEMORY: Any = None  # state of a stage without memory, whose type S is that of None
 
 
 class StepStage(Protocol[S]):

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.apps.cli.app import app
-from pdr_filter.data.io.fix_files import anchors_of_file, ranges_of_file
+from pdr_filter.data.io.fix_files import anchors_of_file, fixes_of_file, ranges_of_file
 
 ANCHORS = {"door": (-8.0, -6.0), "window": (45.0, -5.0, 1.5), "stairs": (5.0, 50.0)}
 
@@ -34,6 +34,11 @@ def ranges_file(path: Path, recording: pdr.Recording) -> Path:
             rows.append(f"{name},{time_s},{np.linalg.norm(away_m):.3f}")
     path.write_text("\n".join(rows), encoding="utf-8")
     return path
+
+
+def test_a_last_row_without_its_optional_cells_is_a_fix(tmp_path: Path) -> None:
+    (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m,floor\n1,2,3,0\n5,6,7", encoding="utf-8")
+    assert [fix.floor for fix in fixes_of_file(tmp_path / "fixes.csv")] == [0, None]
 
 
 def test_ranges_of_a_file_are_to_the_anchors_that_it_names(tmp_path: Path) -> None:

@@ -390,7 +390,7 @@ def _without_stale(sensor: NumberTable, begun_ns: int | None, name: str, notes: 
 
 
 def _annotations(rows: list[list[str]]) -> list[tuple[int, str]]:
-    """Return time (ns since 1970) and text of the annotations in rows below a header, without rows of no time."""
+    """Return time (ns since 1970) and text of the annotations in rows with a time, below a header."""
     if not rows or "time" not in rows[0] or "text" not in rows[0]:
         return []
     at, text = rows[0].index("time"), rows[0].index("text")
