@@ -177,8 +177,10 @@ def log_loss(prob: FloatArray, label: IntArray, floor: float = 1e-15) -> float:
 
     Parameters
     ----------
-    prob, label : ndarray of shape (N, C), and of int, shape (N,)
-        Predicted probabilities, and true labels, 0 to C - 1.
+    prob : ndarray, shape (N, C)
+        Predicted probabilities.
+    label : ndarray of int, shape (N,)
+        True labels, 0 to C - 1.
     floor : float, default 1e-15
         Smaller probabilities are replaced by this value, because a single zero would make the mean infinite.
 
@@ -209,8 +211,10 @@ def calibration_error(prob: FloatArray, label: IntArray, n_bins: int = 15) -> fl
 
     Parameters
     ----------
-    prob, label : ndarray of shape (N, C), and of int, shape (N,)
-        Predicted probabilities, and true labels, 0 to C - 1.
+    prob : ndarray, shape (N, C)
+        Predicted probabilities.
+    label : ndarray of int, shape (N,)
+        True labels, 0 to C - 1.
     n_bins : int, default 15
         Number of bins of equal width in the highest probability.
 

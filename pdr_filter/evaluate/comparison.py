@@ -33,8 +33,10 @@ def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows], trut
 
     Parameters
     ----------
-    recording, tracks : Recording, and mapping of str to Track
-        Recording with ground truth, and its tracks by name.
+    recording : Recording
+        Recording with ground truth.
+    tracks : mapping of str to Track
+        Its tracks by name.
     truth_std_m : float, default 0.7
         Standard deviation in m of the true positions along each axis, for the consistency of the covariances.
 
@@ -82,8 +84,10 @@ def leg_error_percent(recording: Recording, track: TrackRows) -> float:
 
     Parameters
     ----------
-    recording, track : Recording and Track
-        Recording with truth segments of known distance, and a track of it.
+    recording : Recording
+        Recording with truth segments of known distance.
+    track : Track
+        Track of this recording.
 
     Returns
     -------
@@ -123,8 +127,10 @@ def in_truth_frame(recording: Recording, track: TrackRows) -> FloatArray:
 
     Parameters
     ----------
-    recording, track : Recording and Track
-        Recording with waypoints or true positions, and a track of it.
+    recording : Recording
+        Recording with waypoints or true positions.
+    track : Track
+        Track of this recording.
 
     Returns
     -------

@@ -162,8 +162,10 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
 
     Parameters
     ----------
-    recording, config : Recording and Config
-        Recording to track, and configuration of the filter.
+    recording : Recording
+        Recording to track.
+    config : Config
+        Configuration of the filter.
     thresholds : sequence of float
         Thresholds of the ratio of the second-highest to the highest context probability. With 0, each step length is
         the mean over the contexts, weighted with their probabilities (WC). With 1, it is the length of the most

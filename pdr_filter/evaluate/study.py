@@ -18,8 +18,10 @@ def context_errors(recording: Recording, tracks: Mapping[str, TrackRows]) -> Tab
 
     Parameters
     ----------
-    recording, tracks : Recording, and mapping of str to Track
-        Recording with context labels (`truth.labels`), and its tracks by name. True positions are not needed.
+    recording : Recording
+        Recording with context labels (`truth.labels`). True positions are not needed.
+    tracks : mapping of str to Track
+        Its tracks by name.
 
     Returns
     -------

@@ -498,8 +498,10 @@ class RangeFix:
 
         Parameters
         ----------
-        position_m, heading_rad : array_like, shape (2,), and float
-            Predicted east and north, m, and walking direction, rad, which has no effect.
+        position_m : array_like, shape (2,)
+            Predicted east and north, m.
+        heading_rad : float
+            Predicted walking direction, rad. It has no effect.
 
         Returns
         -------
@@ -818,8 +820,12 @@ class FixResult:
         ----------
         fix : PositionFix, GridFix, HeadingFix, RangeFix, SpeedFix, Standstill or Measurement
             The fix.
-        used_s, outcome, nis : float, str and float
-            Values of the attributes. The default of `nis` is NaN.
+        used_s : float
+            Time at which the filter processed the fix, s.
+        outcome : str
+            Outcome, as described for the attribute.
+        nis : float, optional
+            Normalised innovation squared. The default is NaN.
 
         Returns
         -------

@@ -49,8 +49,10 @@ class OnPlan:
     clusters : tuple of Cluster
         Groups of particles, most probable first. Their shares sum to less than 1 by the probability of particles
         outside of all groups.
-    n_particles, effective_sample_size : int and float
-        Number of particles, and 1 / sum of squared weights.
+    n_particles : int
+        Number of particles.
+    effective_sample_size : float
+        1 / sum of squared weights.
 
     Examples
     --------

@@ -43,15 +43,19 @@ class StreamDescription:
 
     Attributes
     ----------
-    name, unit, n_samples : str, str and int
-        Name and unit of the stream, and number of samples.
+    name, unit : str
+        Name and unit of the stream.
+    n_samples : int
+        Number of samples.
     rate_hz, mean_rate_hz : float or None
         Delivered rate in Hz, 1 / median positive interval, and number of intervals / duration, which includes gaps and
         is correct for rounded timestamps.
     first_s, last_s : float or None
         First and last time in s.
-    n_gaps, longest_gap_s : int and float
-        Number of intervals longer than 0.3 s and 2.5 median intervals, and the longest of them in s, or zero.
+    n_gaps : int
+        Number of intervals longer than 0.3 s and 2.5 median intervals.
+    longest_gap_s : float
+        Longest of these intervals in s, or zero.
     n_duplicates, n_backward : int
         Number of times equal to, and before, the previous time.
     n_missing_rows : int
@@ -99,10 +103,14 @@ class Description:
     ----------
     name, source : str
         Name of the recording, and the file or app that it comes from.
-    duration_s, streams : float and tuple of StreamDescription
-        Duration in s, and statistics of each sensor stream.
-    height_m, placement : float or None, and str or None
-        Height of the person in m, on which step lengths depend, and placement of the phone, as the recording states.
+    duration_s : float
+        Duration in s.
+    streams : tuple of StreamDescription
+        Statistics of each sensor stream.
+    height_m : float or None
+        Height of the person in m, on which step lengths depend, as the recording states.
+    placement : str or None
+        Placement of the phone, as the recording states.
     units : tuple of str
         A sentence about the plausibility of the unit of each stream.
     truth_rows : dict of str to int
