@@ -283,17 +283,6 @@ def origin_of(location: Samples) -> Origin | None:
     return None
 
 
-def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | None, tuple[PositionFix, ...]]:
-    """Return the origin and the position fixes of the locations of a recording.
-
-    The origin is the first usable location unless another one is given. Without a usable location there are no fixes,
-    and the origin is the given one or None. `location` is the stream of a `Recording`: latitude, longitude, altitude
-    and accuracy.
-    """
-    state, fixes = locations_of(location, origin)
-    return state.origin, fixes
-
-
 def locations_of(location: Samples, origin: Origin | None = None) -> tuple[LocationState, tuple[PositionFix, ...]]:
     """Return the state after all locations of a recording, and their position fixes.
 
