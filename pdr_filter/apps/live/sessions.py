@@ -37,7 +37,6 @@ class Sessions:
         self, settings: Settings, folder: Path, emit: Callable[[Event], None], part: int = 0, n_parts: int = 1
     ) -> None:
         self.settings, self.folder, self.emit = settings, folder, emit
-        self.part, self.n_parts = part, n_parts
         self.sessions: dict[str, DeviceSession] = {}
         self._taken: set[str] = set()  # sessions with messages that are not filtered yet
         for path in sorted((folder / NAMES).glob("*.json")):
