@@ -259,8 +259,9 @@ def _prediction(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray, 
     """Return the predictions of a model for the real windows of a group that it was fitted without."""
     rows = group & plan.is_real(windows)
     features = windows.features[rows]
-    assert model.familiarity is not None  # by `_fit_without`
-    return HeldOut(rows, model.probabilities(features), model.familiarity.distance(model.standardised(features)))
+    known = model.familiarity
+    distance = np.zeros(len(features)) if known is None else known.distance(model.standardised(features))
+    return HeldOut(rows, model.probabilities(features), distance)
 
 
 def with_familiarity(
