@@ -257,8 +257,13 @@ def _signals(plan: CarryingPlan, recording: Recording) -> list[_Signals]:
 
 def features_of(samples: FloatArray, rate_hz: float = 100.0) -> FloatArray:
     """Return the features (W, F) of windows (W, 12, N) of `invariant.SIGNALS`, in the order of `FEATURE_NAMES`."""
-    parts = [f(samples, rate_hz) for f in (invariant.invariant_features, carrying.carrying_features)]
-    return np.concatenate(parts, axis=1)
+    return invariant.features_in_groups(_features_of_motion, samples, rate_hz, len(FEATURE_NAMES))
+
+
+def _features_of_motion(motion: invariant.MotionLines, rate_hz: float) -> FloatArray:
+    """Return the features (W, F) of a few windows."""
+    parts = (invariant.invariant_features_of_motion, carrying.carrying_features_of_motion)
+    return np.concatenate([features(motion, rate_hz) for features in parts], axis=1)
 
 
 def _labelled(plan: CarryingPlan, signals: _Signals, person: str, source: str, name: str) -> LabelledWindows:

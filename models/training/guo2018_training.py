@@ -84,7 +84,7 @@ class PosePlan(ShippedPlan):
 
     def fit(self, windows: LabelledWindows) -> ContextModel:
         """Return the random forest, with equal prior probabilities of all poses (carrying modes) in the data."""
-        model = self.fit_machine(windows)
+        model = super().fit(windows)
         return replace(model, training_prior=(model.training_prior > 0) / len(model.classes))
 
     def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:

@@ -102,7 +102,6 @@ def _distance(y: FloatArray, axes: FloatArray, variance: FloatArray) -> FloatArr
 def fit_familiarity(
     standardised: FloatArray,
     limit: float,
-    sharpness: float = 2.0,
     label: NDArray[np.str_] | None = None,
     usual: float = np.inf,
 ) -> Familiarity:
@@ -117,12 +116,11 @@ def fit_familiarity(
     familiar, too.
 
     `limit` is the distance from which windows are partly unknown, and `usual` the smaller one beyond which a tenth of
-    the windows lie. Both are chosen on held-out people. `sharpness` is the growth of the unknown share beyond the
-    limit.
+    the windows lie. Both are chosen on held-out people.
     """
     cut = np.clip(standardised, -_FEATURE_LIMIT, _FEATURE_LIMIT)
     if label is None:
-        return Familiarity(*_principal_axes(cut), limit, sharpness, usual=usual)
+        return Familiarity(*_principal_axes(cut), limit, usual=usual)
     groups = [cut[label == c] for c in np.unique(label)]
     centre = np.array([group.mean(axis=0) for group in groups])
     found = [_principal_axes(group - mean) for group, mean in zip(groups, centre, strict=True)]
@@ -131,7 +129,7 @@ def fit_familiarity(
     variance = np.full(axes.shape[:2], _MIN_VARIANCE)
     for c, (of_class, along) in enumerate(found):
         axes[c, : len(along)], variance[c, : len(along)] = of_class, along
-    return Familiarity(axes, variance, limit, sharpness, centre, usual)
+    return Familiarity(axes, variance, limit, centre=centre, usual=usual)
 
 
 def _principal_axes(centred: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -191,12 +191,6 @@ class StreamMerger:
         """Return the state before the first sample."""
         return MergerState(tuple(StreamState(np.empty((0, 1 + _COLUMNS[sensor]))) for sensor in SENSORS))
 
-    def update(
-        self, state: MergerState, sensor: Sensor, time_s: FloatArray, values: FloatArray
-    ) -> tuple[MergerState, Merged]:
-        """Return the new state and the released samples after samples (N,), (N, d) of one sensor."""
-        return self.together(state, {sensor: (time_s, values)})
-
     def together(
         self, state: MergerState, samples: Mapping[Sensor, tuple[FloatArray, FloatArray]]
     ) -> tuple[MergerState, Merged]:

@@ -52,11 +52,6 @@ LENGTH_POWER = 2.4
 FORCE_POWER = 0.8
 
 
-def walking_law(frequency_hz: float) -> float:
-    """Return the amplitude A of the vertical force in m/s2 for steps of typical length, at a step frequency in Hz."""
-    return Gait().vertical_force_mps2("walking", frequency_hz, Gait().step_length_m("walking", frequency_hz), 0.0)
-
-
 @dataclass(frozen=True, slots=True)
 class Gait:
     """Simulated person. `Gait()` is a typical person, `Gait.random(seed)` a random one.

@@ -16,7 +16,7 @@ pocket. This was chosen with twelve people of ubicomp13 in view.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -101,17 +101,6 @@ def random_deviations(ways: ComplexArray, rest: FloatArray, rng: np.random.Gener
 
     along = np.tensordot(z(n, len(ways)), ways, axes=1)
     return along + rest * (z(n, *rest.shape) + 1j * z(n, *rest.shape)) / np.sqrt(2)
-
-
-def write_measured(tables: dict[tuple[str, str], Strides]) -> None:
-    """Write the measured tables, by place and context, to `MEASURED`. Half precision exceeds their accuracy."""
-    rows: dict[str, NDArray[np.float16]] = {}
-    for (place, context), table in tables.items():
-        for field in fields(Strides):
-            value = getattr(table, field.name)
-            parts = np.stack([value.real, value.imag], axis=-1) if np.iscomplexobj(value) else value
-            rows[f"{place}/{context}/{field.name}"] = parts.astype(np.float16)
-    np.savez_compressed(MEASURED, **rows)  # pyright: ignore[reportArgumentType]
 
 
 @cache

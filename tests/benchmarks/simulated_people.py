@@ -97,7 +97,7 @@ def left_out(windows: LabelledWindows) -> TextArray:
     trained = np.isin(windows.dataset, PLAN.datasets) & windows.has_gyroscope
     said = np.empty(len(windows.context), dtype=object)
     for test in folds:
-        model = PLAN.fit_machine(windows.part(trained & ~test))
+        model = PLAN.fit(windows.part(trained & ~test))
         said[test] = np.array(PLAN.labels)[model.probabilities(windows.features[test]).argmax(axis=1)]
     return said.astype(str)
 

@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +37,8 @@ from vqf import offlineVQF
 
 import pdr_filter as pdr
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
-from pdr_filter.simulate.gait import CONTEXT_GAITS, walking_law
-from pdr_filter.simulate.strides import N_CHANNELS, N_HARMONICS, PEOPLE_SPREAD, ComplexArray, Strides, write_measured
+from pdr_filter.simulate.gait import CONTEXT_GAITS, Gait
+from pdr_filter.simulate.strides import MEASURED, N_CHANNELS, N_HARMONICS, PEOPLE_SPREAD, ComplexArray, Strides
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
 from tests.benchmarks.common import Tables, recordings, run
 
@@ -319,7 +319,11 @@ def _to_usual_cadence(stretch: Stretch) -> float:
     if stretch.context != "walking":
         return 1.0
     usual_hz = CONTEXT_GAITS["walking"].frequency_hz
-    return walking_law(usual_hz) / walking_law(float(np.median(stretch.step_hz)))
+    usual, own = (
+        Gait().vertical_force_mps2("walking", hz, Gait().step_length_m("walking", hz), 0.0)
+        for hz in (usual_hz, float(np.median(stretch.step_hz)))
+    )
+    return usual / own
 
 
 def _ways(group: Sequence[Stretch], level: FloatArray) -> tuple[ComplexArray, FloatArray]:
@@ -443,6 +447,17 @@ def strides(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("measured_strides", COLUMNS, rows, ABOUT)
     if not arguments.print:
         write_measured(found)
+
+
+def write_measured(found: dict[tuple[str, str], Strides]) -> None:
+    """Write the tables, by place and context. Half precision exceeds their accuracy."""
+    rows: dict[str, np.ndarray] = {}
+    for (place, context), table in found.items():
+        for field in fields(Strides):
+            value = getattr(table, field.name)
+            parts = np.stack([value.real, value.imag], axis=-1) if np.iscomplexobj(value) else value
+            rows[f"{place}/{context}/{field.name}"] = parts.astype(np.float16)
+    np.savez_compressed(MEASURED, **rows)
 
 
 if __name__ == "__main__":

@@ -78,7 +78,7 @@ def test_temperature_limit_and_familiarity_are_restored_with_the_model(tmp_path:
 
 
 def test_a_window_unlike_all_stairs_distributes_walking_and_stairs_by_the_daily_prior(tmp_path: Path) -> None:
-    near = fit_familiarity(np.random.default_rng(0).normal(0.0, 0.1, (200, 4)), 0.2, 8.0)
+    near = replace(fit_familiarity(np.random.default_rng(0).normal(0.0, 0.1, (200, 4)), 0.2), sharpness=8.0)
     free = build("rvm")
     guarded = load_model(replace(free, stairs=near).save(tmp_path))
     gait = [CONTEXTS.index(c) for c in ("walking", "upstairs", "downstairs")]

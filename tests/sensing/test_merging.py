@@ -16,7 +16,16 @@ from hypothesis import strategies as st
 import pdr_filter as pdr
 from pdr_filter.data.io.describe import describe
 from pdr_filter.sensing.clock import MAX_GAP_S, ClockState, accept_rows, one_clock
-from pdr_filter.sensing.stream_merging import _MAX_ROWS, SENSORS, Merged, Sensor, StreamMerger, absences, absences_in
+from pdr_filter.sensing.stream_merging import (
+    _MAX_ROWS,
+    SENSORS,
+    Merged,
+    MergerState,
+    Sensor,
+    StreamMerger,
+    absences,
+    absences_in,
+)
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, ImuBlock, Samples
 from pdr_filter.values.recording import Recording
@@ -68,12 +77,19 @@ def pieces_of(recording: Recording, seed: int, longest_s: float = 1.0, latest_s:
     return sorted(found, key=lambda piece: piece[0])
 
 
+def update(
+    merger: StreamMerger, state: MergerState, sensor: Sensor, time_s: FloatArray, values: FloatArray
+) -> tuple[MergerState, Merged]:
+    """The new state and the released samples after samples of one sensor."""
+    return merger.together(state, {sensor: (time_s, values)})
+
+
 def merged(pieces: Iterable[Piece], merger: StreamMerger | None = None) -> tuple[ImuBlock, FloatArray, int]:
     """All released samples, the pressures, and the number of accelerometer samples released before the end."""
     merger = merger or StreamMerger()
     state, outputs = merger.init(), list[Merged]()
     for _, sensor, time_s, values in pieces:
-        state, output = merger.update(state, sensor, time_s, values)
+        state, output = update(merger, state, sensor, time_s, values)
         outputs.append(output)
     n_early = sum(len(o.block.time_s) for o in outputs)
     outputs.append(merger.finish(state)[1])
@@ -273,7 +289,7 @@ def test_single_samples_are_released_in_groups_with_little_delay() -> None:
     n_releases = 0
     for time_s in 0.01 * np.arange(1000):
         for sensor in ("gyroscope", "magnetometer", "accelerometer"):
-            state, output = merger.update(state, sensor, np.array([time_s]), np.zeros((1, 3)))  # type: ignore[arg-type]
+            state, output = update(merger, state, sensor, np.array([time_s]), np.zeros((1, 3)))
             n_releases += len(output.block.time_s) > 0
         if time_s > 6.0:  # the merger no longer waits for the barometer
             assert time_s - state.released_s <= merger.reorder_s + merger.bunch_s + 0.011
@@ -285,7 +301,7 @@ def test_a_block_is_released_when_the_last_sensor_has_passed_it() -> None:
     for second in range(10):
         time_s = second + 0.01 * np.arange(100)
         for sensor in ("gyroscope", "magnetometer", "accelerometer"):
-            state, _ = merger.update(state, sensor, time_s, np.zeros((100, 3)))  # type: ignore[arg-type]
+            state, _ = update(merger, state, sensor, time_s, np.zeros((100, 3)))  # type: ignore[arg-type]
     assert state.released_s == pytest.approx(time_s[-1] - merger.reorder_s, abs=0.011)
 
 
@@ -355,7 +371,7 @@ def test_without_a_gyroscope_the_first_samples_alone_wait() -> None:
     merger, force = StreamMerger(), np.zeros((100, 3))
     state, left = merger.init(), []
     for second in range(10):
-        state, output = merger.update(state, "accelerometer", second + 0.01 * np.arange(100), force)
+        state, output = update(merger, state, "accelerometer", second + 0.01 * np.arange(100), force)
         left.append(len(output.block.time_s))
     assert left[:5] == [0] * 5
     assert sum(left) == 1000 - 10  # samples that a late message may still precede
@@ -374,14 +390,14 @@ def test_the_buffer_is_bounded(sensor: Sensor) -> None:
     merger = StreamMerger()
     state = merger.init()
     for block in np.array_split(0.001 * np.arange(3 * _MAX_ROWS), 50):
-        state, _ = merger.update(state, sensor, block, np.zeros((len(block), 1 if sensor == "barometer" else 3)))
+        state, _ = update(merger, state, sensor, block, np.zeros((len(block), 1 if sensor == "barometer" else 3)))
     assert len(state.stream(sensor).rows) <= _MAX_ROWS
 
 
 def test_the_buffer_is_bounded_while_the_clock_stands_still() -> None:
     merger, state = StreamMerger(), StreamMerger().init()
     for _ in range(30):
-        state, _ = merger.update(state, "accelerometer", np.full(1000, 7.0), np.zeros((1000, 3)))
+        state, _ = update(merger, state, "accelerometer", np.full(1000, 7.0), np.zeros((1000, 3)))
     assert len(state.stream("accelerometer").rows) <= _MAX_ROWS
 
 
@@ -403,7 +419,7 @@ def test_a_clock_that_is_set_back_is_followed_after_a_minute_of_late_samples_alo
     for begin_s in (*range(1000, 1010), *range(0, 90)):
         time_s = begin_s + 0.01 * np.arange(100)
         for sensor in ("gyroscope", "accelerometer"):
-            state, output = merger.update(state, sensor, time_s, force)  # type: ignore[arg-type]
+            state, output = update(merger, state, sensor, time_s, force)  # type: ignore[arg-type]
         left += len(output.block.time_s)
     assert 1000 + 2600 < left < 1000 + 3000
     assert state.released_s == pytest.approx(89.99 - merger.reorder_s, abs=0.011)

@@ -31,7 +31,6 @@ from pdr_filter.filter.step_length.models import (
     one_parameter_fit,
     static_fit,
 )
-from pdr_filter.offline.training.cross_validation import predict_held_out
 from pdr_filter.recipes import for_recording
 from pdr_filter.recipes.config import Config
 from pdr_filter.recipes.guo2018.recipe import chen_fit
@@ -92,8 +91,8 @@ def classified_poses(data: Path) -> Classified | None:
     for fold in folds:
         test = fold & real
         if test.any():
-            prob = predict_held_out(train_guo.PLAN, windows, fold).prob[:, columns]
-            predicted.append(prob.argmax(axis=1))
+            model = train_guo.PLAN.fit(windows.part(~fold))
+            predicted.append(model.probabilities(windows.features[test])[:, columns].argmax(axis=1))
             truth.append(np.array([POSES.index(mode) for mode in windows.carrying_mode[test]]))
     found = tuple(str(d) for d in np.unique(windows.dataset[real]))
     return Classified(np.concatenate(truth), np.concatenate(predicted), found)

@@ -149,7 +149,7 @@ def default_machine(examples: Examples) -> ContextModel:
     windows = LabelledWindows(
         examples.of(plan.feature_names), examples.context, unknown, unknown, unknown, unknown, has_gyroscope
     )
-    return replace(plan.fit_machine(windows), name="left_out", temperature=shipped.temperature, slip=shipped.slip)
+    return replace(plan.fit(windows), name="left_out", temperature=shipped.temperature, slip=shipped.slip)
 
 
 def _prior(examples: Examples) -> FloatArray:

@@ -283,25 +283,14 @@ def origin_of(location: Samples) -> Origin | None:
     return None
 
 
-def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | None, tuple[PositionFix, ...]]:
-    """Return the origin and the position fixes of the locations of a recording.
-
-    The origin is the first usable location unless another one is given. Without a usable location there are no fixes,
-    and the origin is the given one or None. `location` is the stream of a `Recording`: latitude, longitude, altitude
-    and accuracy.
-    """
-    state, fixes = locations_of(location, origin)
-    return state.origin, fixes
-
-
-def locations_of(location: Samples, origin: Origin | None = None) -> tuple[LocationState, tuple[PositionFix, ...]]:
+def locations_of(location: Samples) -> tuple[LocationState, tuple[PositionFix, ...]]:
     """Return the state after all locations of a recording, and their position fixes.
 
-    `location` is the stream of a `Recording`. The origin is the first usable location unless another one is given.
+    `location` is the stream of a `Recording`. The origin is the first usable location.
     """
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
     return position_fixes(
-        LocationState(origin), location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
+        LocationState(), location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
     )
 
 

@@ -289,12 +289,9 @@ def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
     return std_m[:, None] * std_m * error_correlation(times_s, correlation_s, var_m2)
 
 
-def rotation_density(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> RotationDensity:
-    """Return the density of the rotation from the track to the fixes, for one or more point pairs.
-
-    `north_var_rad2` is the prior variance of the rotation about zero.
-    """
-    return _density_of_fit(_fitted(pairs, north_var_rad2))
+def rotation_density(pairs: Sequence[PairedPoint]) -> RotationDensity:
+    """Return the density of the rotation from the track to the fixes, for one or more point pairs and without prior."""
+    return _density_of_fit(_fitted(pairs, math.inf))
 
 
 def _density_of_fit(fit: _Fit) -> RotationDensity:

@@ -698,7 +698,7 @@ class StepLengthFit:
 class StepLengths:
     """Several fits that are evaluated together for one step.
 
-    The results equal `StepLengthFit.predict` of each fit, except for rounding.
+    `moments` plus `residual_var_m2` equals `StepLengthFit.predict` of each fit, except for rounding.
     """
 
     fits: tuple[StepLengthFit, ...]
@@ -730,11 +730,6 @@ class StepLengths:
     def residual_var_m2(self) -> FloatArray:
         """Variance of the length of a single step about each fit, (M,), in m2."""
         return np.array([fit.residual_std_m**2 for fit in self.fits])
-
-    def predict(self, step: Step) -> tuple[FloatArray, FloatArray]:
-        """Return the lengths in m (never negative) and their variances in m2, each (M,)."""
-        length, parameter_var = self.moments(step)
-        return length, parameter_var + self.residual_var_m2
 
     def moments(self, step: Step) -> tuple[FloatArray, FloatArray]:
         """Return the length of one step for each of M fitted models, and its variance due to their parameters alone.

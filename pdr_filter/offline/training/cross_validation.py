@@ -44,10 +44,6 @@ Progress = Callable[[str, float], None]
 # Arguments: standardised features (W, F), labels (W,) and weights (W,). Results: a machine and its classes.
 MachineFit = Callable[[FloatArray, TextArray, FloatArray], tuple[Machine, tuple[str, ...]]]
 
-STAIRS = ("upstairs", "downstairs")
-# The unknown share is a half at 1.09 times the limit and nine tenths at 1.33 times. Walking with the phone in bags, in
-# hands and at the waist lies at 1.1 to 1.5 times the limit.
-STAIRS_SHARPNESS = 8.0
 FEATURE_LIMIT = 4.0  # standard deviations at which features are clipped, because larger deviations carry no information
 _LEAST_STD = 1e-6  # a smaller standard deviation is rounding noise of a constant feature
 
@@ -95,8 +91,6 @@ class HeldOut:
     rows: BoolArray  # (W,) held-out windows among all windows of the plan
     prob: FloatArray  # (n, L) predicted probabilities of the plan's labels
     distance: FloatArray  # (n,) distance from the training windows
-    # (n,) distance from the training windows on stairs. Zero if the plan does not guard stairs.
-    stairs_distance: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,8 +110,6 @@ class TrainingPlan(ABC):
     # differs if it comes from the accelerometer alone
     has_gyroscope: bool = True
     feature_limit: float = FEATURE_LIMIT  # number of standard deviations at which features are clipped
-    # if True, stairs are distinguished from walking only in windows similar to the training windows on stairs
-    guards_stairs: bool = False
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -153,8 +145,11 @@ class TrainingPlan(ABC):
         std = np.sqrt(np.average((features - mean) ** 2, axis=0, weights=weight))
         return mean, np.where(std > _LEAST_STD, std, 1.0)
 
-    def fit_machine(self, windows: LabelledWindows) -> ContextModel:
-        """Return a model fitted on some windows, without calibration and without `Familiarity`."""
+    def fit(self, windows: LabelledWindows) -> ContextModel:
+        """Return a model fitted on some windows, without calibration and without `Familiarity`.
+
+        `train_one` uses this method for the held-out groups and for the final model.
+        """
         y, weight = windows.label(self.head), self.weight(windows)
         mean, scale = self.standardisation(windows.features, weight)
         standardised = np.clip((windows.features - mean) / scale, -self.feature_limit, self.feature_limit)
@@ -173,14 +168,6 @@ class TrainingPlan(ABC):
             feature_limit=self.feature_limit,
             labels=self.labels,
         )
-
-    def fit(self, windows: LabelledWindows) -> ContextModel:
-        """Return a model fitted on some windows, without calibration and without `Familiarity`.
-
-        `train_one` uses this method for the held-out groups and for the final model. Plans override it if the result of
-        `fit_machine` needs a correction.
-        """
-        return self.fit_machine(windows)
 
     def card(self, windows: LabelledWindows, scores: Mapping[str, Any], sites: Mapping[str, Any]) -> dict[str, Any]:
         """Return the model card: data, purpose, and the scores on held-out people and on held-out sites."""
@@ -261,55 +248,36 @@ def predictions(plan: TrainingPlan, windows: LabelledWindows, fits: Fits) -> dic
     return {name: _prediction(plan, windows, group, fits.without[name]) for name, group in groups}
 
 
-def predict_held_out(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) -> HeldOut:
-    """Return the predictions for the real windows of a group by a model of all other windows.
-
-    Synthetic windows made from the group are held out with it.
-    """
-    with threadpool_limits(1):
-        return _prediction(plan, windows, group, _fit_without(plan, windows, group))
-
-
 def _fit_without(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray) -> ContextModel:
     """Return the model of all windows without a group, with its `Familiarity`, whose limits have no meaning."""
     with threadpool_limits(1):
         rest = plan.training_windows(windows.part(~group))
-        stairs_limit = 1.0 if plan.guards_stairs else None
-        return with_familiarity(plan.fit(rest), rest, 1.0, stairs_limit, plan.familiar_groups(rest))
+        return with_familiarity(plan.fit(rest), rest, 1.0, plan.familiar_groups(rest))
 
 
 def _prediction(plan: TrainingPlan, windows: LabelledWindows, group: BoolArray, model: ContextModel) -> HeldOut:
     """Return the predictions of a model for the real windows of a group that it was fitted without."""
     rows = group & plan.is_real(windows)
     features = windows.features[rows]
-    of_all, of_stairs = (
-        np.zeros(len(features)) if known is None else known.distance(model.standardised(features))
-        for known in (model.familiarity, model.stairs)
-    )
-    return HeldOut(rows, replace(model, stairs=None).probabilities(features), of_all, of_stairs)
+    known = model.familiarity
+    distance = np.zeros(len(features)) if known is None else known.distance(model.standardised(features))
+    return HeldOut(rows, model.probabilities(features), distance)
 
 
 def with_familiarity(
     model: ContextModel,
     windows: LabelledWindows,
     limit: float,
-    stairs_limit: float | None = None,
     group: TextArray | None = None,
     usual: float = np.inf,
 ) -> ContextModel:
     """Return the model with the distribution (`Familiarity`) of its training windows.
 
-    Beyond the distance `limit` from them, a window counts as partly unknown, the more the further away it is. With
-    `stairs_limit`, the model has such a distribution of the training windows on stairs too. Without it, stairs are not
-    guarded. With the groups of the windows (W,), each group has a distribution of its own. A tenth of the windows of
-    held-out people are beyond the distance `usual`.
+    Beyond the distance `limit` from them, a window counts as partly unknown, the more the further away it is. With the
+    groups of the windows (W,), each group has a distribution of its own. A tenth of the windows of held-out people are
+    beyond the distance `usual`.
     """
-    standardised = model.standardised(windows.features)
-    stairs = None
-    if stairs_limit is not None:
-        on_stairs = np.isin(windows.context, STAIRS)
-        stairs = fit_familiarity(standardised[on_stairs], stairs_limit, STAIRS_SHARPNESS)
-    return replace(model, familiarity=fit_familiarity(standardised, limit, label=group, usual=usual), stairs=stairs)
+    return replace(model, familiarity=fit_familiarity(model.standardised(windows.features), limit, group, usual))
 
 
 def in_window_order(left_out: Iterable[HeldOut]) -> HeldOut:
@@ -317,8 +285,8 @@ def in_window_order(left_out: Iterable[HeldOut]) -> HeldOut:
     groups = list(left_out)
     rows = np.any([group.rows for group in groups], axis=0)
     order = np.argsort(np.concatenate([np.flatnonzero(group.rows) for group in groups]))
-    names = "prob", "distance", "stairs_distance"
-    return HeldOut(rows, *(np.concatenate([getattr(group, name) for group in groups])[order] for name in names))
+    prob, distance = (np.concatenate([getattr(group, name) for group in groups]) for name in ("prob", "distance"))
+    return HeldOut(rows, prob[order], distance[order])
 
 
 def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, model: ContextModel) -> FloatArray:

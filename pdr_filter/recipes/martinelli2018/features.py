@@ -34,10 +34,6 @@ NAMES: tuple[str, ...] = (
     *(f"peak_frequency_{s}_hz" for s in _OF[:3]),  # F24-F26
     *(f"zero_crossing_rate_{s}" for s in _OF[:2]),  # F27-F28
 )
-# The 18 features that the floating search of the paper selected (section V.B).
-SELECTED_18: tuple[str, ...] = tuple(
-    NAMES[i - 1] for i in (1, 2, 4, 5, 6, 9, 10, 14, 16, 17, 19, 20, 21, 22, 23, 24, 25, 27)
-)
 WITHOUT_MAGNETOMETER: tuple[str, ...] = tuple(n for n in NAMES if "magn" not in n)
 WITHOUT_GYROSCOPE: tuple[str, ...] = tuple(n for n in WITHOUT_MAGNETOMETER if "gyro" not in n)
 

@@ -40,7 +40,6 @@ NAMES: tuple[str, ...] = (
     *(f"variance_{s}" for s in _OF),
     *(f"dominant_frequency_{k}_{s}_hz" for s in _OF for k in range(1, N_DOMINANT + 1)),
 )
-WITHOUT_GYROSCOPE: tuple[str, ...] = tuple(n for n in NAMES if "gyro" not in n)
 
 # Smaller amplitudes are rounding noise. Without this limit, a constant signal would have dominant frequencies.
 _MIN_AMPLITUDE = 1e-9

@@ -33,8 +33,6 @@ from pdr_filter.sensing.signal_filters import low_pass_kernel
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, replace_unchecked
 
-NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")
-
 
 def static_bias(static_mps2: FloatArray, up_sensor: FloatArray | None = None) -> FloatArray:
     """Return the accelerometer bias b = mean(f) - g up, (3,) in m/s2, from specific force f (N, 3) of a sensor at rest.

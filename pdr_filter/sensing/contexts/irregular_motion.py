@@ -19,7 +19,8 @@ Source of the numbers:
   without gyroscope, oxford, with equal weight for each context and carrying mode of a data set. Windows slower than
   0.5 m/s (Tyrex, by motion capture) are excluded. Still windows are excluded from both classes.
 - m and s are the rounded mean and standard deviation over both classes, where irregular windows have the total weight
-  `TRAINING_PRIOR`. w and b are the rounded logistic regression on these (mean log loss + 0.0005 sum_i w_i^2). The eight
+  0.30. (Among the moving windows of persons 7 to 13 their share is 0.31. Divide the odds by those of 0.30 where another
+  prior holds.) w and b are the rounded logistic regression on these (mean log loss + 0.0005 sum_i w_i^2). The eight
   features were selected by the log loss on held-out persons and data sets, without persons 7 to 13.
 
 On the other seven persons of the same data (7 to 13), the gate with gyroscope finds 0.89 of the irregular windows at
@@ -47,9 +48,6 @@ import numpy as np
 
 from pdr_filter.values import FloatArray, IntArray, check_numbers, read_only
 
-# Prior probability of irregular motion among moving windows in the fit. Divide the odds by those of this prior where
-# another prior holds. Among the moving windows of persons 7 to 13 the share is 0.31.
-TRAINING_PRIOR = 0.30
 # Number of standard deviations at which features are clipped, also in the fit, so that no single feature dominates.
 _LIMIT = 4.0
 

@@ -20,7 +20,6 @@ import numpy as np
 from pdr_filter.sensing.features.invariant import (
     MotionLines,
     columns,
-    features_in_groups,
     hann_taper,
     mean_of,
     mean_square,
@@ -99,16 +98,11 @@ _STEP_HZ = (1.25, 3.3)
 _LEVER_NOISE, _COHERENCE_NOISE, _FLOOR_M = 0.02, 1e-3, 0.05
 
 
-def carrying_features(windows: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the features (W, 38) of windows of `invariant.SIGNALS`, shape (W, 12, N), in the order of `NAMES`.
+def carrying_features_of_motion(motion: MotionLines, rate_hz: float) -> FloatArray:
+    """Return the features (W, 38) of a few windows, given their `motion_lines`, in the order of `NAMES`.
 
     A missing gyroscope is given as three rows of zeros. The features named in `WITHOUT_GYROSCOPE` do not use it.
     """
-    return features_in_groups(carrying_features_of_motion, windows, rate_hz, len(NAMES))
-
-
-def carrying_features_of_motion(motion: MotionLines, rate_hz: float) -> FloatArray:
-    """Return the features (W, 38) of a few windows."""
     n = motion.centred.shape[2]
     centred = np.concatenate([motion.centred[:, :3], motion.turning], axis=1)
     spectrum = np.fft.rfft(centred * hann_taper(n))

@@ -165,18 +165,13 @@ def features_in_groups(
     return np.concatenate([np.empty((0, n_features)), *groups])
 
 
-def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the features (W, F) of windows of `SIGNALS`, shape (W, 12, N), in the order of `NAMES`.
+def invariant_features_of_motion(motion: MotionLines, rate_hz: float) -> FloatArray:
+    """Return the features (W, F) of a few windows, given their `motion_lines`, in the order of `NAMES`.
 
     A missing gyroscope is given as three rows of zeros. The features named in `WITHOUT_GYROSCOPE` do not use it. A
     window has the same bits alone and among others, because sums run along the last axis of contiguous arrays, and
     matrix products and transforms are computed window by window.
     """
-    return features_in_groups(invariant_features_of_motion, windows, rate_hz, len(NAMES))
-
-
-def invariant_features_of_motion(motion: MotionLines, rate_hz: float) -> FloatArray:
-    """Return the features (W, F) of a few windows, given their `motion_lines`."""
     centred, n = motion.centred, motion.centred.shape[2]
     vertical, horizontal = centred[:, 0], centred[:, 1:3]
     forward, lateral = _main_axes(horizontal)

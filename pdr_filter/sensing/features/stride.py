@@ -19,7 +19,6 @@ from pdr_filter.sensing.features.invariant import (
     MotionLines,
     about_mean,
     columns,
-    features_in_groups,
     hann_taper,
     side_by_side,
 )
@@ -68,14 +67,6 @@ _FLOOR = np.array([0.02, 0.02, 0.02, 0.005, 0.005, 0.005])
 _FLOOR_RAD, _FLOOR_M = 0.01, 0.001
 # Amplitudes below which the shares fade to zero, because the person does not walk.
 _LEAST_SHARE_OF = 0.05, 0.05, 0.05, 0.02, 0.02, 0.02
-
-
-def stride_features(windows: FloatArray, rate_hz: float) -> FloatArray:
-    """Return the features (W, F) of windows of `invariant.SIGNALS`, (W, 12, N), in the order of `NAMES`.
-
-    A missing gyroscope is given as three rows of zeros. A window has the same bits alone and among others.
-    """
-    return features_in_groups(stride_features_of_motion, windows, rate_hz, len(NAMES))
 
 
 @cache

@@ -21,7 +21,9 @@ from typing import Any
 import httpx
 import numpy as np
 
-from pdr_filter.apps.live.messages import N_VALUES, Message, SensorRows, to_json
+from pdr_filter.apps.live.messages import N_VALUES, Message, SensorRows, parse, to_json
+from pdr_filter.apps.live.sessions import Sessions
+from pdr_filter.apps.live.settings import Event
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording
@@ -29,6 +31,15 @@ from pdr_filter.values.recording import Recording
 COMMAND = "from pdr_filter.apps.cli import main; main()"
 START_S = 120.0  # a server that has not printed its addresses by then is killed, and its test fails
 EPOCH_NS = 1_716_760_513_715_797_500
+
+
+def take(devices: Sessions, body: bytes, received_s: float = 0.0) -> Event:
+    """Process the body of a message, and return what it held, which is then filtered and on the disk."""
+    content, keys = devices.accept(parse(body, "", "", ""), received_s)
+    failed = devices.settle(is_all=True)
+    for key in keys & failed.keys():
+        raise failed[key]
+    return content
 
 
 class Server:

@@ -34,7 +34,6 @@ from pdr_filter.filter.pedestrian.pedestrian_state import (
     reckoned_position,
     with_reopened_rotation,
 )
-from pdr_filter.filter.step_length.models import StepLengths
 from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step, WindowContext, replace_unchecked
 from pdr_filter.values.events import Stepless
 
@@ -554,7 +553,7 @@ def test_the_first_imm_step_is_the_mixture_of_the_steps_of_all_modes() -> None:
     filter_ = tracker("imm")
     mean, cov = initial_estimate(filter_.model.noise)
     step = a_step(heading_rad=0.4)
-    length, variance = StepLengths(tuple(m.step_length for m in mode_of_each_context())).predict(step)
+    length, variance = np.transpose([m.step_length.predict(step) for m in mode_of_each_context()])
     moved = advance(
         np.tile(mean, (6, 1)),
         np.tile(cov, (6, 1, 1)),

@@ -15,7 +15,7 @@ import pdr_filter as pdr
 from models.training.simulated_people import random_person
 from pdr_filter import recipes
 from pdr_filter.apps.cli.app import app
-from pdr_filter.filter.fixes.gnss import RADIUS_68, fixes_of
+from pdr_filter.filter.fixes.gnss import RADIUS_68, origin_of
 from pdr_filter.filter.imm.motion_model import LOG_SCALE
 from pdr_filter.filter.pedestrian.pedestrian_state import initial_state
 from pdr_filter.filter.pedestrian.person import LengthFixes, Session, session_of, session_of_scale
@@ -214,7 +214,7 @@ def test_a_configuration_with_a_person_notes_the_step_length(learnt: pdr.Person)
 
 
 def test_online_and_offline_tracking_learn_the_same_person(first: Recording, learnt: pdr.Person) -> None:
-    here = fixes_of(first.location)[0]
+    here = origin_of(first.location)
     assert here is not None
     own = recipes.default(first.subject)
     own = own.with_magnetic_north(here.declination_rad(), field_ut=here.magnetic_field_ut())

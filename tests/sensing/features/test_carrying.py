@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pdr_filter.sensing.features import invariant
-from pdr_filter.sensing.features.carrying import ATTITUDE, NAMES, WITHOUT_GYROSCOPE, carrying_features
+from pdr_filter.sensing.features.carrying import ATTITUDE, NAMES, WITHOUT_GYROSCOPE, carrying_features_of_motion
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 RATE_HZ, N = 100.0, 200
@@ -41,6 +41,10 @@ def walk(seed: int = 0) -> np.ndarray:
     )
     result[:6] += 0.1 * rng.normal(size=(6, N))
     return result
+
+
+def carrying_features(windows: np.ndarray, rate_hz: float) -> np.ndarray:
+    return invariant.features_in_groups(carrying_features_of_motion, windows, rate_hz, len(NAMES))
 
 
 def named(signals: np.ndarray) -> dict[str, float]:

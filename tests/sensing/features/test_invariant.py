@@ -6,7 +6,13 @@ from helpers import imu
 from scipy.spatial.transform import Rotation
 
 from pdr_filter.sensing.features.feature_windows import ATTITUDE_FREE, FeatureWindows
-from pdr_filter.sensing.features.invariant import NAMES, STEP_LAGS_S, WITHOUT_GYROSCOPE, invariant_features
+from pdr_filter.sensing.features.invariant import (
+    NAMES,
+    STEP_LAGS_S,
+    WITHOUT_GYROSCOPE,
+    features_in_groups,
+    invariant_features_of_motion,
+)
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.values import ImuBlock
 
@@ -28,6 +34,10 @@ def walk_block(turn: Rotation | None = None, seed: int = 0) -> ImuBlock:
     if turn is not None:
         force, rate = turn.apply(force), turn.apply(rate)
     return imu(t, force, rate)
+
+
+def invariant_features(windows: np.ndarray) -> np.ndarray:
+    return features_in_groups(invariant_features_of_motion, windows, 100.0, len(NAMES))
 
 
 def features(block: ImuBlock) -> np.ndarray:
@@ -55,24 +65,24 @@ def test_features_of_the_accelerometer_do_not_depend_on_the_gyroscope() -> None:
     without[:, 3:6] = 0.0
     n = len(WITHOUT_GYROSCOPE)
     assert NAMES[:n] == WITHOUT_GYROSCOPE
-    np.testing.assert_array_equal(invariant_features(without, 100.0)[:, :n], invariant_features(windows, 100.0)[:, :n])
+    np.testing.assert_array_equal(invariant_features(without)[:, :n], invariant_features(windows)[:, :n])
 
 
 def test_a_phone_on_the_table_has_finite_features() -> None:
     windows = np.zeros((1, 12, 200))
     windows[:, 8] = 1.0
     windows[:, 11] = 9.81
-    assert np.isfinite(invariant_features(windows, 100.0)).all()
-    assert invariant_features(windows, 100.0).shape == (1, len(NAMES))
+    assert np.isfinite(invariant_features(windows)).all()
+    assert invariant_features(windows).shape == (1, len(NAMES))
     assert len(set(NAMES)) == len(NAMES)
 
 
 @pytest.mark.parametrize("n_windows", [2, 31, 32, 33, 70])
 def test_a_window_has_the_same_bits_alone_and_among_others(n_windows: int) -> None:
     windows = np.random.default_rng(1).normal(size=(n_windows, 12, 200))
-    alone = np.concatenate([invariant_features(window[None], 100.0) for window in windows])
-    np.testing.assert_array_equal(invariant_features(windows, 100.0), alone)
-    np.testing.assert_array_equal(invariant_features(windows[:0], 100.0), alone[:0])
+    alone = np.concatenate([invariant_features(window[None]) for window in windows])
+    np.testing.assert_array_equal(invariant_features(windows), alone)
+    np.testing.assert_array_equal(invariant_features(windows[:0]), alone[:0])
 
 
 def swinging(tilt_phase_rad: float = 0.0, forward: float = 1.0, amplitude: float = 1.0) -> dict[str, float]:
@@ -85,7 +95,7 @@ def swinging(tilt_phase_rad: float = 0.0, forward: float = 1.0, amplitude: float
     window[:, 10] = -forward * np.sin(2 * np.pi * 2 * t)  # minus the vertical velocity: forward is +y
     window[:, 2] = window[:, 10]
     window[:, 11] = 9.81 + window[:, 0]
-    return dict(zip(NAMES, invariant_features(window, 100.0)[0], strict=True))
+    return dict(zip(NAMES, invariant_features(window)[0], strict=True))
 
 
 def test_the_square_of_a_swing_in_phase_with_the_bounce_follows_it_without_delay() -> None:

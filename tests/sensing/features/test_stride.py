@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.sensing.features.stride import N_HARMONICS, NAMES, stride_features
+from pdr_filter.sensing.features.invariant import features_in_groups
+from pdr_filter.sensing.features.stride import N_HARMONICS, NAMES, stride_features_of_motion
 
 RATE_HZ = 100.0
 ORDER = {name: i for i, name in enumerate(NAMES)}
@@ -23,7 +24,7 @@ def window(stride_hz: float = 0.9, swing_phase: float = 0.4, start_s: float = 0.
 
 
 def features(*windows: np.ndarray) -> np.ndarray:
-    return stride_features(np.stack(windows), RATE_HZ)
+    return features_in_groups(stride_features_of_motion, np.array(windows), RATE_HZ, len(NAMES))
 
 
 def turned(samples: np.ndarray, rotation: Rotation) -> np.ndarray:
@@ -62,8 +63,8 @@ def test_the_phase_of_the_swing_against_the_bounce_is_found_whatever_the_sign_of
 def test_a_window_has_the_same_bits_alone_and_among_others() -> None:
     rng = np.random.default_rng(0)
     windows = np.stack([window(f) for f in rng.uniform(0.5, 1.5, 40)]) + 0.1 * rng.normal(size=(40, 12, 200))
-    alone = np.concatenate([stride_features(windows[i : i + 1], RATE_HZ) for i in range(40)])
-    np.testing.assert_array_equal(stride_features(windows, RATE_HZ), alone)
+    alone = np.concatenate([features(window) for window in windows])
+    np.testing.assert_array_equal(features(*windows), alone)
 
 
 def test_a_phone_at_rest_has_finite_features() -> None:
