@@ -18,7 +18,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Column, Table
 
-from pdr_filter.values.sanitise import printable, printable_lines
+from pdr_filter.values.sanitise import file_name, free_name, printable, printable_lines
 
 if TYPE_CHECKING:
     from pdr_filter.tracking.track import Track
@@ -343,11 +343,6 @@ def estimates(
     return (smoothed, pdr.track(recording, **options)) if with_both else (smoothed,)
 
 
-def write_map(result: Track, path: Path) -> Path:
-    """Write a track as GeoJSON, in local metres if it has no geographic origin, and return the path."""
-    return result.to_local_geojson(path) if result.origin is None else result.to_geojson(path)
-
-
 def write_track(result: Track, folder: Path, name: str) -> None:
     """Write the table NAME.csv and the picture NAME.png of a track."""
     result.to_csv(folder / f"{name}.csv")
@@ -366,9 +361,7 @@ def overwritten(before: Mapping[Path, int]) -> list[Path]:
 
 
 def unique_name(name: str, written: set[str]) -> str:
-    """Return a file name that is not in `written`, and add it. A number is appended to a name that is already used."""
-    found = name
-    while found in written:
-        found = f"{name}_{len(written) + 1}"
-    written.add(found)
-    return found
+    """Return a file name for the name of a recording that is not in `written`, and add it to `written`."""
+    free = free_name(file_name(name), written.__contains__)
+    written.add(free)
+    return free

@@ -22,7 +22,7 @@ from pdr_filter.apps.maps.plan_checks import problems_of
 from pdr_filter.apps.workbench.walks import PLANS, ConflictError
 from pdr_filter.values import FloatArray, Origin, limits
 from pdr_filter.values.safe_files import read_json, whole_file
-from pdr_filter.values.sanitise import file_name
+from pdr_filter.values.sanitise import file_name, free_name
 
 # Two points disagree with the scale of the picture if their distances differ by more.
 _MAX_SCALE_ERROR = 0.05
@@ -49,11 +49,8 @@ class Plans:
 
     def new(self, name: str) -> str:
         """Make an empty plan and return its name, which may differ from the given one."""
-        stem = free = file_name(name.strip() or "plan").replace("#", "_").replace("%", "_")
-        n = 1
-        while free in self.names():
-            n += 1
-            free = f"{stem} {n}"
+        stem = file_name(name.strip() or "plan").replace("#", "_").replace("%", "_")
+        free = free_name(stem, self.names().__contains__)
         self._write(self.folder / f"{free}.geojson", {"type": "FeatureCollection", "name": free, "features": []})
         return free
 
