@@ -9,7 +9,7 @@ const base = `/plans/${location.pathname.split("/").at(-1)}`;
 let plan = null, floor = "0", selected = null, mode = null;
 const undone = { undo: [], redo: [] }, ours = new Set(); // versions that this page has saved
 
-const map = new PlaneMap(byId("map"), styleColour);
+const map = new PlaneMap(byId("map"));
 const shapes = L.featureGroup().addTo(map.leaflet), picked = L.layerGroup().addTo(map.leaflet);
 let overlay = null;
 map.leaflet.pm.setGlobalOptions({ snappable: true, snapDistance: 12, continueDrawing: false, tooltips: false, layerGroup: shapes });
