@@ -298,11 +298,12 @@ def in_m(value: float, spec: str = "z.1f") -> str:
 
 def print_tracks(tracks: Sequence[Track]) -> None:
     """Print a table with a row for each track, and the notes of the tracks below."""
+    from pdr_filter.tracking.trust_report import context_durations
+
     table = new_table("recording", "steps", "distance", "end east", "end north", "± at the end", "duration")
     table.add_column("contexts")
     for result in tracks:
         summary = result.summary()
-        seconds: dict[str, float] = {**summary["contexts"], "moving without steps": summary["moving_without_steps_s"]}
         table.add_row(
             escape(result.name),
             str(result.n_steps),
@@ -311,7 +312,7 @@ def print_tracks(tracks: Sequence[Track]) -> None:
             in_m(summary["end_north_m"]),
             in_m(summary["end_std_m"]) if result.n_steps else "",
             f"{result.duration_s:.1f} s",
-            ", ".join(f"{escape(name)} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
+            escape(context_durations(result)),
         )
     table.caption = f"{STD_CAPTION}\n {_SMOOTHED}" if any(track.is_smoothed for track in tracks) else STD_CAPTION
     print_table(table)
