@@ -1,6 +1,6 @@
 """Sessions of the phones of one worker: each has its own filter, its own recording and its own saved state.
 
-No web here: `Sessions.take` gets the body of a message and returns what it held; events for pages go to `emit`.
+No web here: `Sessions.accept` gets messages, `Sessions.settle` filters them, and events for pages go to `emit`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pdr_filter.apps.live.assembly import SessionError
-from pdr_filter.apps.live.messages import Message, MessageError, parse
+from pdr_filter.apps.live.messages import Message, MessageError
 from pdr_filter.apps.live.recorder import replace_file
 from pdr_filter.apps.live.session import DeviceSession, session_id
 from pdr_filter.apps.live.settings import BusyError, Event, Settings, worker_of
@@ -51,23 +51,12 @@ class Sessions:
             except (OSError, ValueError) as error:  # one folder must not stop the others
                 _LOG.warning("%s: not loaded: %s", path, error)
 
-    def take(self, body: bytes, device: str, session: str, platform: str, received_s: float) -> Event:
-        """Process the body of a message, and return its number of samples, which are then filtered and on the disk.
-
-        MessageError, SessionError, LateError, FixError or BusyError if one of its messages cannot be used; the
-        messages before it are taken.
-        """
-        content, keys = self.accept(parse(body, device, session, platform), received_s)
-        failed = self.settle(is_all=True)
-        for key in keys & failed.keys():
-            raise failed[key]
-        return content
-
     def accept(self, messages: Sequence[Message], received_s: float) -> tuple[Event, set[str]]:
         """Assign messages to their sessions, and return {"samples": number} and the ids of these sessions.
 
         A session is created for a new phone. `settle` filters and saves the samples later. MessageError for a message
-        without a device, BusyError if there are too many sessions.
+        without a device, BusyError if there are too many sessions, or the error of `DeviceSession.take`; the messages
+        before it are taken.
         """
         n, keys = 0, set[str]()
         for message in messages:

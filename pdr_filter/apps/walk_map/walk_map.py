@@ -335,7 +335,6 @@ class WalkMap:
             "notes": list(self.notes) if times else [],
             "version": __version__,
         }
-        folder.mkdir(parents=True, exist_ok=True)
         files = {folder / f"{i:05d}.walk": to_bytes(chain) for i, chain in enumerate(chains)}
         files[folder / "groups.bin"] = to_bytes((self._groups, known, self._north))
         write_files(files | {folder / "walk_map.json": (json.dumps(card, indent=2) + "\n").encode()})

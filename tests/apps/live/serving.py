@@ -21,7 +21,8 @@ from typing import Any
 import httpx
 import numpy as np
 
-from pdr_filter.apps.live.messages import N_VALUES, Message, SensorRows, to_json
+from pdr_filter.apps.live.messages import N_VALUES, Message, SensorRows, parse, to_json
+from pdr_filter.apps.live.sessions import Sessions
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording
@@ -152,6 +153,14 @@ def until(condition: Any, timeout_s: float = 20.0) -> Any:
         assert time.monotonic() < end, "never true"
         time.sleep(0.05)
     return value
+
+
+def take(devices: Sessions, body: bytes, unix_s: float = 0.0) -> None:
+    """Filter and save the messages of a body, and raise the error of their session, if any."""
+    _, keys = devices.accept(parse(body), unix_s)
+    failed = devices.settle(is_all=True)
+    for key in keys & failed.keys():
+        raise failed[key]
 
 
 def short_walk(seconds: float) -> Recording:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from serving import EPOCH_NS, Server, sensor_logger_messages, short_walk, until
+from serving import EPOCH_NS, Server, sensor_logger_messages, short_walk, take, until
 
 import pdr_filter as pdr
 from pdr_filter.apps.live.sessions import Sessions
@@ -127,13 +127,13 @@ def test_a_phone_that_returns_after_an_hour_goes_on_in_its_session(walk: Recordi
     messages = sensor_logger_messages(walk)
     later = with_times(messages[45:], lambda t: t + 3600 * 10**9)
     for message in messages[:45]:
-        devices.take(json.dumps(message).encode(), "", "", "", 0.0)
+        take(devices, json.dumps(message).encode())
     (session,) = devices.sessions.values()
     session.seen_at -= 3600.0
     devices.maintain()
     assert devices.sessions == {}
     for message in later:
-        devices.take(json.dumps(message).encode(), "", "", "", 0.0)
+        take(devices, json.dumps(message).encode())
     (session,) = devices.sessions.values()
     recording = check(tmp_path, session.track(), walk, n_steps=40)
     assert recording.accelerometer.time_s[-1] > 3600.0

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from serving import EPOCH_NS, own_messages, sensor_logger_messages, short_walk
+from serving import EPOCH_NS, own_messages, sensor_logger_messages, short_walk, take
 
 import pdr_filter as pdr
 from pdr_filter.apps.live import session as live_session
@@ -49,7 +49,7 @@ def taken(folder: Path, bodies: Sequence[bytes], **settings: Any) -> tuple[Devic
 
 def take_all(devices: Sessions, bodies: Sequence[bytes], unix_s: float = 0.0) -> None:
     for body in bodies:
-        devices.take(body, "", "", "", unix_s)
+        take(devices, body, unix_s)
 
 
 def sessions_in(folder: Path, events: list[Event] | None = None) -> Sessions:
@@ -89,12 +89,12 @@ def test_a_process_that_dies_loses_nothing_that_it_took(
     events: list[Event] = []
     devices = sessions_in(tmp_path / "broken", events)
     for i, body in enumerate(bodies):
-        devices.take(body, "", "", "", 0.0)
+        take(devices, body)
         if i + 1 == n_saved:
             devices.close()
         if i in (n_saved + 5, n_saved + 30):
             devices = sessions_in(tmp_path / "broken", events)
-            devices.take(body, "", "", "", 0.0)  # the answer was lost, so that it is sent again
+            take(devices, body)  # the answer was lost, so that it is sent again
     devices.close()
     (session,) = devices.sessions.values()
     np.testing.assert_array_equal(positions(session), positions(expected))
@@ -110,7 +110,7 @@ def test_writes_that_were_broken_off_are_left_out(walk: Recording, tmp_path: Pat
     whole = samples.read_bytes()
     samples.write_bytes(whole + b"9.0,1,2,3\n9.1,1")  # written, and then the state was not
     devices = sessions_in(tmp_path)
-    devices.take(bodies[10], "", "", "", 0.0)
+    take(devices, bodies[10])
     (journal,) = session.recorder.folder.glob("journal_*.json")
     journal.write_bytes(journal.read_bytes()[:-7])
     (again,) = sessions_in(tmp_path).sessions.values()
@@ -187,7 +187,7 @@ def test_no_name_leads_out_of_the_folder(name: str, tmp_path: Path) -> None:
     folder = tmp_path / "inside"
     devices = sessions_in(folder)
     body = json.dumps({"device": name, "session": name, "samples": {"gyroscope": [[0, 1, 2, 3]]}}).encode()
-    devices.take(body, "", "", "", 0.0)
+    take(devices, body)
     assert [path.name for path in tmp_path.iterdir()] == ["inside"]
     assert all(path.resolve().is_relative_to(folder.resolve()) for path in folder.rglob("*"))
     assert session_id(name, "") != session_id(name, "1")
@@ -273,7 +273,7 @@ def test_a_fix_that_cannot_be_used_is_refused_and_changes_nothing(
     with pytest.raises(FixError, match=words):
         take_all(devices, with_fix(fix))
     assert session.online.state is before
-    devices.take(own_messages(walk)[20], "", "", "", 0.0)
+    take(devices, own_messages(walk)[20])
 
 
 def test_a_message_that_is_too_late_does_not_end_the_track(walk: Recording, tmp_path: Path) -> None:
@@ -281,7 +281,7 @@ def test_a_message_that_is_too_late_does_not_end_the_track(walk: Recording, tmp_
     devices = sessions_in(tmp_path)
     take_all(devices, [*bodies[:10], *bodies[11:40]])
     with pytest.raises(LateError, match="message 10 is too late"):
-        devices.take(bodies[10], "", "", "", 0.0)
+        take(devices, bodies[10])
     (session,) = devices.sessions.values()
     n_steps = len(session.path)
     take_all(devices, bodies[40:])
@@ -294,7 +294,7 @@ def test_there_is_room_for_so_many_phones_and_the_next_is_told_so(tmp_path: Path
     bodies = [json.dumps({"device": f"p{i}", "samples": {}}).encode() for i in range(3)]
     take_all(devices, bodies[:2])
     with pytest.raises(BusyError, match="max-devices"):
-        devices.take(bodies[2], "", "", "", 0.0)
+        take(devices, bodies[2])
 
 
 def test_what_comes_after_the_end_is_refused_also_by_the_next_process(walk: Recording, tmp_path: Path) -> None:
@@ -302,7 +302,7 @@ def test_what_comes_after_the_end_is_refused_also_by_the_next_process(walk: Reco
     taken(tmp_path, bodies)
     devices = sessions_in(tmp_path)
     with pytest.raises(SessionError, match="has ended"):
-        devices.take(bodies[-1].replace(b'"number": ', b'"number": 9'), "", "", "", 0.0)
+        take(devices, bodies[-1].replace(b'"number": ', b'"number": 9'))
     (session,) = devices.sessions.values()
     assert (session.about()["has_ended"], session.about()["refused"]) == (True, "")
 
@@ -390,7 +390,7 @@ def test_messages_of_many_phones_are_recorded_at_once_and_filtered_together(
     monkeypatch.setattr(live_session, "time", SimpleNamespace(monotonic=lambda: 1000.0, time=time.time))
     devices = sessions_in(tmp_path)
     for number in range(9):
-        devices.take(own_messages(walk, f"other {number}")[0], "", "", "", 0.0)
+        take(devices, own_messages(walk, f"other {number}")[0])
     samples, n_sent = tmp_path / session_id("p", "s") / "accelerometer.csv", 0
     for body in own_messages(walk, part_s=0.2)[:100]:
         n_sent += len(json.loads(body)["samples"]["accelerometer"])
@@ -442,7 +442,7 @@ def test_what_an_untracked_phone_sends_is_recorded_and_can_be_read(
     devices = sessions_in(tmp_path)
     for number, body in enumerate(encoded(messages)):
         with contextlib.suppress(SessionError):
-            devices.take(body, "", "", "", 0.0)
+            take(devices, body)
         if number == 60:  # the process dies, and the next one records on
             devices = sessions_in(tmp_path)
     devices.close()
