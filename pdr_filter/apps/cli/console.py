@@ -345,9 +345,11 @@ def estimates(
 
 
 def write_track(result: Track, folder: Path, name: str) -> None:
-    """Write the table NAME.csv and the picture NAME.png of a track."""
+    """Write the table NAME.csv and the picture NAME.png of a track, and the map NAME.geojson if it is on Earth."""
     result.to_csv(folder / f"{name}.csv")
     result.plot(folder / f"{name}.png")
+    if result.origin is not None:
+        result.to_geojson(folder / f"{name}.geojson")
 
 
 def modified_ns(folder: Path, name: str | None = None) -> dict[Path, int]:

@@ -113,9 +113,7 @@ class OutputOptions:
             )
         if self.out is not None:
             console.write_track(result, folder, name)
-            if result.origin is not None:
-                kinds = [*kinds, "geojson"]
-        for kind in dict.fromkeys(kinds):
+        for kind in kinds:
             write_by_suffix(result, folder / f"{name}.{kind}", recording.epoch_s)
         if self.report:
             from pdr_filter.apps.report.html import write_report

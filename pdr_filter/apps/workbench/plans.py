@@ -21,7 +21,7 @@ from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.maps.plan_checks import problems_of
 from pdr_filter.apps.workbench.walks import PLANS, ConflictError
 from pdr_filter.values import FloatArray, Origin, limits
-from pdr_filter.values.safe_files import read_json, whole_file
+from pdr_filter.values.safe_files import read_json, write_text
 from pdr_filter.values.sanitise import file_name, free_name
 
 # Two points disagree with the scale of the picture if their distances differ by more.
@@ -118,8 +118,7 @@ class Plans:
         return found
 
     def _write(self, path: Path, content: Mapping[str, Any]) -> None:
-        with whole_file(path) as file:
-            file.write((json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+        write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 class PictureGeoreference:
