@@ -116,10 +116,8 @@ def report(track: TrackRows) -> str:
     if track.n_steps:
         lines.append(f"end: {end(track)}")
         lines.append(track.about_frame)
-    every = {**track.context_seconds(), "moving without steps": track.seconds_without_steps}
-    seconds = {name: s for name, s in every.items() if s >= 0.5}
-    if seconds:
-        lines.append("contexts: " + ", ".join(f"{name} {s:.0f} s" for name, s in seconds.items()))
+    if contexts := context_durations(track):
+        lines.append(f"contexts: {contexts}")
     without_stairs = _is_without_stairs(track)
     if without_stairs.sum() > _NOTABLE_SHARE * len(without_stairs):
         words = f"stairs: counted as level walking in {without_stairs.sum()} of {len(without_stairs)} windows, because "
@@ -139,6 +137,12 @@ def report(track: TrackRows) -> str:
 def sentence(note: str) -> str:
     """Return a note as a sentence: first letter in upper case, with a full stop."""
     return f"{note[:1].upper()}{note[1:]}" + ("" if note.endswith((".", "!", "?")) else ".")
+
+
+def context_durations(track: TrackRows) -> str:
+    """Return the durations of the contexts of a track as text, such as "walking 30 s, upstairs 4 s"."""
+    every = {**track.context_seconds(), "moving without steps": track.seconds_without_steps}
+    return ", ".join(f"{name} {seconds:.0f} s" for name, seconds in every.items() if seconds >= 0.5)
 
 
 def end(track: TrackRows) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Callable
+from itertools import chain, count
 
 # File systems allow 255 bytes. The rest is for a number and the longest suffix.
 _MAX_FILE_NAME_BYTES = 200
@@ -50,3 +52,13 @@ def file_name(name: str) -> str:
         return clean
     checksum = hashlib.sha256(clean.encode()).hexdigest()[:8]
     return f"{clean.encode()[: _MAX_FILE_NAME_BYTES - 9].decode(errors='ignore')}_{checksum}"
+
+
+def free_name(name: str, is_taken: Callable[[str], bool], form: str = "{}_{}") -> str:
+    """Return the name, with the smallest number from 2 that makes it a free one if it is taken.
+
+    >>> free_name("walk", {"walk", "walk_2"}.__contains__)
+    'walk_3'
+    """
+    numbered = (form.format(name, number) for number in count(2))
+    return next(each for each in chain([name], numbered) if not is_taken(each))

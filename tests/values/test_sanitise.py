@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pdr_filter.values.errors import RecordingError
-from pdr_filter.values.sanitise import csv_cell, file_name, of_csv_cell, printable, printable_lines
+from pdr_filter.values.sanitise import csv_cell, file_name, free_name, of_csv_cell, printable, printable_lines
 
 LIVE = ["=1+1", "+1", "-1", "@SUM(1)", " =1", "\t=1", "a;=1", "a; -1"]
 
@@ -53,3 +53,10 @@ def test_a_file_name_has_no_folders_and_leaves_room_for_a_suffix(name: str) -> N
 def test_long_names_that_differ_at_the_end_stay_different() -> None:
     assert file_name("n" * 300 + "1") != file_name("n" * 300 + "2")
     assert file_name("walk 1") == "walk 1"
+
+
+def test_a_free_name_is_kept_and_a_taken_one_gets_the_smallest_free_number_from_2() -> None:
+    taken = {"walk", "walk_2", "walk_4", "a (2)"}
+    assert free_name("other", taken.__contains__) == "other"
+    assert free_name("walk", taken.__contains__) == "walk_3"
+    assert free_name("{0}", {"{0}"}.__contains__, "{} ({})") == "{0} (2)"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import pickle
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from queue import SimpleQueue
 from threading import Thread
@@ -16,6 +18,7 @@ from typing import Any, cast
 Answering = Callable[[Any], Any]
 
 _MAX_REASON = 500
+DASK_CONNECT_S = 20.0
 # Variables that limit the threads of numerical libraries, which would otherwise use all cores in each process.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
@@ -40,6 +43,11 @@ class WorkerProcess:
         self._environment = {**threads, **os.environ}
         self._process: subprocess.Popen[bytes] | None = None
         self._is_closed = False
+        self._asking = ThreadPoolExecutor(1)  # not the shared pool, in which other calls may block
+
+    async def answer(self, request: Any) -> Any:
+        """Return the answer to a request as `ask` does, while other tasks run."""
+        return await asyncio.get_running_loop().run_in_executor(self._asking, self.ask, request)
 
     def ask(self, request: Any) -> Any:
         """Return the answer to a request. LostError if the process dies before it answers. Calls must not overlap."""
@@ -65,6 +73,7 @@ class WorkerProcess:
         """End the process permanently. This may be called from any thread."""
         self._is_closed = True
         self._end()
+        self._asking.shutdown(wait=False)
 
     def _end(self) -> int | None:
         """End the process and return its exit code, or None if no process runs."""

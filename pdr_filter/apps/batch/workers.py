@@ -11,12 +11,11 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any, TypeVar
 
-from pdr_filter.apps.batch.worker_process import LostError, WorkerProcess, dask_errors, reason_of
+from pdr_filter.apps.batch.worker_process import DASK_CONNECT_S, LostError, WorkerProcess, dask_errors, reason_of
 
 T = TypeVar("T")
 R = TypeVar("R")
 
-_CONNECT_S = 20.0
 _CAUSE_OF_DEATH = "the recording may be too large for the memory, or may crash a library"
 
 
@@ -147,7 +146,7 @@ def _on_cluster(work: Callable[[T], R], items: Sequence[T], scheduler: str) -> I
     with dask_errors(scheduler):
         from distributed import Client, KilledWorker, as_completed
 
-        client: Any = Client(scheduler, timeout=_CONNECT_S, set_as_default=False)
+        client: Any = Client(scheduler, timeout=DASK_CONNECT_S, set_as_default=False)
     with client:
         # pure=False, because Dask would otherwise return the result of an earlier call for the same path
         futures: list[Any] = [client.submit(_guarded, work, item, pure=False) for item in items]

@@ -246,8 +246,6 @@ def smooth_command(
             name = file_name(track.name)
             before = console.modified_ns(out, name)
             console.write_track(track, out, name)
-            if track.origin is not None:
-                console.write_map(track, out / f"{name}.geojson")
     if marked.names:
         console.say(f"marks used: {', '.join(str(marked.folder / n) for n in marked.names)}")
     console.print_tracks([track])

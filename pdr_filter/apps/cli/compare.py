@@ -16,7 +16,6 @@ import typer
 
 from pdr_filter.apps.cli import console, options
 from pdr_filter.apps.cli.console import escape
-from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
     from pdr_filter.recipes.config import Config
@@ -156,7 +155,7 @@ def compare_command(
             without.append(recording.name)
         if out is not None:
             named = [replace(track, name=f"{recording.name}, {name}") for name, track in tracks.items()]
-            path = out / f"{console.unique_name(file_name(recording.name), written)}.compare.html"
+            path = out / f"{console.unique_name(recording.name, written)}.compare.html"
             if path.exists():
                 replaced.append(path)
             write_report(named, path, recording)

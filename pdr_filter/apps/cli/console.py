@@ -18,7 +18,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Column, Table
 
-from pdr_filter.values.sanitise import printable, printable_lines
+from pdr_filter.values.sanitise import file_name, free_name, printable, printable_lines
 
 if TYPE_CHECKING:
     from pdr_filter.tracking.track import Track
@@ -298,11 +298,12 @@ def in_m(value: float, spec: str = "z.1f") -> str:
 
 def print_tracks(tracks: Sequence[Track]) -> None:
     """Print a table with a row for each track, and the notes of the tracks below."""
+    from pdr_filter.tracking.trust_report import context_durations
+
     table = new_table("recording", "steps", "distance", "end east", "end north", "± at the end", "duration")
     table.add_column("contexts")
     for result in tracks:
         summary = result.summary()
-        seconds: dict[str, float] = {**summary["contexts"], "moving without steps": summary["moving_without_steps_s"]}
         table.add_row(
             escape(result.name),
             str(result.n_steps),
@@ -311,7 +312,7 @@ def print_tracks(tracks: Sequence[Track]) -> None:
             in_m(summary["end_north_m"]),
             in_m(summary["end_std_m"]) if result.n_steps else "",
             f"{result.duration_s:.1f} s",
-            ", ".join(f"{escape(name)} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
+            escape(context_durations(result)),
         )
     table.caption = f"{STD_CAPTION}\n {_SMOOTHED}" if any(track.is_smoothed for track in tracks) else STD_CAPTION
     print_table(table)
@@ -343,15 +344,12 @@ def estimates(
     return (smoothed, pdr.track(recording, **options)) if with_both else (smoothed,)
 
 
-def write_map(result: Track, path: Path) -> Path:
-    """Write a track as GeoJSON, in local metres if it has no geographic origin, and return the path."""
-    return result.to_local_geojson(path) if result.origin is None else result.to_geojson(path)
-
-
 def write_track(result: Track, folder: Path, name: str) -> None:
-    """Write the table NAME.csv and the picture NAME.png of a track."""
+    """Write the table NAME.csv and the picture NAME.png of a track, and the map NAME.geojson if it is on Earth."""
     result.to_csv(folder / f"{name}.csv")
     result.plot(folder / f"{name}.png")
+    if result.origin is not None:
+        result.to_geojson(folder / f"{name}.geojson")
 
 
 def modified_ns(folder: Path, name: str | None = None) -> dict[Path, int]:
@@ -366,9 +364,7 @@ def overwritten(before: Mapping[Path, int]) -> list[Path]:
 
 
 def unique_name(name: str, written: set[str]) -> str:
-    """Return a file name that is not in `written`, and add it. A number is appended to a name that is already used."""
-    found = name
-    while found in written:
-        found = f"{name}_{len(written) + 1}"
-    written.add(found)
-    return found
+    """Return a file name for the name of a recording that is not in `written`, and add it to `written`."""
+    free = free_name(file_name(name), written.__contains__)
+    written.add(free)
+    return free

@@ -11,17 +11,17 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
-from pdr_filter.apps.cli.console import escape, estimates, modified_ns, overwritten, unique_name, write_map
+from pdr_filter.apps.cli.console import escape, estimates, modified_ns, overwritten, unique_name
 from pdr_filter.apps.report import plot
 from pdr_filter.apps.report.html import write_report
 from pdr_filter.apps.report.page_data import track_data
 from pdr_filter.apps.report.palette import context_colours
+from pdr_filter.data.io.files.track_writers import write_map
 from pdr_filter.data.io.formats import read
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracking.track import Track
 from pdr_filter.values.georeference import GnssUse
 from pdr_filter.values.recording import Recording
-from pdr_filter.values.sanitise import file_name
 
 _BAR_CELLS = 30
 
@@ -90,7 +90,7 @@ def run_demo(
     recording = demo_walk() if file is None else read(file)
     tracks = estimates(recording, online, loop, True, progress, gnss=gnss)
     result = tracks[0]
-    name = unique_name(file_name(result.name), set() if written is None else written)
+    name = unique_name(result.name, set() if written is None else written)
     before = modified_ns(out_dir, name)
     picture = out_dir / f"{name}.png"
     position: Any = recording.truth.position

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -11,7 +11,6 @@ import typer
 
 from pdr_filter.apps.cli import console, options
 from pdr_filter.apps.cli.index_page import write_index
-from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
     from pdr_filter.recipes.config import Config
@@ -77,11 +76,13 @@ class OutputOptions:
     @property
     def kinds(self) -> list[str]:
         """Requested kinds of files, without duplicates. ValueError for an unknown kind."""
+        from pdr_filter.data.io.files.track_writers import KINDS
+
         requested = [kind.strip().lower() for part in self.export or () for kind in part.split(",")]
         for kind in requested:
-            if kind not in _EXPORTS:
+            if kind not in KINDS:
                 raise ValueError(
-                    f"--export must be one or several of {', '.join(_EXPORTS)}, separated by commas, got {kind!r}"
+                    f"--export must be one or several of {', '.join(KINDS)}, separated by commas, got {kind!r}"
                 )
         return list(dict.fromkeys([*requested, *(["parquet"] if self.parquet else [])]))
 
@@ -98,10 +99,12 @@ class OutputOptions:
         The first track is written to all files. Further tracks appear only in the report. ValueError for GPX or KML of
         a track without a geographic position.
         """
+        from pdr_filter.data.io.files.track_writers import GEOGRAPHIC_KINDS, write_by_suffix
+
         result = tracks[0]
         folder, kinds = self.out or Path(), self.kinds
         before = console.modified_ns(folder, name)
-        geographic = [kind for kind in kinds if kind in ("gpx", "kml")]
+        geographic = [kind for kind in kinds if kind in GEOGRAPHIC_KINDS]
         if geographic and result.origin is None:
             raise ValueError(
                 f"{result.name}: --export {','.join(geographic)} needs a geographic position, and no locations were "
@@ -110,26 +113,13 @@ class OutputOptions:
             )
         if self.out is not None:
             console.write_track(result, folder, name)
-            if result.origin is not None:
-                kinds = [*kinds, "geojson"]
-        for kind in dict.fromkeys(kinds):
-            _EXPORTS[kind](result, folder / f"{name}.{kind}", recording)
+        for kind in kinds:
+            write_by_suffix(result, folder / f"{name}.{kind}", recording.epoch_s)
         if self.report:
             from pdr_filter.apps.report.html import write_report
 
             write_report(tracks, folder / f"{name}.html", recording)
         return console.overwritten(before)
-
-
-# Function that writes each kind of file.
-_EXPORTS: Mapping[str, Callable[[Track, Path, Recording], Path]] = {
-    "csv": lambda track, path, _: track.to_csv(path),
-    "geojson": lambda track, path, _: console.write_map(track, path),
-    "gpx": lambda track, path, recording: track.to_gpx(path, epoch_s=recording.epoch_s or 0.0),
-    "kml": lambda track, path, _: track.to_kml(path),
-    "parquet": lambda track, path, _: track.to_parquet(path),
-    "tum": lambda track, path, _: track.to_tum(path),
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +210,7 @@ def track_command(
             result.device.save(method.device)
         if method.person is not None and result.person is not None and not isinstance(person, Calibration):
             result.person.save(method.person)
-        name = console.unique_name(file_name(result.name), written)
+        name = console.unique_name(result.name, written)
         replaced.extend(output.write(tracks, recording, name))
         listed[name] = result
         if as_json:

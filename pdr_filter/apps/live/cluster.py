@@ -13,11 +13,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pdr_filter.apps.batch.worker_process import LostError, dask_errors
+from pdr_filter.apps.batch.worker_process import DASK_CONNECT_S, LostError, dask_errors
 from pdr_filter.apps.live.parts import Command, Part, Request, Response
 from pdr_filter.apps.live.settings import Settings
 
-_CONNECT_S = 20.0
 # A worker whose machine has lost its power breaks no connection.
 _ANSWER_S = 60.0
 # How often it is looked whether a worker that has not answered is still there.
@@ -37,7 +36,7 @@ class DaskCluster:
             from distributed import Client
 
             # an actor finds its way by the client that is the default
-            made: Any = Client(self._scheduler, asynchronous=True, direct_to_workers=True, timeout=_CONNECT_S)
+            made: Any = Client(self._scheduler, asynchronous=True, direct_to_workers=True, timeout=DASK_CONNECT_S)
             self._client = await made
 
     async def start(self, part: int, n_parts: int) -> Actor:

@@ -243,7 +243,6 @@ class DeviceSession:
         if np.trace(learnt.bias_cov_radps2) > 0.5 * np.trace(unknown.bias_cov_radps2):
             return
         with suppress(OSError):  # the next session then learns the bias without it
-            self._known_device.parent.mkdir(exist_ok=True)
             learnt.save(self._known_device)
 
     def _fixed(self, content: Any) -> Event:

@@ -1,6 +1,6 @@
 """Sessions of the phones of one worker: each has its own filter, its own recording and its own saved state.
 
-No web here: `Sessions.accept` gets messages and `Sessions.settle` filters them; events for pages go to `emit`.
+No web here: `Sessions.accept` gets messages, `Sessions.settle` filters them, and events for pages go to `emit`.
 """
 
 from __future__ import annotations

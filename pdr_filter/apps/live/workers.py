@@ -12,7 +12,6 @@ import logging
 import time
 from collections import deque
 from collections.abc import Awaitable, Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
@@ -57,7 +56,6 @@ class Process(Share):
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
         self._process = WorkerProcess(answers_of_part, settings, folder, part, n_parts)
-        self._thread = ThreadPoolExecutor(1)  # not the shared pool, in which other calls may block
 
     @classmethod
     async def start(cls, settings: Settings, folder: Path, part: int, n_parts: int) -> Process:
@@ -67,7 +65,7 @@ class Process(Share):
         return made
 
     async def ask(self, requests: Sequence[Request]) -> list[Response]:
-        return await asyncio.get_running_loop().run_in_executor(self._thread, self._process.ask, requests)
+        return await self._process.answer(requests)
 
     async def close(self) -> None:
         await self.ask([Command.SAVE])

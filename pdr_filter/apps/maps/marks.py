@@ -30,7 +30,7 @@ from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.offline.smoothing.observations import waypoint_fixes
 from pdr_filter.values import Origin, limits
 from pdr_filter.values.recording import Recording, check_height
-from pdr_filter.values.safe_files import open_regular, read_json, read_small, whole_file
+from pdr_filter.values.safe_files import open_regular, read_json, read_small, write_text
 from pdr_filter.values.sanitise import file_name
 
 if TYPE_CHECKING:
@@ -209,8 +209,7 @@ def write_mark_files(folder: Path, files: Mapping[str, bytes]) -> None:
     old = mark_files(folder)
     if dict(files) == old:
         return
-    with whole_file(folder / _UNFINISHED) as file:
-        file.write(json.dumps({name: content.decode() for name, content in files.items()}).encode())
+    write_text(folder / _UNFINISHED, json.dumps({name: content.decode() for name, content in files.items()}))
     _finish(folder)
 
 
@@ -223,8 +222,7 @@ def _finish(folder: Path) -> None:
         if name not in new:
             (folder / name).unlink(missing_ok=True)
         elif not (folder / name).exists() or (folder / name).read_bytes() != new[name].encode():
-            with whole_file(folder / name) as file:
-                file.write(new[name].encode())
+            write_text(folder / name, new[name])
     (folder / _UNFINISHED).unlink()
 
 

@@ -204,7 +204,6 @@ def cached_chain(recording: Recording | str, cache: str | None, salt: str | None
                 return found
     chain = chain_of(read(recording), key, salt)
     if file is not None:
-        file.parent.mkdir(parents=True, exist_ok=True)
         write_files({file: to_bytes(chain)})
     return chain
 

@@ -37,6 +37,7 @@ from pdr_filter.values import FloatArray, HeadingFix, PositionFix, limits, read_
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.safe_files import read_json, read_small, write_files
+from pdr_filter.values.sanitise import free_name
 from pdr_filter.values.serialisation import from_bytes, to_bytes
 from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.version import __version__
@@ -334,7 +335,6 @@ class WalkMap:
             "notes": list(self.notes) if times else [],
             "version": __version__,
         }
-        folder.mkdir(parents=True, exist_ok=True)
         files = {folder / f"{i:05d}.walk": to_bytes(chain) for i, chain in enumerate(chains)}
         files[folder / "groups.bin"] = to_bytes((self._groups, known, self._north))
         write_files(files | {folder / "walk_map.json": (json.dumps(card, indent=2) + "\n").encode()})
@@ -490,16 +490,6 @@ def _by_name(known: Iterable[tuple[str, object]], chains: Sequence[Chain]) -> di
     return found
 
 
-def _free_name(name: str, taken: set[str]) -> str:
-    """Return a name that no other walk has, such as "NAME (2)", and add it to the set `taken`."""
-    new, n = name or "walk", 1
-    while new in taken:
-        n += 1
-        new = f"{name or 'walk'} ({n})"
-    taken.add(new)
-    return new
-
-
 def _chains_of(
     recordings: Iterable[Recording | str | Path],
     cache: str | Path | None,
@@ -533,8 +523,9 @@ def _chains_of(
             why = f"the same recording as {by_key[result.key]}: one of them is enough"
             apart.append((f"{result.name} (copy)", why))
         else:
-            chain = replace(result, name=_free_name(result.name, taken))
+            chain = replace(result, name=free_name(result.name or "walk", taken.__contains__, "{} ({})"))
             by_key[chain.key] = chain.name
+            taken.add(chain.name)
             chains.append(chain)
             if isinstance(item, str):
                 marked += [(chain.name, fix) for fix in read_marks(item).fixes]

@@ -8,8 +8,8 @@ import os
 import shutil
 import time
 from collections.abc import AsyncIterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,30 +34,18 @@ class FailedError(ValueError):
         self.errno = errno
 
 
-class _Process:
-    """Worker process with a thread of its own. Its requests are answered one after the other."""
-
-    def __init__(self, cache: Path) -> None:
-        self._process = WorkerProcess(make_worker, str(cache), n_threads=1)
-        self._thread = ThreadPoolExecutor(1)
-
-    async def ask(self, method: str, *arguments: Any) -> Any:
-        """Return the result of a method of `worker.Worker`. FailedError with the reason if it fails."""
-        request, loop = (method, arguments), asyncio.get_running_loop()
-        try:
-            answer = await loop.run_in_executor(self._thread, self._process.ask, request)
-        except LostError as error:
-            raise FailedError(
-                f"{error}: the file is too large or damaged, or the workbench was closed; give a smaller file, or "
-                "export it again"
-            ) from None
-        if isinstance(answer, dict) and "error" in answer:
-            raise FailedError(answer["error"], answer.get("errno") or 0)
-        return answer
-
-    def close(self) -> None:
-        self._process.close()
-        self._thread.shutdown(wait=False)
+async def _result(process: WorkerProcess, method: str, *arguments: Any) -> Any:
+    """Return the result of a method of `worker.Worker` in a process. FailedError with the reason if it fails."""
+    try:
+        answer = await process.answer((method, arguments))
+    except LostError as error:
+        raise FailedError(
+            f"{error}: the file is too large or damaged, or the workbench was closed; give a smaller file, or "
+            "export it again"
+        ) from None
+    if isinstance(answer, dict) and "error" in answer:
+        raise FailedError(answer["error"], answer.get("errno") or 0)
+    return answer
 
 
 class Workbench:
@@ -67,8 +55,9 @@ class Workbench:
         self.folder, self.walks = folder, Walks(folder)
         self.cache = folder / HIDDEN / "cache"
         self.incoming = folder / HIDDEN / "incoming"
-        self._quick = _Process(self.cache)
-        self._others = [_Process(self.cache) for _ in range(n_processes or os.cpu_count() or 1)]
+        n_others = n_processes or os.cpu_count() or 1
+        make = partial(WorkerProcess, make_worker, str(self.cache), n_threads=1)
+        self._quick, self._others = make(), [make() for _ in range(n_others)]
         self._waiting: asyncio.Queue[Walk] = asyncio.Queue()
         self.broadcast = Broadcast()
         self._tasks: list[asyncio.Task[None]] = []
@@ -106,7 +95,7 @@ class Workbench:
 
     async def quick(self, method: str, *arguments: Any) -> Any:
         """Return the result of a method of `worker.Worker` in the process that is reserved for open pages."""
-        return await self._quick.ask(method, *arguments)
+        return await _result(self._quick, method, *arguments)
 
     async def show(self, walk: Walk) -> dict[str, Any]:
         """Process a walk with its present marks in the worker process of open pages, and return its summary."""
@@ -115,7 +104,7 @@ class Workbench:
         self.tell(walk.event())
         return walk.summary
 
-    async def _work(self, process: _Process) -> None:
+    async def _work(self, process: WorkerProcess) -> None:
         while True:
             walk = await self._waiting.get()
             if time.time() - walk.stamp[1] / 1e9 < _GROWING_S and walk.path.is_dir():
@@ -125,7 +114,7 @@ class Workbench:
             walk.state = "working"
             self.tell(walk.event())
             try:
-                walk.summary = await process.ask("walk", str(walk.path))
+                walk.summary = await _result(process, "walk", str(walk.path))
                 walk.state, walk.reason = "done", ""
             except FailedError as error:
                 walk.state, walk.reason = "failed", str(error).replace(f"{self.folder}/", "")

@@ -20,8 +20,8 @@ from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.maps.plan_checks import problems_of
 from pdr_filter.apps.workbench.walks import PLANS, ConflictError
 from pdr_filter.values import FloatArray, Origin, limits
-from pdr_filter.values.safe_files import read_json, whole_file
-from pdr_filter.values.sanitise import file_name
+from pdr_filter.values.safe_files import read_json, write_text
+from pdr_filter.values.sanitise import file_name, free_name
 
 # Two points disagree with the scale of the picture if their distances differ by more.
 _MAX_SCALE_ERROR = 0.05
@@ -48,11 +48,8 @@ class Plans:
 
     def new(self, name: str) -> str:
         """Make an empty plan and return its name, which may differ from the given one."""
-        stem = free = file_name(name.strip() or "plan").replace("#", "_").replace("%", "_")
-        n = 1
-        while free in self.names():
-            n += 1
-            free = f"{stem} {n}"
+        stem = file_name(name.strip() or "plan").replace("#", "_").replace("%", "_")
+        free = free_name(stem, self.names().__contains__)
         self._write(self.folder / f"{free}.geojson", {"type": "FeatureCollection", "name": free, "features": []})
         return free
 
@@ -122,8 +119,7 @@ class Plans:
         return found
 
     def _write(self, path: Path, content: Mapping[str, Any]) -> None:
-        with whole_file(path) as file:
-            file.write((json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+        write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 class PictureGeoreference:

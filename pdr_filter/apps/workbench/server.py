@@ -40,7 +40,7 @@ from pdr_filter.apps.workbench.worker import EXPORTS
 from pdr_filter.recipes import RECIPES
 from pdr_filter.values import limits
 from pdr_filter.values.safe_files import read_json
-from pdr_filter.values.sanitise import file_name
+from pdr_filter.values.sanitise import file_name, free_name
 
 PAGE = Path(__file__).parent / "page"
 _SHARED = [Path(__file__).parents[1] / name for name in ("report/assets", "report/page", "live/page")]
@@ -280,7 +280,8 @@ class WorkbenchSite:
             found = await self.workbench.quick("check", str(source))
             wanted = request.query_params.get("name", "") or source.name
             stem = file_name(Path(wanted).stem if source.is_file() else wanted)
-            target = _unused(self.workbench.folder, stem)
+            home = self.workbench.folder
+            target = home / free_name(stem, lambda name: (home / name).exists())
             if source.is_file():  # in a folder of its own name, where its marks will be
                 target.mkdir()
                 source.replace(target / f"{target.name}{''.join(source.suffixes[-1:])}")
@@ -437,12 +438,3 @@ async def _stream_to(request: Request, target: Path, most: int, too_large: str) 
                 raise TooLargeError(too_large)
             await asyncio.to_thread(file.write, part)
     return n_bytes
-
-
-def _unused(folder: Path, stem: str) -> Path:
-    """Return a path in the folder that no file has yet."""
-    path, n = folder / stem, 1
-    while path.exists():
-        n += 1
-        path = folder / f"{stem}_{n}"
-    return path

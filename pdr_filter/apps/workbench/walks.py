@@ -118,7 +118,6 @@ class Walk:
         if self.history is not None:
             stacks = [[[{n: c.decode() for n, c in f.items()}, v] for f, v in s] for s in (self._undo, self._redo)]
             with suppress(OSError):
-                self.history.parent.mkdir(parents=True, exist_ok=True)
                 write_text(self.history, json.dumps(stacks))
 
     def _old(self, version: str) -> Files:

@@ -25,6 +25,7 @@ from pdr_filter.apps.maps.marks import NAMES, checksum_of, mark_files, marks_fol
 from pdr_filter.apps.report.html import html_report
 from pdr_filter.apps.workbench.pictures import convert_picture, rectify
 from pdr_filter.data.io.files.archive import outside
+from pdr_filter.data.io.files.track_writers import GEOGRAPHIC_KINDS, write_by_suffix
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory, smooth
@@ -139,16 +140,10 @@ class Worker:
         if kind == "zip":
             return f"{opened.recording.name}.zip", _zipped(Path(path))
         track, _ = self._smoothed(opened, None)
-        if track.origin is None and kind in ("gpx", "kml"):
+        if track.origin is None and kind in GEOGRAPHIC_KINDS:
             raise ValueError(f"{kind} needs a place on Earth: place the walk on a map first")
         with tempfile.TemporaryDirectory() as folder:
-            file = Path(folder) / f"walk.{kind}"
-            if kind == "gpx":
-                file = track.to_gpx(file, epoch_s=opened.recording.epoch_s or 0.0)
-            elif kind == "geojson" and track.origin is None:
-                file = track.to_local_geojson(file)
-            else:
-                file = {"csv": track.to_csv, "geojson": track.to_geojson, "kml": track.to_kml}[kind](file)
+            file = write_by_suffix(track, Path(folder) / f"walk.{kind}", opened.recording.epoch_s)
             return f"{track.name}{file.name.removeprefix('walk')}", file.read_bytes()
 
     def teach(self, path: str, person: str) -> dict[str, Any]:

@@ -6,7 +6,6 @@ steps times the sine and cosine of their headings. Given this sum, the displacem
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -29,6 +28,7 @@ from pdr_filter.values import (
     steps_of,
 )
 from pdr_filter.values.recording import Recording, Truth
+from pdr_filter.values.sanitise import free_name
 
 # Standard deviation of the distance between two clicked landmarks. Clicks are up to 0.8 s early or 0.1 s late, which is
 # about 0.25 m at each end (measured on 133 straight legs of one person; docs/methods/step_length.md).
@@ -234,14 +234,10 @@ def with_distinct_names(found: Iterable[tuple[Sequence[Segment], bool]]) -> list
 
 def distinct_names(names: Iterable[str]) -> list[str]:
     """Return names, with a number after each one that repeats an earlier one."""
-    used, count = list[str](), Counter[str]()
-    for plain in names:
-        name = plain
-        while name in used:
-            count[plain] += 1
-            name = f"{plain} ({count[plain] + 1})"
-        used.append(name)
-    return used
+    used = dict[str, None]()
+    for name in names:
+        used[free_name(name, used.__contains__, "{} ({})")] = None
+    return list(used)
 
 
 def integrate(

@@ -217,11 +217,8 @@ class PoseStepDetector(BaseStepDetector[PoseStepState]):
         is_first = interval_s > self.max_interval_s
         step_hz = 1.0 / (self.first_step_s if is_first else interval_s)
         contact = at - float(np.interp(step_hz, *self._delay))
-        whole = math.floor(contact)
-        if not self._log.can_end(state.log, whole):
-            return state, None
-        log, step = self._log.add(state.log, whole, sample + 1, contact - whole)
-        return replace_unchecked(state, log=log, last_peak=at), step
+        state, step = self._end_step(state, contact, sample + 1)
+        return (state if step is None else replace_unchecked(state, last_peak=at)), step
 
 
 def feature_signals(block: UniformBlock) -> FloatArray:

@@ -296,10 +296,6 @@ class NormMinimaStepDetector(BaseStepDetector[NormMinimaState]):
         else:
             early_s = self.delay_s(0.5 * frequency_hz)
         contact = trough.sample - early_s * self.rate_hz
-        whole = int(np.floor(contact))
-        if not self._log.can_end(state.log, whole):
-            return state, None
         if self._log.time_s(state.log, contact) - state.log.last_contact_s < self.min_interval_s:
             return state, None
-        log, step = self._log.add(state.log, whole, known, contact - whole)
-        return replace_unchecked(state, log=log), step
+        return self._end_step(state, contact, known)

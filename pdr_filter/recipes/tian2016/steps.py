@@ -317,17 +317,16 @@ class TianStepDetector(BaseStepDetector[TianDetectorState]):
         available. `peak` (3,) has the peak at `sample` and its neighbours. `known` is the number of the newest sample.
         """
         at = sample + vertex(peak) - self._filter_delay_s * self.rate_hz
-        contact = int(np.floor(at))
-        if not self._log.can_end(state.log, contact):
-            return state, None
-        contact_s = self._log.time_s(state.log, contact) + (at - contact) / self.rate_hz
+        contact_s = self._log.time_s(state.log, at)
         if contact_s - state.log.last_contact_s < self.min_interval_s:
             return state, None
         first_of_bout = self._log.starts_bout(state.log, contact_s)
-        log, step = self._log.add(state.log, contact, known, at - contact)
+        state, step = self._end_step(state, at, known)
+        if step is None:
+            return state, None
         # only the first step from rest has no frequency; it is zero (section III-C)
         step_hz = 0.0 if first_of_bout else step.frequency_hz
-        return replace_unchecked(state, log=log, step_hz=step_hz), replace_unchecked(step, from_rest=first_of_bout)
+        return replace_unchecked(state, step_hz=step_hz), replace_unchecked(step, from_rest=first_of_bout)
 
 
 def n_filled_in(transition_s: float, step_frequency_hz: float) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
+from math import floor
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -18,6 +19,7 @@ from pdr_filter.values import (
     ContextSet,
     FloatArray,
     IntArray,
+    Step,
     check_numbers,
     replace_unchecked,
 )
@@ -259,6 +261,17 @@ class BaseStepDetector(ABC, Generic[S]):
         last_s = self._log.time_s(state.log, end - 1)
         _, steps = self._advance(state, self._signals_after_end(state), end)
         return [(end - 1, replace_unchecked(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
+
+    def _end_step(self, state: S, contact: float, known: int) -> tuple[S, Step | None]:
+        """Return the new state and the step that ends at a contact, or None if its samples are not available.
+
+        `contact` is a fractional sample number, and `known` the number of the sample that revealed the contact.
+        """
+        whole = floor(contact)
+        if not self._log.can_end(state.log, whole):
+            return state, None
+        log, step = self._log.add(state.log, whole, known, contact - whole)
+        return replace_unchecked(state, log=log), step
 
     def _advance(self, state: S, signals: FloatArray, first: int) -> tuple[S, NumberedSteps]:
         """Return the state and the steps after signals (R, N), whose first column is sample number `first`."""

@@ -542,7 +542,7 @@ def test_what_kills_every_worker_is_a_failure_on_a_cluster() -> None:
 
 def test_a_scheduler_that_is_not_there_is_told(walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr(workers, "_CONNECT_S", 0.5)
+    monkeypatch.setattr(workers, "DASK_CONNECT_S", 0.5)
     with pytest.raises(ValueError, match="no Dask scheduler"):
         batch.track(walks, out=tmp_path / "tracks.csv", scheduler="tcp://127.0.0.1:9")
 

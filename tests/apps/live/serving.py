@@ -33,9 +33,9 @@ START_S = 120.0  # a server that has not printed its addresses by then is killed
 EPOCH_NS = 1_716_760_513_715_797_500
 
 
-def take(devices: Sessions, body: bytes, received_s: float = 0.0) -> Event:
+def take(devices: Sessions, body: bytes, unix_s: float = 0.0) -> Event:
     """Process the body of a message, and return what it held, which is then filtered and on the disk."""
-    content, keys = devices.accept(parse(body, "", "", ""), received_s)
+    content, keys = devices.accept(parse(body, "", "", ""), unix_s)
     failed = devices.settle(is_all=True)
     for key in keys & failed.keys():
         raise failed[key]

@@ -87,6 +87,6 @@ def test_with_one_of_two_machines_killed_every_phone_goes_on_and_no_step_is_ther
 
 
 def test_a_cluster_that_is_not_there_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_cluster, "_CONNECT_S", 0.5)
+    monkeypatch.setattr(live_cluster, "DASK_CONNECT_S", 0.5)
     with pytest.raises(ValueError, match="no Dask scheduler at tcp://"):
         asyncio.run(DaskCluster("tcp://127.0.0.1:9", Settings(), tmp_path).connect())

@@ -157,7 +157,7 @@ def pixel_of(browser: Browser, east_m: float, north_m: float) -> tuple[float, fl
     inside = browser.value(
         "(() => { const c = document.createElement('div'); const m = document.getElementById('map');"
         "c.style.cssText = `position: fixed; width: ${m.clientWidth}px; height: ${m.clientHeight}px`;"
-        "document.body.append(c); const w = new WayMap(c, () => '#000', () => {});"
+        "document.body.append(c); const w = new WayMap(c, () => {});"
         "w.tracks = JSON.parse(document.getElementById('data').textContent).tracks; w.whole();"
         f"const {{x, y}} = w.leaflet.latLngToContainerPoint(w.at({east_m}, {north_m}));"
         "c.remove(); return [x / m.clientWidth, y / m.clientHeight]; })()"

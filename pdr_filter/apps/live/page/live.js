@@ -186,8 +186,7 @@ function drawCharts(known) {
   if (!charts) {
     charted = names.join("\n");
     const colours = { ...COLOURS, ...(isDark.matches ? ON_DARK : {}) };
-    const style = getComputedStyle(document.documentElement);
-    const ink = style.getPropertyValue("--faint").trim(), line = style.getPropertyValue("--line").trim();
+    const ink = styleColour("--faint"), line = styleColour("--line");
     const axis = { stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line } };
     const made = (id, series, range) => new uPlot({
       width, height: 170, legend: { live: false }, cursor: { show: false },
@@ -197,7 +196,7 @@ function drawCharts(known) {
     }, [[]], byId(id));
     charts = {
       contexts: made("contexts", names.map((label, i) => ({ label, stroke: colours[i % COLOURS.length], width: 2, points: { show: false } })), [0, 1]),
-      speeds: made("speeds", [{ label: "speed in m/s", stroke: style.getPropertyValue("--accent").trim(), width: 2, points: { show: false } }], (_, low, high) => [0, Math.max(2, high)]),
+      speeds: made("speeds", [{ label: "speed in m/s", stroke: styleColour("--accent"), width: 2, points: { show: false } }], (_, low, high) => [0, Math.max(2, high)]),
     };
   }
   for (const [name, data] of [["contexts", [times, ...contexts]], ["speeds", [times, speeds]]]) {

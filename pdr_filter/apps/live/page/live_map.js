@@ -7,7 +7,7 @@ const ELLIPSE_95 = Math.sqrt(5.991); // chi-square of two degrees of freedom
 
 class LiveMap extends PlaneMap {
   constructor(box, onPlace) {
-    super(box, name => getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+    super(box);
     this.onPlace = onPlace; // called with east and north of a position from "I am here"
     this.tiles = "";
     this.way = null;

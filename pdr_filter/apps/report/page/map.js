@@ -2,8 +2,8 @@
 // Map of the path of a report, with floor plan, locations, ground truth and other tracks.
 
 class WayMap extends PlaneMap {
-  constructor(box, colour, onStep) {
-    super(box, colour);
+  constructor(box, onStep) {
+    super(box);
     this.onStep = onStep; // called with the index of the step at the pointer
     this.hidden = new Set(); // names of hidden layers
     this.tracks = [];

@@ -33,10 +33,13 @@ function world([latitude, longitude]) {
   };
 }
 
+// Colour of a CSS variable of the page.
+const styleColour = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
 class PlaneMap {
-  constructor(box, colour) {
+  constructor(box) {
     this.box = box;
-    this.colour = colour; // function: colour of a CSS variable
+    this.colour = styleColour; // a page around a report has other colours
     this.frame = PLANE;
     const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const moves = { zoomAnimation: !isCalm, fadeAnimation: !isCalm, inertia: !isCalm };

@@ -3,13 +3,12 @@
 (() => {
   const byId = id => document.getElementById(id);
   const root = document.documentElement;
-  const colour = name => getComputedStyle(root).getPropertyValue(name).trim();
   const { tracks } = JSON.parse(byId("data").textContent);
   const BOUT_PAUSE_S = 2.5; // a longer pause separates bouts; the speed between bouts is unknown
   const PLAY_S = 20;
   let track = tracks[0], charts = [], isFollowing = false, playing = null;
 
-  const map = new WayMap(byId("map"), colour, k => show(k));
+  const map = new WayMap(byId("map"), k => show(k));
   map.tracks = tracks;
   map.whole();
 
@@ -118,8 +117,8 @@
   // --- charts over time ----------------------------------------------------------------------------------------------
 
   const axis = (values, size) => ({
-    stroke: () => colour("--faint"), font: "12px system-ui, sans-serif", values, size,
-    grid: { stroke: () => colour("--line"), width: 1 }, ticks: { show: false },
+    stroke: () => styleColour("--faint"), font: "12px system-ui, sans-serif", values, size,
+    grid: { stroke: () => styleColour("--line"), width: 1 }, ticks: { show: false },
   });
 
   function chart(id, height, data, series, more = {}) {
@@ -155,7 +154,7 @@
 
   const dots = paint => ({ paths: () => null, points: { show: true, size: 4, width: 0, fill: paint, stroke: paint } });
   const hidden = { stroke: "transparent", points: { show: false } };
-  const drawn = name => ({ stroke: () => colour(name), width: 1.6, points: { show: false } });
+  const drawn = name => ({ stroke: () => styleColour(name), width: 1.6, points: { show: false } });
 
   // Value and 95 % interval, interrupted at pauses between steps.
   function banded(middle, std, floor = -Infinity) {
@@ -169,7 +168,7 @@
     return data;
   }
 
-  const band = { bands: [{ series: [2, 1], fill: () => colour("--accent") + "33" }] };
+  const band = { bands: [{ series: [2, 1], fill: () => styleColour("--accent") + "33" }] };
 
   function paintWindows(u) {
     const { left, top, width, height } = u.bbox, pen = u.ctx, { start, end, prob } = track.windows;
@@ -188,7 +187,7 @@
         low = high;
       });
     });
-    pen.strokeStyle = colour("--ink");
+    pen.strokeStyle = styleColour("--ink");
     pen.lineWidth = Math.min(Math.max(width / track.time.length / 8, 0.2), 1) * (devicePixelRatio || 1);
     pen.beginPath();
     track.time.forEach(time => {
@@ -218,7 +217,7 @@
       const of = t.contexts.map((_, c) => t.groups.contexts.group.map((own, k) => own === c ? t.length[k] : null));
       made.push(chart("lengths", 180, [t.time, ...of], t.context_colours.map(dots), { scale: from0 }));
       made.push(chart("heading", 180, [t.time, t.heading.map(v => v > 180 ? v - 360 : v)],
-        [dots(() => colour("--accent"))],
+        [dots(() => styleColour("--accent"))],
         { scale: { range: [-190, 190] }, splits: [-180, -90, 0, 90, 180], yValues: (_, at) => at.map(v => `${(v + 360) % 360}°`) }));
     }
     charts = made;

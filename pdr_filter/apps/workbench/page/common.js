@@ -6,7 +6,6 @@ const about = JSON.parse(byId("about").textContent);
 const text = (key, values = {}) => about.texts[key].replace(/\{(\w+)\}/g, (_, name) => values[name]);
 const number = (value, digits = 1) => Number(value).toFixed(digits);
 const clock = s => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
-const styleColour = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 // An element with properties and children; texts are never taken for HTML.
 function element(tag, properties = {}, ...children) {

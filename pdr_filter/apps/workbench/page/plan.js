@@ -9,7 +9,7 @@ const base = `/plans/${location.pathname.split("/").at(-1)}`;
 let plan = null, floor = "0", selected = null, mode = null;
 const undone = { undo: [], redo: [] }, ours = new Set(); // versions that this page has saved
 
-const map = new PlaneMap(byId("map"), styleColour);
+const map = new PlaneMap(byId("map"));
 const shapes = L.featureGroup().addTo(map.leaflet), picked = L.layerGroup().addTo(map.leaflet);
 let overlay = null;
 map.leaflet.pm.setGlobalOptions({ snappable: true, snapDistance: 12, continueDrawing: false, tooltips: false, layerGroup: shapes });
@@ -237,23 +237,24 @@ byId("add-storey").addEventListener("submit", event => {
 byId("feature-name").addEventListener("change", ({ target: { value } }) => change(edited => {
   if (edited.features[selected]) edited.features[selected].properties.name = value.trim();
 }));
-byId("picture").addEventListener("change", event => attempt(async () => {
+// Send a picture, or the corners of the present one, and show the picture that the server has made.
+const makePicture = (address, content) => attempt(async () => {
   say(text("working"));
-  const size = await ask(`${base}/${floor}.png?page=${byId("pdf-page").value}`, event.target.files[0]);
-  event.target.value = "";
+  const size = await ask(`${base}/${floor}${address}`, content);
   await change(() => Object.assign(storey(), size, { stamp: Date.now() }));
   whole();
-}));
+});
+byId("picture").addEventListener("change", async ({ target }) => {
+  await makePicture(`.png?page=${byId("pdf-page").value}`, target.files[0]);
+  target.value = "";
+});
 
 // Pixels of the picture, from its top left corner.
 const pixelsOf = ([east, north]) => [east / scaleOf(storey()), storey().height - north / scaleOf(storey())];
 
-byId("rectify").addEventListener("click", () => begin(byId("rectify"), () => asking(4, text("rectify_how"), points => attempt(async () => {
-  say(text("working"));
-  const size = await ask(`${base}/${floor}/rectify`, { corners: points.map(pixelsOf) });
-  await change(() => Object.assign(storey(), size, { stamp: Date.now() }));
-  whole();
-}))));
+byId("rectify").addEventListener("click", () => begin(byId("rectify"), () => {
+  return asking(4, text("rectify_how"), points => makePicture("/rectify", { corners: points.map(pixelsOf) }));
+}));
 byId("scale").addEventListener("click", () => {
   const length = Number(byId("length").value);
   if (!(length > 0)) {

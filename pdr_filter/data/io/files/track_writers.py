@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -20,8 +21,8 @@ from pdr_filter.version import __version__
 
 # Tracks that lie nowhere are drawn where the equator meets the prime meridian, in the open sea: nobody walks there, and
 # a metre is a metre both ways.
-_NOWHERE = Origin(0.0, 0.0)
-_NOT_ON_EARTH = "local, not on Earth"
+NOWHERE = Origin(0.0, 0.0)
+NOT_ON_EARTH = "local, not on Earth"
 
 
 def write_csv(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
@@ -139,8 +140,13 @@ def write_local_geojson(track: TrackRows, path: str | Path) -> Path:
     path = Path(path)
     stem = path.name.removesuffix(".geojson").removesuffix(".local")
     about = f"{track.about_frame} Drawn at latitude and longitude 0 because maps need degrees: nobody walked there."
-    name = f"{track.name} ({_NOT_ON_EARTH})"
-    return _write_geojson(track.placed(_NOWHERE), path.with_name(f"{stem}.local.geojson"), name, about, _NOT_ON_EARTH)
+    name = f"{track.name} ({NOT_ON_EARTH})"
+    return _write_geojson(track.placed(NOWHERE), path.with_name(f"{stem}.local.geojson"), name, about, NOT_ON_EARTH)
+
+
+def write_map(track: TrackRows, path: str | Path) -> Path:
+    """Write a track as GeoJSON, in local metres if it has no geographic origin, and return the path."""
+    return write_local_geojson(track, path) if track.origin is None else write_geojson(track, path)
 
 
 def _write_geojson(track: TrackRows, path: str | Path, name: str, about: str, frame: str | None = None) -> Path:
@@ -154,25 +160,27 @@ def _write_geojson(track: TrackRows, path: str | Path, name: str, about: str, fr
         floors = [*track.known_floor[:1], *track.known_floor]
         what = "metres above the start of the walk" if start_m is None else "altitude in metres, as its locations count"
         heights = {"height": what, "floor": floors}
-    line = {"type": "LineString", "coordinates": vertices}
-    feature = {
-        "type": "Feature",
-        # a LineString needs two positions
-        "geometry": line if len(vertices) > 1 else {"type": "Point", "coordinates": vertices[0]},
-        "properties": {
-            "name": name,
-            "frame": frame or track.frame,
-            "about": about,
-            "distance_m": round(track.distance_m, 3),
-            "n_steps": track.n_steps,
-            "end_std_m": round(float(track.position_std_m[-1]), 3) if track.n_steps else None,
-            "notes": list(track.notes),
-            "coordTimes": np.round(_vertex_times(track), 6).tolist(),
-            "covariance_m2": np.round(covariance, 6).tolist(),
-            **heights,
-        },
+    properties = {
+        "name": name,
+        "frame": frame or track.frame,
+        "about": about,
+        "distance_m": round(track.distance_m, 3),
+        "n_steps": track.n_steps,
+        "end_std_m": round(float(track.position_std_m[-1]), 3) if track.n_steps else None,
+        "notes": list(track.notes),
+        "coordTimes": np.round(_vertex_times(track), 6).tolist(),
+        "covariance_m2": np.round(covariance, 6).tolist(),
+        **heights,
     }
-    return write_text(path, json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False) + "\n")
+    return write_text(path, json.dumps(geojson_line(vertices, properties), allow_nan=False) + "\n")
+
+
+def geojson_line(vertices: list[list[float]], properties: dict[str, Any]) -> dict[str, Any]:
+    """Return a FeatureCollection with one line of vertices, or a point if there is one vertex only."""
+    line = {"type": "LineString", "coordinates": vertices}
+    geometry = line if len(vertices) > 1 else {"type": "Point", "coordinates": vertices[0]}
+    feature = {"type": "Feature", "geometry": geometry, "properties": properties}
+    return {"type": "FeatureCollection", "features": [feature]}
 
 
 def write_gpx(
@@ -286,6 +294,29 @@ def write_tum(track: TrackRows, path: str | Path) -> Path:
             lines.append(f"{written_s:.6f} {east_m:.6f} {north_m:.6f} {0.0:.6f} {rotation}\n")
             last_s = written_s
     return write_text(path, "".join(lines))
+
+
+# Function that writes each kind of file of a track, by the suffix of the file.
+_WRITERS: dict[str, Callable[[TrackRows, Path], Path]] = {
+    "csv": write_csv,
+    "geojson": write_map,
+    "gpx": write_gpx,
+    "kml": write_kml,
+    "parquet": write_parquet,
+    "tum": write_tum,
+}
+KINDS = tuple(_WRITERS)
+GEOGRAPHIC_KINDS = ("gpx", "kml")  # kinds that need a track with a place on Earth
+
+
+def write_by_suffix(track: TrackRows, path: Path, epoch_s: float | None) -> Path:
+    """Write a track in the format that the suffix of the file names, one of `KINDS`, and return the path.
+
+    `epoch_s` is the unix time of time zero (`Recording.epoch_s`), which GPX files need.
+    """
+    if path.suffix == ".gpx":
+        return write_gpx(track, path, epoch_s=epoch_s or 0.0)
+    return _WRITERS[path.suffix[1:]](track, path)
 
 
 def _vertex_times(track: TrackRows) -> FloatArray:
