@@ -310,7 +310,7 @@ class StepPlan:
     leg_end_s: FloatArray
     leg: IntArray  # (K,), as all following
     start_s: FloatArray
-    contact_s: FloatArray  # of the foot that ends the step
+    contact_s: FloatArray  # contact of the foot that ends the step
     length_m: FloatArray
     rise_m: FloatArray
     first: BoolArray  # True for the first step of a bout

@@ -114,7 +114,7 @@ def part_of(block: ImuBlock, use: slice | BoolArray) -> ImuBlock:
 
 
 def push(online: pdr.OnlineFilter, block: ImuBlock) -> list[pdr.StepUpdate]:
-    """What the filter returns for a block."""
+    """Output of the filter for a block."""
     return online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
 
 

@@ -243,7 +243,7 @@ def line(name: str, errors: Errors) -> list[str]:
         cells.append(f"{mean.mean():.2f} ({mean.min():.2f} to {mean.max():.2f}), {inside}")
     nis = "-"
     if errors.fixes.size:
-        # of a mixture the NIS has the mean of the chi-square, and longer tails
+        # the NIS of a mixture has the mean of the chi-square distribution, and longer tails
         low, high = mean_bounds(2, errors.fixes.size)
         sampled = 1.96 * errors.fixes.mean(axis=1).std(ddof=1) / np.sqrt(n)
         nis = f"{errors.fixes.mean():.2f} ± {sampled:.2f} ({low:.2f} to {high:.2f})"

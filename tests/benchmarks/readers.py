@@ -68,7 +68,7 @@ FOLDERS = {
         "{t:.9E},{x:.9E},{y:.9E},{z:.9E}\n",
         {},
     ),
-    "table": (  # of MATLAB Mobile, with dates
+    "table": (  # file of MATLAB Mobile, with dates
         {f"{sensor}.csv": f"{sensor}_Timestamp,X,Y,Z\n" for sensor in ("Acceleration", "AngularVelocity")},
         "{date},{x:.7g},{y:.7g},{z:.7g}\n",
         {},

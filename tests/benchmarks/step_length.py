@@ -520,7 +520,7 @@ def distances(vectors: FloatArray, theta: FloatArray) -> FloatArray:
 
 
 def fit_of_legs(make: Make, legs: Sequence[Leg], vectors: FloatArray) -> FloatArray:
-    """Theta (p,): sites weigh alike, outlying legs little (soft L1)."""
+    """Parameters (p,): all sites have the same weight, and outlying legs have little (soft L1)."""
     site, distance_m = np.array([leg.site for leg in legs]), np.array([leg.distance_m for leg in legs])
     weight = np.sqrt(100 / (site[:, None] == site).sum(axis=1)) / LEG_STD_M
     mean, std = prior_of(make)

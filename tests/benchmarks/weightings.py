@@ -384,7 +384,7 @@ def joined(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 STAIRS_MPS = 0.1
-# Those of level walking, with the field of the name that says how the phone is carried.
+# Data sets of level walking, each with the field of the recording's name that has the carrying mode.
 SITES = {"humolire": 0, "ms_indoor": 0, "tyrex": 2, "oxiod": 1, "ubicomp13": 3, "ipol": 0, "sisfall": -1}
 
 

@@ -240,7 +240,7 @@ def test_a_card_that_json_cannot_represent_is_refused_before_anything_is_written
 
 
 def json_of(path: Path) -> Path:
-    """Description beside the arrays; the name may have dots."""
+    """Path of the description of a model. The name of the model may have dots."""
     return Path(str(path).removesuffix(".npz") + ".json")
 
 
@@ -257,7 +257,7 @@ def with_arrays(path: Path, **changes: Any) -> None:
 
 
 def describe(path: Path, **changes: Any) -> None:
-    """Change entries of the description beside the arrays."""
+    """Change entries of the description of a model."""
     description = json.loads(json_of(path).read_text(encoding="utf-8"))
     json_of(path).write_text(json.dumps(description | changes), encoding="utf-8")
 

@@ -143,7 +143,7 @@ class PlanEvent:
     time_s: float
     # feature that most of the weight has crossed: "wall", "room" or "outline"; "lost" if no particle fits the steps
     what: str
-    name: str  # of the room, or an empty string
+    name: str  # name of the room, or an empty string
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,7 +190,7 @@ class _Context(NamedTuple):
     ground: Ground | None  # costs of the storey, None if the plan does not have it
     rng: Generator
     time_s: float
-    scale_std: float = 0.0  # of the log scale, added because of the uncertainty of the step-length parameters
+    scale_std: float = 0.0  # standard deviation of the log scale due to the step-length parameters
 
 
 @dataclass(frozen=True, eq=False)

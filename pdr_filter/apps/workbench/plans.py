@@ -110,7 +110,7 @@ class Plans:
         if features:
             try:
                 found["problems"] = problems_of(features)
-            except Exception:  # whatever a damaged geometry provokes
+            except Exception:  # a damaged geometry can raise any error
                 found["reason"] = "the plan could not be checked"
             try:
                 FloorPlan.read(path)
@@ -166,7 +166,7 @@ class PictureGeoreference:
 
 
 def _reference_of(points: FloatArray) -> dict[str, Any] | None:
-    """Return the georeference of a plan with the corners `points` (N, 2), or None if they are no degrees.
+    """Return the georeference of a plan with the corners `points` (N, 2), or None if these are not degrees.
 
     A plan from a program other than the workbench has no georeference stored with it. The georeference maps the
     south-west and the north-east corner of a plan in longitude and latitude, with north up.

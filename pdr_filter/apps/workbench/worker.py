@@ -63,7 +63,7 @@ def make_worker(cache: str) -> Callable[[tuple[str, Sequence[Any]]], Any]:
         method, arguments = request
         try:
             return getattr(worker, method)(*arguments)
-        except Exception as error:  # whatever a damaged file provokes
+        except Exception as error:  # a damaged file can raise any error
             return {"error": reason_of(error), "errno": error.errno if isinstance(error, OSError) else None}
 
     return answer
@@ -95,7 +95,7 @@ class Worker:
         key = self._key(Path(path), checksum)
         file = self.cache / f"{key}.json"
         if file.exists() and (self.cache / f"{key}.html").exists():
-            if is_to_stay:  # so that the next request, with other marks, repeats only the least squares
+            if is_to_stay:  # a request with other marks then repeats only the least squares
                 opened = self._open(path, checksum)
                 with suppress(ValueError):
                     self._smoothed(opened, None)

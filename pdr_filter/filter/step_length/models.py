@@ -37,6 +37,7 @@ class _Parameters(Protocol):
         ...
 
 
+# Classes of models inherit from these two protocols, so that their methods need no docstrings of their own.
 class _Linear(Protocol):
     def regressors(self, step: Step) -> FloatArray:
         """Return the regressors of one step, which are also the derivative of its length with respect to theta.

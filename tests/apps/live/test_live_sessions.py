@@ -57,7 +57,7 @@ def sessions_in(folder: Path, events: list[Event] | None = None) -> Sessions:
 
 
 def with_fix(fix: dict[str, Any]) -> list[bytes]:
-    """A message with a position or range that somebody gives."""
+    """A message with a position or a range that the user states."""
     return encoded([{"device": "p", "session": "s", "fix": fix}])
 
 

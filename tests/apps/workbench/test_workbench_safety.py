@@ -22,7 +22,7 @@ from pdr_filter.apps.workbench.server import WorkbenchSite, workbench_applicatio
 from pdr_filter.apps.workbench.walks import Walks
 from pdr_filter.values import safe_files
 
-pytestmark = pytest.mark.anyio  # of coroutines
+pytestmark = pytest.mark.anyio  # runs the tests that are coroutines
 
 
 def everything_in(folder: Path) -> set[str]:

@@ -101,7 +101,7 @@ DIALECTS = (
 )
 
 
-# Of a table whose app is unknown: nothing but the header states anything.
+# Dialect of a table whose app is unknown: only its header states units and signs.
 UNKNOWN_APP = Dialect("", "", units={}, sign=None)
 
 
