@@ -330,7 +330,7 @@ def smooth(
         device = observed_device(smoothed, config, sensing)
         smoothed = replace(smoothed, track=replace(smoothed.track, device=device))
     if gnss == "align" and (location := run.recording.location) is not None:
-        # smoothed again from the dead-reckoned track, locations as fixes show their clock
+        # the dead-reckoned walk is smoothed again with the locations as fixes, which shows the shift of their clock
         located = replace(walk, track=track, observed=replace(observed, locations=locations_of(location)[1]), clocks={})
         shift = located.smoothed()[2].clocks.get("locations", ClockShift())
         location = Samples(location.time_s - shift.late_s, location.values)

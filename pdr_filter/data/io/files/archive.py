@@ -198,7 +198,7 @@ class Members:
 def open_members(path: Path) -> Generator[Members]:
     """Context manager that opens a zip file, a folder or one file, and yields its files as `Members`.
 
-    The path may go on inside a file: `export.zip/walk_2` is the folder walk_2 of the zip. An empty folder has no
+    The path may continue inside a file: `export.zip/walk_2` is the folder walk_2 of the zip. An empty folder has no
     members. RecordingError if the path does not exist, is a file of 0 bytes, or cannot be opened.
     """
     try:
