@@ -94,8 +94,8 @@ CARRIED = BehaviourThresholds(
 class BehaviourMemory:
     """State of the machine of Zhou et al. 2019, Table 1, that recognises behaviours.
 
-    The behaviour stays the same while the maximum of the acceleration does. After a change of the maximum, the behaviour
-    is classified in this window and in the following windows that overlap it.
+    The behaviour stays the same while the maximum of the acceleration does. After a change of the maximum, the
+    behaviour is classified in this window and in the following windows that overlap it.
     """
 
     behaviour: str  # one of BEHAVIOURS; empty before the first window
