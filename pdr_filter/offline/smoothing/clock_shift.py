@@ -4,9 +4,10 @@ The times of locations often come from another clock than those of the samples: 
 watches and tables that are logged separately differ by seconds. All observations of one source are then late or early
 by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_PROB`, normal with the standard deviation
 `_SHIFT_STD_S`. A walk with turns determines the shift to a second or two. On a straight walk it looks like another
-start, and the prior alone makes its positions uncertain by the distance walked in sqrt(`_SHIFTED_PROB`) `_SHIFT_STD_S`
-= 1.4 s, about 2 m. A rest before or after the walk decreases or increases this. Observations from before the first
-sample or after the last one show another clock on a straight walk, too (`ShiftPrior.of`).
+start, and the prior alone makes its positions uncertain by the distance walked in sqrt(`_SHIFTED_PROB`) `_SHIFT_STD_S`:
+about 2 m with locations and 4 m with fixes. A rest before or after the walk, and the begin and end of the samples,
+decrease or increase this. Observations from before the first sample or after the last one show another clock on a
+straight walk, too (`ShiftPrior.of`).
 
 Let F(d) be the least sum of squares of the walk whose observations are earlier by d. Its posterior is the prior times
 exp(-F(d) / 2). F is known with its derivatives at some shifts. Between them, it is the parabola of the nearest one.
@@ -19,13 +20,16 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pdr_filter.offline.smoothing.observations import Source
 from pdr_filter.values import FloatArray, PositionFix
 
-# Assumed share of sources with another clock, and standard deviation of their shifts in s, which covers 18 s. Late
-# fixes of straight walks stay too certain: no prior was better in simulated walks. A share of 0.1 adds 1 to 2 m where
-# nothing shows the clock. A share of 0.2 with delays of 2 s adds 0.1 to 0.3 m to right clocks. With fixes 1 to 4 s off,
-# 12 % instead of 22 % of 50 walks are then outside three standard deviations, but 48 % instead of 50 % outside two.
-_SHIFTED_PROB, _SHIFT_STD_S = 0.02, 10.0
+# Assumed share of sources with another clock. Locations are recorded by the phone itself: none of 20 recordings of
+# ipin2023 has another clock. Fixes are often logged by another device. On a straight walk no data show this, and late
+# fixes stay too certain: in simulated walks of 80 m with fixes of 0.5 m that are 3 s late, the end is 5 standard
+# deviations off with a share of 0.02, and 2.8 with 0.1, which makes right ones wider by 0.3 m.
+_SHIFTED_PROB: dict[Source, float] = {"locations": 0.02, "fixes": 0.1}
+# Standard deviation of the shifts in s, which covers 18 s.
+_SHIFT_STD_S = 10.0
 # Probability of another clock if observations come from outside the samples, by more than a second and less than 30 s.
 # In 20 of 20 recordings of ipin2023 all locations lie within the samples. A receiver that runs longer than the samples,
 # or gives an old location, and another clock are then assumed to be equally probable.
@@ -40,9 +44,9 @@ _ODDS, _MIN_SHIFT_S = 100.0, 1.0
 # Root mean square error of a shift of zero in s, from which on it is part of the covariance (0.4 m of walking), and
 # from which on the possible shift is named.
 _LEAST_ERROR_S, _NAMED_SHIFT_S = 0.3, 5.0
-# The parabola of F at zero suffices if its standard deviation is below 2 s and the odds of a shift are below the first
+# The parabola of F at zero suffices if its standard deviation is below 0.5 s and the odds of a shift are below the first
 # number. Otherwise F, which has other minima, is computed at the shifts _STARTS_S, and the best of them is improved.
-_POSSIBLE_ODDS, _SURE_INFORMATION, _STARTS_S = 0.01, 0.25, (-20.0, -10.0, 10.0, 20.0)
+_POSSIBLE_ODDS, _SURE_INFORMATION, _STARTS_S = 0.01, 4.0, (-20.0, -10.0, 10.0, 20.0)
 # Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number.
 _MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 6
 # Shifts in s at which the posterior is computed, up to six standard deviations of the prior.
@@ -55,15 +59,15 @@ class ShiftPrior(NamedTuple):
     The densities have the means `mean_s` and the standard deviations `std_s`, and equal probabilities.
     """
 
-    prob: float = _SHIFTED_PROB
+    prob: float
     mean_s: FloatArray | float = 0.0
     std_s: FloatArray | float = _SHIFT_STD_S
     least_s: float = -np.inf
     most_s: float = np.inf
 
     @classmethod
-    def of(cls, fixes: Sequence[PositionFix], start_s: float, end_s: float) -> ShiftPrior:
-        """Return the prior of the shift of position fixes, for samples from `start_s` to `end_s`.
+    def of(cls, source: Source, fixes: Sequence[PositionFix], start_s: float, end_s: float) -> ShiftPrior:
+        """Return the prior of the shift of the position fixes of a source, for samples from `start_s` to `end_s`.
 
         On the right clock, observations lie within the samples, but for much older ones. Observations outside the
         samples probably have another clock. Shifted, they begin or end with the samples, to one interval or to the time
@@ -72,7 +76,7 @@ class ShiftPrior(NamedTuple):
         """
         fixes = sorted((f for f in fixes if f.time_s > start_s - _MOST_OUTSIDE_S), key=lambda fix: fix.time_s)
         if len(fixes) < 2:
-            return cls()
+            return cls(_SHIFTED_PROB[source])
         ordered_s = np.array([fix.time_s for fix in fixes])
         half_s = 0.5 * float(np.median(np.diff(ordered_s)))
         least_s = float(ordered_s[-1]) - end_s - _OUTSIDE_S
@@ -84,7 +88,7 @@ class ShiftPrior(NamedTuple):
                 right = (1.0 / _SHIFTED_PROB_OUTSIDE - 1.0) / float(np.prod(wider))
                 inside_s = np.array([_OUTSIDE_S + half_s, _RECEIVER_START_S])
                 return cls(1.0 / (1.0 + right), sign * (outside_s + inside_s), inside_s, least_s, most_s)
-        return cls(least_s=min(least_s, 0.0), most_s=max(most_s, 0.0))
+        return cls(_SHIFTED_PROB[source], least_s=min(least_s, 0.0), most_s=max(most_s, 0.0))
 
     def density(self, shift_s: FloatArray) -> FloatArray:
         """Return the density (N,) in 1/s of shifts (N,), without the probability of zero."""
@@ -132,8 +136,8 @@ class ClockShift(NamedTuple):
         late = f"{abs(shift_s):.1f} s {'late' if shift_s > 0 else 'early'} on the clock of the samples"
         cause = "their times are probably of another clock, as GPS time is 18 s ahead of UTC; put both on one clock"
         if not self.late_s:
-            unsure = "were not shifted, because a walk without clear turns hardly shows this"
-            return (f"the {what} are perhaps {late} and {unsure}; positions are uncertain along the walk: {cause}",)
+            unsure = "were not shifted, because this walk hardly shows it; its positions are uncertain by the shift"
+            return (f"the {what} are perhaps {late}, and {unsure}: {cause}",)
         return (f"the {what} are {late} (± {self.var_s2**0.5:.1f} s), and were shifted: {cause}",)
 
 

@@ -565,7 +565,8 @@ class ReckonedWalk:
         for source in get_args(Source):
             places = [fix for fix in getattr(observed, source) if isinstance(fix, PositionFix)]
             if len(places) >= _MIN_POSITIONS:
-                shift = estimated_shift(partial(walk._shifted, found, source), ShiftPrior.of(places, *ends_s))
+                prior = ShiftPrior.of(source, places, *ends_s)
+                shift = estimated_shift(partial(walk._shifted, found, source), prior)
                 walk = walk._with_clock(source, shift)
                 found = walk.solved() if shift.late_s else found
         walk, found = walk._with_observed_modes(self.track, found)

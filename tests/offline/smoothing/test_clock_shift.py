@@ -21,6 +21,7 @@ from pdr_filter.values import HeadingFix, PositionFix, Samples
 from pdr_filter.values.recording import Truth
 
 STD_M = 3.0
+PRIOR = ShiftPrior(0.02)
 R = np.pi / 2
 
 
@@ -59,7 +60,7 @@ def parabola(best_s: float, information: float) -> ShiftedWalk:
 
 
 def shift_of(best_s: float, information: float) -> ClockShift:
-    return estimated_shift(lambda late_s: parabola(best_s - late_s, information), ShiftPrior())
+    return estimated_shift(lambda late_s: parabola(best_s - late_s, information), PRIOR)
 
 
 @pytest.mark.parametrize(("best_s", "information"), [(18.0, 0.3), (-10.0, 0.5), (5.0, 0.3), (0.5, 2e-4)])
@@ -90,21 +91,28 @@ def test_a_walk_that_excludes_a_shift_has_none_and_no_error() -> None:
 
 
 def test_a_misfit_that_is_lower_far_away_than_its_parabola_at_zero_does_not_exclude_a_shift() -> None:
-    level = estimated_shift(lambda late_s: ShiftedWalk(0.0, 0.0, 0.1 * (late_s == 0.0)), ShiftPrior())
-    steep = estimated_shift(lambda late_s: parabola(0.0 - late_s, 0.1), ShiftPrior())
+    level = estimated_shift(lambda late_s: ShiftedWalk(0.0, 0.0, 0.1 * (late_s == 0.0)), PRIOR)
+    steep = estimated_shift(lambda late_s: parabola(0.0 - late_s, 0.1), PRIOR)
     # above 5 s, the evidence is that of the other shifts
     assert level.var_s2 > 0.7 * 0.02 * 10.0**2 > 10.0 * steep.var_s2
 
 
+def test_a_sharp_minimum_at_zero_does_not_hide_another_one_of_the_same_depth() -> None:
+    found = estimated_shift(lambda late_s: parabola((0.0 if late_s < 5.0 else 10.0) - late_s, 1.0), ShiftPrior(0.05))
+    # the prior at one deviation times the width of the minimum, against the prior of zero
+    odds = 0.05 * norm.pdf(10.0, scale=10.0) * np.sqrt(2.0 * np.pi) / 0.95
+    assert found.var_s2 == pytest.approx(odds * 10.0**2, rel=0.2)
+
+
 def test_observations_outside_the_samples_show_another_clock_but_a_much_older_one_does_not() -> None:
     fixes = [PositionFix(t, (0.0, 0.0), 9.0 * np.eye(2)) for t in np.arange(-6.0, 95.0, 10.0)]
-    found, inside = ShiftPrior.of(fixes, 0.0, 100.0), ShiftPrior.of(fixes[1:], 0.0, 100.0)
+    found, inside = ShiftPrior.of("locations", fixes, 0.0, 100.0), ShiftPrior.of("locations", fixes[1:], 0.0, 100.0)
     # on the right clock it is within walking distance of the start
     assert found.prob / (1.0 - found.prob) == pytest.approx(1.0 + (1.4 * 6.0) ** 2 / 9.0)
     assert found.most_s == -5.0 and np.max(found.mean_s) < -5.0
-    assert inside.prob == ShiftPrior().prob and inside.least_s < 0.0 < inside.most_s
+    assert inside.prob == PRIOR.prob and inside.least_s < 0.0 < inside.most_s
     older = PositionFix(-60.0, (0.0, 0.0), np.eye(2))
-    assert ShiftPrior.of([older, *fixes[1:]], 0.0, 100.0).most_s == inside.most_s
+    assert ShiftPrior.of("locations", [older, *fixes[1:]], 0.0, 100.0).most_s == inside.most_s
 
 
 @pytest.mark.parametrize(("late_s", "is_named"), [(7.0, False), (9.0, True), (-9.0, True)])
@@ -187,6 +195,22 @@ def test_without_turns_the_deviation_along_the_walk_is_wider(monkeypatch: pytest
     assert not [n for n in found.notes if "were shifted" in n]
     assert 1.0 < along @ wider_m2 @ along < 20.0
     assert across @ wider_m2 @ across < 0.2
+
+
+def test_late_fixes_that_a_small_square_hides_are_named_and_widen_its_positions() -> None:
+    square = simulate([Leg("walking", distance_m=20.0, turn_rad=R)] * 4)
+    at_s = np.arange(4.0, 50.0, 5.0)
+    place_m = true_m(square, at_s) + np.random.default_rng(0).normal(0.0, STD_M, (len(at_s), 2))
+    right, late = (pdr.smooth(square, position_fixes(at_s + d, place_m, STD_M)) for d in (0.0, 8.0))
+    assert not [n for n in right.notes if "clock" in n]
+    assert [n for n in late.notes if n.startswith("the fixes are perhaps ") and "were not shifted" in n]
+    assert late.track.position_std_m[-1] > 2.0 * right.track.position_std_m[-1]
+
+
+def test_fixes_have_another_clock_more_often_than_locations_of_the_phone() -> None:
+    given = [PositionFix(t, (0.0, 0.0), np.eye(2)) for t in (10.0, 20.0, 30.0)]
+    fixes, locations = (ShiftPrior.of(source, given, 0.0, 40.0) for source in ("fixes", "locations"))
+    assert fixes.prob == 5.0 * locations.prob
 
 
 def test_locations_from_outside_the_samples_show_another_clock_without_turns() -> None:
