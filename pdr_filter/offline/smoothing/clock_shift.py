@@ -44,8 +44,8 @@ _ODDS, _MIN_SHIFT_S = 100.0, 1.0
 # Root mean square error of a shift of zero in s, from which on it is part of the covariance (0.4 m of walking), and
 # from which on the possible shift is named.
 _LEAST_ERROR_S, _NAMED_SHIFT_S = 0.3, 5.0
-# The parabola of F at zero suffices if its standard deviation is below 0.5 s and the odds of a shift are below the first
-# number. Otherwise F, which has other minima, is computed at the shifts _STARTS_S, and the best of them is improved.
+# The parabola of F at zero suffices if its standard deviation is below 0.5 s, and the odds of a shift are below the
+# first number. Otherwise F, which has other minima, is computed at the shifts _STARTS_S, and the best is improved.
 _POSSIBLE_ODDS, _SURE_INFORMATION, _STARTS_S = 0.01, 4.0, (-20.0, -10.0, 10.0, 20.0)
 # Largest change of the shift in one iteration of Gauss-Newton, the change at which it ends, in s, and their number.
 _MAX_CHANGE_S, _SMALL_CHANGE_S, _MOST_SOLUTIONS = 10.0, 0.2, 6
