@@ -103,6 +103,11 @@ SOURCES: dict[str, Change] = {
 SECOND_ORDER = "second order"
 
 
+def no_second_order(heading_var_rad2: float, log_scale_var: float) -> tuple[float, float]:
+    """What `second_order_errors` would be for a linear model."""
+    return 0.0, 0.0
+
+
 def stated(walk: Walk, config: pdr.Config) -> tuple[np.ndarray, np.ndarray]:
     """Stated variances in m2, and squared errors, in the middle and at the end of a walk."""
     _, error_m, cov, _ = errors_and_cov(walk, pdr.track(walk.recording, config, gnss="off"))
@@ -123,7 +128,7 @@ def budget(tables: Tables, arguments: argparse.Namespace) -> None:
             continue
         all_m2, square_m2 = stated(walk, config)
         each = [stated(walk, change(config))[0] for change in SOURCES.values()]
-        pedestrian_state.second_order_errors = lambda *_: (0.0, 0.0)
+        pedestrian_state.second_order_errors = no_second_order
         each.append(stated(walk, config)[0])
         pedestrian_state.second_order_errors = second_order_errors
         found.setdefault(walk.group, []).append(np.array([square_m2, all_m2, *(all_m2 - m2 for m2 in each)]))
