@@ -399,6 +399,8 @@ FACES: list[Refusal] = [
     ),
     (of_smoothing, {"fixes": [pdr.GridFix(5.0, ZEROS, 1.0, np.zeros((2, 2)))]}, "particle filter on a floor plan"),
     (of_smoothing, {"fixes": [(5.0, 0.0)]}, "PositionFix"),
+    (of_smoothing, {"fixes": recipes.default()}, r"fixes .* got Config\('default'.*by their names"),
+    (pdr.calibrate, {"recordings": recipes.default()}, r"recordings .* got Config\('default'.*by their names"),
     (of_smoothing, {"loop_closures": "wlan"}, "loop_closures"),
     (partial(of_smoothing, loop_closures=[LoopClosure(1.0, 9.0, 1.0)]), {"anchor_interval_s": NAN}, "anchor_interval"),
     *of(of_smoothing, "start_heading_std_rad", start_heading_std_rad=(NAN, -1.0)),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,17 @@ def test_hindsight_takes_the_path_of_a_calibration_as_the_filter_does(walk: pdr.
     calibration.save(tmp_path / "people")
     smoothed = [pdr.smooth(walk, calibration=given) for given in (calibration, tmp_path / "people")]
     np.testing.assert_array_equal(smoothed[0].track.step_length_m, smoothed[1].track.step_length_m)
+
+
+def test_a_configuration_and_a_filter_say_in_a_line_what_they_are(walk: pdr.Recording) -> None:
+    config = pdr.recipes.tian2016().with_weighting("hc")
+    text = f"Config('tian2016', hc of {', '.join(mode.name for mode in config.model.modes)})"
+    online = pdr.OnlineFilter(config)
+    assert (repr(config), repr(online)) == (text, f"OnlineFilter({text}, no steps)")
+    samples = pdr.merge_streams(walk)
+    online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps)
+    online.finish()
+    assert re.search(r", 1\d steps, 1?\d\.\d m\)$", repr(online))
 
 
 # --- the face for apps ------------------------------------------------------------------------------------------------

@@ -45,7 +45,7 @@ from pdr_filter.values.serialisation import to_bytes
 _BUILDING_STD_UT = 5.0, 10.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Config:
     """Configuration of a filter: all stages and parameters, which do not change during a walk.
 
@@ -135,6 +135,10 @@ class Config:
         for add in self.handlers:
             handler = add(handler)
         return handler
+
+    def __repr__(self) -> str:
+        modes = ", ".join(mode.name for mode in self.model.modes)
+        return f"Config({self.name!r}, {self.tracker.weighting} of {modes})"
 
     def with_handler(self, add: Callable[[Handler[Any]], Handler[Any]]) -> Config:
         """Return a copy with one more handler around the filter.

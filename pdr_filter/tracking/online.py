@@ -133,6 +133,11 @@ class OnlineFilter:
         self.config = config if weighting is None else config.with_weighting(weighting)
         self.state = init_filter(self.config)
 
+    def __repr__(self) -> str:
+        now = self.now()
+        so_far = f"{now.n_steps} steps, {now.distance_m:.1f} m" if now.n_steps else "no steps"
+        return f"OnlineFilter({self.config!r}, {so_far})"
+
     def push(
         self,
         time_s: ArrayLike,

@@ -633,9 +633,11 @@ AnyFix = TypeVar("AnyFix", bound=Fix)
 
 
 def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
-    """Return the fixes of any iterable as a tuple. ValueError for a single fix."""
+    """Return the fixes of any iterable as a tuple. ValueError for a single fix and for other objects."""
     if isinstance(fixes, OWN_FIXES | Measurement):
         raise ValueError(f"fixes must be a sequence, got one {type(fixes).__name__}: give [fix]")
+    if not isinstance(fixes, Iterable):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(f"fixes must be a sequence of fixes, got {fixes!r}: give other arguments by their names")
     return tuple(fixes)
 
 

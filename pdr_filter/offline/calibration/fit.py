@@ -152,6 +152,8 @@ def calibrate(
     >>> abs(pdr.track(walk, calibration="my_k.json").distance_m - 120) < 3
     True
     """
+    if not isinstance(recordings, Iterable | Recording):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(f"recordings must be recordings, got {recordings!r}: give other arguments by their names")
     chosen = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
     if not chosen:
         raise ValueError("no recordings to calibrate with: give at least one")
