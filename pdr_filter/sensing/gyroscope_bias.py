@@ -124,10 +124,11 @@ class GyroBias:
         Length of the windows, s. One second averages over one or two steps and the rotation that each of them brings.
     prior_std_radps, prior_prob : tuple of float
         Standard deviations (rad/s) and probabilities of the zero-mean mixture of normal distributions that is the prior
-        of the bias. The bias of a phone at rest is 0.0002 to 0.001 rad/s (difronzo), 0.0006 to 0.005 (motionsense,
-        terrain, ipin2023, ms_indoor), 0.006 to 0.011 (ipol, four of 13 phones of ubicomp13) or 0.03 to 0.05 (seven of
-        them, which do not calibrate themselves and are rare today). The weights were compared by the log density of
-        positions on ipin2023 and ms_indoor.
+        of the bias. The three parts are phones that calibrate themselves (the drifts of known walks are 0.002 to 0.006
+        rad/s), phones that do so less well (0.02), and phones that do not (0.03 to 0.04 on the phones of 4 of 13
+        persons of ubicomp13; 0.1 was seen elsewhere). A larger probability of large biases makes the error ellipses of
+        walks with little information far too large (humolire, ms_indoor). A narrower first part (0.0015 rad/s, as of
+        the phones of oxiod) makes smoothed walks of ipin2023 worse, whose phones have 0.004 rad/s.
     device, device_prob : Device or None, float
         Bias estimated in an earlier recording of the phone, and the probability that it still holds.
     walk_radps_per_sqrt_s : float
@@ -195,8 +196,8 @@ class GyroBias:
     """
 
     window_s: float = 1.0
-    prior_std_radps: tuple[float, ...] = (0.0015, 0.005, 0.012, 0.04)
-    prior_prob: tuple[float, ...] = (0.6, 0.28, 0.08, 0.04)
+    prior_std_radps: tuple[float, ...] = (0.004, 0.02, 0.05)
+    prior_prob: tuple[float, ...] = (0.9, 0.07, 0.03)
     device: Device | None = None
     device_prob: float = 0.9
     walk_radps_per_sqrt_s: float = 1e-4
@@ -213,7 +214,7 @@ class GyroBias:
     tilted_rad: float = 0.35
     straight_s: tuple[float, float] = (4.0, 30.0)
     straight_again_s: float = 60.0
-    straight_turn_rad: float = 0.12
+    straight_turn_rad: float = 0.15
     straight_outlier_prob: float = 0.1
     curve_radps: float = 0.06
     field_memory_s: float = 20.0

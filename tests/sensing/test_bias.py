@@ -305,7 +305,7 @@ def test_the_estimate_starts_from_the_bias_of_an_earlier_recording() -> None:
     phone = Phone.of(known, estimator)
     np.testing.assert_allclose(phone.state.bias_radps, 0.999 * known, rtol=1e-12)
     phone.rest(5)
-    np.testing.assert_allclose(phone.state.bias_radps, known, atol=5e-6)
+    np.testing.assert_allclose(phone.state.bias_radps, known, atol=1e-6)
     # another phone than expected
     phone = Phone.of(np.zeros(3), estimator)
     phone.rest(30)
