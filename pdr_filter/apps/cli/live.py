@@ -78,10 +78,13 @@ class Address:
         import uvicorn
 
         from pdr_filter.apps.live.certificate import certificate
+        from pdr_filter.apps.live.connections import LimitedConnection, backlog
 
         return uvicorn.Server(
             uvicorn.Config(
                 application,
+                http=LimitedConnection,
+                backlog=backlog(),
                 ssl_certfile=certificate(folder / "certificate", self.name) if self.https else None,
                 log_level="warning",
                 access_log=False,

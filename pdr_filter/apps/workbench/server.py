@@ -17,19 +17,21 @@ from urllib.parse import quote
 
 import segno
 from starlette.applications import Starlette
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 
 from pdr_filter.apps.live.hub import Live
 from pdr_filter.apps.live.server import (
-    AccessMiddleware,
+    APPS,
     Site,
+    application,
     asset_of,
     attachment,
     body_of,
     event_stream,
     image_sources,
+    page_files,
     page_headers,
 )
 from pdr_filter.apps.workbench.hub import FailedError, Workbench
@@ -42,8 +44,7 @@ from pdr_filter.values import limits
 from pdr_filter.values.safe_files import read_json
 from pdr_filter.values.sanitise import file_name, free_name
 
-PAGE = Path(__file__).parent / "page"
-_SHARED = [Path(__file__).parents[1] / name for name in ("report/assets", "report/page", "live/page")]
+_TEXTS = APPS / "workbench" / "page" / "texts.json"
 _TEXT = re.compile(r"\{\{(\w+)\}\}")
 # A recording of a day at 200 Hz in a zip file has 1 GB.
 _MAX_DROP_BYTES = 1024**3
@@ -73,6 +74,7 @@ class WorkbenchSite:
     def __init__(self, workbench: Workbench, tiles: str, address: str, phone: str, texts: dict[str, str]) -> None:
         self.workbench, self.plans = workbench, Plans(workbench.folder)
         self.tiles, self.address, self.phone, self.texts = tiles, address, phone, texts
+        self._files = page_files("live/page", "report/assets", "report/page", "workbench/page")
         self._drops: dict[Path, tuple[int, int]] = {}  # files and bytes of each drop that has not ended
 
     def routes(self) -> list[BaseRoute]:
@@ -118,7 +120,7 @@ class WorkbenchSite:
             self._walk(request)
         elif kind == "plan":
             self._plan(request)
-        content = (PAGE / f"{kind}.html").read_text(encoding="utf-8")
+        content = self._files[f"{kind}.html"].decode()
         filled = _TEXT.sub(lambda found: html.escape(self.texts[found[1]]), content)
         about = {"texts": self.texts, "tiles": self.tiles, "recipes": list(RECIPES), "exports": list(EXPORTS)}
         data = json.dumps(about).replace("<", "\\u003c")
@@ -126,7 +128,7 @@ class WorkbenchSite:
 
     async def asset(self, request: Request) -> Response:
         """Serve scripts and styles of the pages."""
-        return asset_of(request, (PAGE, *_SHARED), self.tiles)
+        return asset_of(request, self._files, self.tiles)
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""
@@ -365,18 +367,16 @@ def workbench_application(
     routes = site.routes()
     if live is not None:
         routes.append(Mount("/live", routes=Site(live, tiles).routes()))
-    made = Starlette(routes=routes)
-    made.add_middleware(AccessMiddleware, token=token)
-    return made
+    return application(routes, token)
 
 
 def read_texts(path: Path | None = None) -> dict[str, str]:
     """Return the texts of the pages, with translated texts in place of English ones. ValueError for unknown names."""
-    texts: dict[str, str] = read_json(PAGE / "texts.json", limits.MAX_SMALL_BYTES)
+    texts: dict[str, str] = read_json(_TEXTS, limits.MAX_SMALL_BYTES)
     own = {} if path is None else read_json(path, limits.MAX_SMALL_BYTES)
     if not isinstance(own, dict) or own.keys() - texts.keys() or not all(isinstance(v, str) for v in own.values()):
         raise ValueError(
-            f"{path}: must be a JSON object of texts by name, with no other names than in {PAGE / 'texts.json'}"
+            f"{path}: must be a JSON object of texts by name, with no other names than in {_TEXTS}"
         )
     return texts | own
 
@@ -391,8 +391,6 @@ def _answering(handler: Handler) -> Handler:
     async def answer(request: Request) -> Response:
         try:
             return await handler(request)
-        except ClientDisconnect:
-            return Response(status_code=400)
         except FailedError as error:
             return JSONResponse({"error": str(error)}, 507 if error.errno in _FULL else 422)
         except OSError as error:
