@@ -52,7 +52,7 @@ _MAX_DROP_FILES = 10_000
 # A page waits no longer than this for the list of recordings.
 _SCAN_S = 1.5
 _MAX_EDIT_BYTES = 8 * 1024**2
-_TOKEN = re.compile(r"[0-9a-f]{16}")
+_TOKEN, _FLOOR = re.compile(r"[0-9a-f]{16}"), re.compile(r"[0-9]{1,3}")
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -91,7 +91,7 @@ class WorkbenchSite:
             ("/walks/{id}/compare", self.compare),
             ("/walks/{id}/export/{kind}", self.export),
             ("/plans/{name}", self.plan),
-            ("/plans/{name}/{floor:int}.png", self.picture),
+            ("/plans/{name}/{floor}.png", self.picture),
         ]
         post: list[tuple[str, Handler]] = [
             ("/drops/{token}", self.drop),
@@ -102,8 +102,8 @@ class WorkbenchSite:
             ("/walks/{id}/teach", self.teach),
             ("/plans", self.new_plan),
             ("/plans/{name}", self.save_plan),
-            ("/plans/{name}/{floor:int}.png", self.set_picture),
-            ("/plans/{name}/{floor:int}/rectify", self.rectify),
+            ("/plans/{name}/{floor}.png", self.set_picture),
+            ("/plans/{name}/{floor}/rectify", self.rectify),
         ]
         return [
             Route(path, _answering(handler), methods=[method])
@@ -323,14 +323,14 @@ class WorkbenchSite:
 
     async def picture(self, request: Request) -> Response:
         """Serve the picture of a storey."""
-        path = self.plans.picture(self._plan(request), request.path_params["floor"])
+        path = self._picture(request)
         if not path.exists():
             raise UnknownError("this storey has no picture: add one to the floor plan")
         return FileResponse(path, headers={"Cache-Control": "no-store"})
 
     async def set_picture(self, request: Request) -> Response:
         """Store the uploaded picture of a storey, and return its size."""
-        path = self.plans.picture(self._plan(request), request.path_params["floor"])
+        path = self._picture(request)
         source = self.workbench.incoming / f"{secrets.token_hex(8)}.source"  # two uploads may run at the same time
         try:
             too_large = f"the picture has more than {MAX_PICTURE_BYTES // 1024**2} MB; give a smaller file"
@@ -342,9 +342,16 @@ class WorkbenchSite:
 
     async def rectify(self, request: Request) -> Response:
         """Rectify the picture of a storey by four corners, and return its size."""
-        path = self.plans.picture(self._plan(request), request.path_params["floor"])
+        path = self._picture(request)
         content = await _json_of(request)
         return JSONResponse(await self.workbench.quick("rectify", str(path), content["corners"]))
+
+    def _picture(self, request: Request) -> Path:
+        """Return the file of the picture of a storey. UnknownError for a number that no storey has."""
+        name, floor = self._plan(request), request.path_params["floor"]
+        if not _FLOOR.fullmatch(floor):
+            raise UnknownError("the number of a storey must have one to three digits: reload the floor plan")
+        return self.plans.picture(name, int(floor))
 
     def _plan(self, request: Request) -> str:
         name = request.path_params["name"]
