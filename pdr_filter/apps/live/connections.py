@@ -20,7 +20,7 @@ MAX_CONNECTIONS, MAX_OF_ADDRESS = 512, 256
 # count: in a burst, and until the TLS handshake is complete, which asyncio ends after a minute.
 _FILE_DESCRIPTORS = 8192
 _BACKLOG = 2048  # as in uvicorn
-# A head has less than 64 kB, and a phone sends it at once. A phone that falls silent within a body has lost its network.
+# A phone sends a head, of at most 16 kB, at once. A phone that falls silent within a body has lost its network.
 _HEAD_S, _SILENT_BODY_S = 10.0, 30.0
 
 
@@ -49,7 +49,7 @@ class LimitedConnection(H11Protocol):
     @property
     def is_allowed(self) -> bool:
         """True if the access middleware has let the latest request of this connection pass."""
-        return bool(self.cycle) and ALLOWED in self.cycle.scope["state"]
+        return bool(self.cycle) and ALLOWED in self.cycle.scope.get("state", ())
 
     def drop(self) -> None:
         """Close the connection without an answer."""

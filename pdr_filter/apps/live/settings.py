@@ -9,6 +9,7 @@ from typing import Any
 
 from pdr_filter.values.recording import Subject
 
+_UNKNOWN = Subject()
 # Event for pages and programs in the types of JSON; the docstring of `apps.live.broadcast` lists the kinds.
 Event = dict[str, Any]
 
@@ -29,8 +30,8 @@ class Settings:
     height_m: float | None = None  # of all persons that are not named otherwise
     platform: str = ""  # "ios" or "android", for an app that does not say it
     max_devices: int = 64
-    heights_m: tuple[tuple[str, float], ...] = ()  # of the persons with some phones, by the first letters of their names
-    subject: Subject = Subject()
+    heights_m: tuple[tuple[str, float], ...] = ()  # of persons, by the first letters of the names of their phones
+    subject: Subject = _UNKNOWN
     placement: str = ""
 
     def of_phone(self, device: str, meta: Mapping[str, Any]) -> Settings:
@@ -39,7 +40,7 @@ class Settings:
         The height is that of `heights_m`, otherwise that of the phone, otherwise `height_m`.
         """
         named = [{"height_m": height_m} for name, height_m in self.heights_m if device.startswith(name)]
-        known = {"height_m": self.height_m, **meta.get("subject", {}), **(named[0] if named else {})}
+        known: dict[str, Any] = {"height_m": self.height_m, **meta.get("subject", {}), **(named[0] if named else {})}
         return replace(self, subject=Subject(**known), placement=meta.get("placement", ""))
 
     @property

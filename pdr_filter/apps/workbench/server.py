@@ -382,9 +382,7 @@ def read_texts(path: Path | None = None) -> dict[str, str]:
     texts: dict[str, str] = read_json(_TEXTS, limits.MAX_SMALL_BYTES)
     own = {} if path is None else read_json(path, limits.MAX_SMALL_BYTES)
     if not isinstance(own, dict) or own.keys() - texts.keys() or not all(isinstance(v, str) for v in own.values()):
-        raise ValueError(
-            f"{path}: must be a JSON object of texts by name, with no other names than in {_TEXTS}"
-        )
+        raise ValueError(f"{path}: must be a JSON object of texts by name, with no other names than in {_TEXTS}")
     return texts | own
 
 

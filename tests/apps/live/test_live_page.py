@@ -195,8 +195,8 @@ def test_everything_can_be_seen_and_read(
         browser.until("document.querySelectorAll('canvas').length === 3")
         browser.until("Number.parseFloat(document.getElementById('messages').textContent) > 1")
         assert browser.words("#warning") == browser.words("#refusal") == ""
-        low = "{n_refused: {503: 2}, refusal: 'p: no space', disk_left_bytes: 4e8, disk_left_s: 1800, is_disk_low: true}"
-        browser.value(f"handlers.server({{messages_per_s: 5, bytes_per_s: 5e4, answer_s: 0.012, ...{low}}})")
+        rates = "messages_per_s: 5, bytes_per_s: 5e4, answer_s: 0.012, n_refused: {503: 2}, refusal: 'p: no space'"
+        browser.value(f"handlers.server({{{rates}, disk_left_bytes: 4e8, disk_left_s: 1800, is_disk_low: true}})")
         assert browser.words("#warning").startswith("The disk of the server is full in 30 min: 400 MB are left.")
         assert browser.words("#refusal") == "Refused by status: 503 (2). The last one: p: no space"
         assert browser.value("document.documentElement.scrollWidth") == width
