@@ -22,7 +22,8 @@ A message of our own layout is an object with these fields. Device, session and 
 Answers, by HTTP status:
 
 - 200: accepted, and written to the recording.
-- 400: not a message. 401: no token, or a wrong one. 403: not from this computer, or from a page of another site.
+- 400: not a message, or a header Host that is no address. 401: no token, or a wrong one. 403: not from this computer,
+  or from a page of another site.
 - 409: a fix that cannot be used.
 - 410: a message after the server stopped waiting for its number.
 - 413, 429: more than 4 MB in a message, or more than 1 MB a second.
