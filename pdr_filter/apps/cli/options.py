@@ -33,7 +33,8 @@ def height_in_metres(value: str | float) -> float:
         low_m, high_m = limits.HEIGHT_RANGE_M
         given = value if isinstance(value, str) else f"{value:g}"
         raise typer.BadParameter(
-            f"must be the height of a person in metres, {low_m:g} to {high_m:g}, such as 1.78, got {given}"
+            f"must be the height of a person in metres, {low_m:g} to {high_m:g}, such as 1.78, got {given}",
+            param_hint="'--height'",
         ) from None
 
 

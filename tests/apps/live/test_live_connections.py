@@ -113,3 +113,16 @@ def test_addresses_that_are_none_and_senders_that_leave_are_no_errors_of_the_ser
 
     asyncio.run(run())
     assert not [record for record in caplog.records if record.exc_info]
+
+
+def test_the_server_asks_for_file_descriptors_and_leaves_half_of_them_to_connections_that_wait(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    resource, given = pytest.importorskip("resource"), list[tuple[int, int]]()
+    monkeypatch.setattr(resource, "setrlimit", lambda _, limit: given.append(limit))
+    found: list[int] = []
+    for limits in ((256, 1024), (256, resource.RLIM_INFINITY), (20_000, 20_000)):
+        monkeypatch.setattr(resource, "getrlimit", lambda _, limits=limits: limits)
+        found.append(connections.backlog())
+    assert found == [256, 2048, 2048]
+    assert given == [(1024, 1024), (8192, resource.RLIM_INFINITY)]

@@ -16,7 +16,7 @@ import pytest
 from benches import Client, running, short_walk
 from starlette.routing import Mount, Route
 
-from pdr_filter.apps.workbench import server
+from pdr_filter.apps.workbench import server, worker
 from pdr_filter.apps.workbench.hub import Workbench
 from pdr_filter.apps.workbench.server import WorkbenchSite, workbench_application
 from pdr_filter.apps.workbench.walks import Walks
@@ -116,6 +116,9 @@ async def test_pages_are_served_after_another_version_was_installed(
     monkeypatch.setattr(Path, "iterdir", read_text)
     for path in ("/", "/plan/House", "/page/walk.js", "/page/leaflet.js", "/page/plane_map.css"):
         assert await client.get(path)
+    # the worker processes may still need other files
+    monkeypatch.setattr(worker.Worker, "walk", lambda *_: read_text(Path(server.__file__)))
+    assert "start the workbench again" in worker.make_worker(str(client.bench.cache))(("walk", [""]))["error"]
 
 
 async def test_a_zip_bomb_is_refused_with_its_reason_and_not_kept(client: Client, tmp_path: Path) -> None:
