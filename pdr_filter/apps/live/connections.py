@@ -28,7 +28,7 @@ class LimitedConnection(H11Protocol):
     """HTTP connection that is closed if its requests do not arrive in time, or if there are too many connections.
 
     If there are too many, the connection that has waited longest for its first allowed request is closed, so that a
-    flood displaces itself and not the phones.
+    flood displaces itself and no phone of another address.
     """
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
