@@ -22,8 +22,8 @@ import httpx
 import numpy as np
 
 from pdr_filter.apps.live.messages import N_VALUES, Message, SensorRows, parse, to_json
+from pdr_filter.apps.live.parts import MessageBatch
 from pdr_filter.apps.live.sessions import Sessions
-from pdr_filter.apps.live.settings import Event
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording
@@ -33,13 +33,12 @@ START_S = 120.0  # a server that has not printed its addresses by then is killed
 EPOCH_NS = 1_716_760_513_715_797_500
 
 
-def take(devices: Sessions, body: bytes, unix_s: float = 0.0) -> Event:
-    """Process the body of a message, and return what it held, which is then filtered and on the disk."""
-    content, keys = devices.accept(parse(body, "", "", ""), unix_s)
-    failed = devices.settle(is_all=True)
-    for key in keys & failed.keys():
-        raise failed[key]
-    return content
+def take(devices: Sessions, body: bytes, unix_s: float = 0.0) -> None:
+    """Process the body of a message, which is then filtered and on the disk."""
+    (error,) = devices.take([MessageBatch("", parse(body), unix_s)])
+    devices.advance(is_all=True)
+    if error is not None:
+        raise error
 
 
 class Server:
