@@ -84,8 +84,9 @@ class Recorder:
 
     def journal(self, messages: Iterable[Message]) -> None:
         """Write messages to the journal, all or none, where they stay until the next call of `save`."""
-        path = self.folder / _journal(self._n_saved)
-        self._journal_size = append_whole(path, _lines(messages), self._journal_size)
+        if lines := _lines(messages):
+            path = self.folder / _journal(self._n_saved)
+            self._journal_size = append_whole(path, lines, self._journal_size)
 
     def flush(self) -> None:
         """Write everything that waits. After an OSError what was not written waits for the next call."""

@@ -124,13 +124,23 @@ class DeviceSession:
                 self._device = load_device(self._known_device).after(days)
                 self._device.save(self.recorder.folder / DEVICE)
 
+    def is_kept(self, message: Message) -> bool:
+        """Return True if a message belongs in the journal, False if it came before, too late or after the end."""
+        return not self.has_ended and self._is_new(message)
+
+    def _is_new(self, message: Message) -> bool:
+        try:
+            return not assembly.is_repeated(self.assembly, self.held, message)
+        except LateError:
+            return False
+
     def take(self, message: Message, received_s: float = math.nan) -> list[Event]:
-        """Take a message that is in the journal, which `advance` filters, and return the events that it causes.
+        """Take a message, which `advance` filters, and return the events that it causes. The journal has it before.
 
         FixError or LateError if the message cannot be used, SessionError if the session has ended. A message of a
         session that cannot be tracked changes nothing, and `refused` holds the reason.
         """
-        if self.has_ended:
+        if self.has_ended and self._is_new(message):
             raise SessionError("this session has ended; begin a new one")
         self._received_s, self.seen_at = received_s, time.monotonic()
         self._unsaved_at = min(self._unsaved_at, self.seen_at)
@@ -142,7 +152,7 @@ class DeviceSession:
                 return [*events, self._fixed(message.fix), *self._now(is_due=True)]
             self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, self.settings.platform)
             self._record(ready)
-            return self.finish() if message.is_end else []
+            return self.finish() if message.is_end and not self.has_ended else []
         except (FixError, LateError):
             raise
         except Exception as error:
@@ -444,7 +454,7 @@ class DeviceSession:
                 self.recorder.save({"assembly": self.assembly, "state": self.online.state}, self.held)
         except OSError as error:
             self._unsaved_at = time.monotonic()
-            _LOG.warning("%s: the state cannot be saved (%s) and is tried again", self.recorder.folder, error)
+            _LOG.warning("%s: the state cannot be saved (%s) and is tried again", self.recorder.folder, error.strerror)
         return events
 
     @classmethod

@@ -69,13 +69,13 @@ class Sessions:
                 for message in batch.messages:
                     key = self._session(message, batch.received_s).id
                     received.setdefault(key, []).append((number, message))
-            except (MessageError, SessionError, BusyError) as error:
+            except (MessageError, BusyError) as error:
                 errors[number] = error
         for key, found in received.items():
             session = self.sessions[key]
             try:
                 with _writing():
-                    session.recorder.journal(message for _, message in found)
+                    session.recorder.journal(message for _, message in found if session.is_kept(message))
             except BusyError as error:
                 for number, _ in found:
                     errors[number] = error
@@ -119,8 +119,6 @@ class Sessions:
                 raise BusyError(f"{len(self.sessions)} sessions already; start the server with more --max-devices")
             with _writing():
                 self.sessions[key] = self._opened(message, received_s)
-        if self.sessions[key].has_ended:
-            raise SessionError("this session has ended; begin a new one")
         return self.sessions[key]
 
     def _opened(self, message: Message, received_s: float) -> DeviceSession:
