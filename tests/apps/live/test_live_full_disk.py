@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -117,18 +118,21 @@ class Life:
             self.sessions = self._started()
 
 
-def broken_lives(folder: Path, monkeypatch: pytest.MonkeyPatch, stride: int) -> tuple[int, list[str]]:
-    """Return the number of lives, and those that did not end as the life without errors: kind, operation, files."""
-    kinds, sent, broken = [*ERRORS, SHORT, KILL], rounds(), list[str]()
+def broken_lives(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, stride: int, kinds: Sequence[str]
+) -> tuple[int, list[str]]:
+    """Return the number of lives, and those that did not end as the life without errors: kind, operation, files.
+
+    The fault is at each operation, or at one of `stride`, and of the next kind in turn.
+    """
+    sent, broken = rounds(), list[str]()
     disk = FaultyDisk(folder, monkeypatch)
     right = Life(folder / "right", disk)
     disk.n = 0
     right.live(sent)
-    n, expected = disk.n, right.files()
+    points, expected = range(0, disk.n, stride), right.files()
     assert {Path(name).name for name in expected} >= {"accelerometer.csv", "steps.jsonl", "fixes.csv", "journal.json"}
-    points = [(i, kinds[i // stride % len(kinds)]) for i in range(0, n, stride)]
-    points = points if stride > 1 else [(i, kind) for kind in kinds for i in range(n)]
-    for at, kind in points:
+    for at, kind in zip(points, cycle(kinds), strict=False):
         life = Life(folder / f"{kind} {at}", disk, at % 2 == 0)
         disk.fail(at, kind)
         life.live(sent)
@@ -143,7 +147,7 @@ def test_whatever_operation_fails_sessions_go_on_and_have_each_acknowledged_mess
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A few of all operations. `python -m tests.benchmarks.live_soak` has all."""
-    n, broken = broken_lives(tmp_path, monkeypatch, 41)
+    n, broken = broken_lives(tmp_path, monkeypatch, 41, [*ERRORS, SHORT, KILL])
     assert n > 4
     assert broken == []
 
