@@ -98,6 +98,7 @@ class Soak:
     periods: list[tuple[Counter[str], float, float]] = field(default_factory=list[tuple[Counter[str], float, float]])
     refused: list[str] = field(default_factory=list[str])  # answers that no phone should get
     memory_mb: tuple[float, float] = 0.0, 0.0  # largest of server and of workers since the last period
+    n_faults: int = 0
     is_over: bool = False
 
     def __post_init__(self) -> None:
@@ -109,6 +110,8 @@ class Soak:
         self.rng = rng
         self.phones = [Phone(f"soak{i}", rng.spawn(1)[0], samples) for i in range(self.n_phones)]
         self.broker = _Broker(self.folder) if BROKER else None
+        self.faults = [self._kill_server, self._kill_workers, self._fill_disk, self._hold_requests]
+        self.faults += [] if self.broker is None else [self._restart_broker]
 
     def start(self) -> None:
         """Start the server, on the folder that an earlier one may have left."""
@@ -117,7 +120,7 @@ class Soak:
         self.server = Server("--record", record, "--workers", "2", "--max-devices", n, *mqtt)
 
     async def run(self, n_periods: int) -> None:
-        """Let phones send and faults happen, until the time is over and each message was answered."""
+        """Let phones send and faults happen, each at least once, until the time is over and all is answered."""
         begun_s = time.monotonic()
         await asyncio.to_thread(self.start)
         phones = [asyncio.create_task(self._phone(phone, begun_s)) for phone in self.phones]
@@ -128,6 +131,8 @@ class Soak:
             self.periods.append((self.seen - before, *self.memory_mb))
             before, self.memory_mb = self.seen.copy(), (0.0, 0.0)
             print(self.periods[-1], self.refused[-3:], flush=True)
+        while self.n_faults < len(self.faults):
+            await asyncio.sleep(0.1)
         self.is_over = True
         await asyncio.gather(*phones, *others)
         await asyncio.sleep(3.0)  # for what the broker passes on
@@ -185,6 +190,8 @@ class Soak:
             if is_impatient:
                 raise TimeoutError
             answer = await reader.read()
+            if not answer:
+                raise EOFError
         finally:
             writer.close()
         return int(answer.split(b" ", 2)[1]), answer.rpartition(b"\r\n\r\n")[2].decode()
@@ -192,17 +199,14 @@ class Soak:
     # --- faults ---
 
     async def _faults(self) -> None:
-        faults = [self._kill_server, self._kill_workers, self._fill_disk, self._hold_requests]
-        faults += [] if self.broker is None else [self._restart_broker]
-        number = 0
         while not self.is_over:
             await asyncio.sleep(min(self.rng.exponential(self.fault_s), 3 * self.fault_s))
-            if number % len(faults) == 0:
-                self.rng.shuffle(faults)  # type: ignore[arg-type]
-            fault = faults[number % len(faults)]
-            number += 1
+            if self.n_faults % len(self.faults) == 0:
+                self.rng.shuffle(self.faults)  # type: ignore[arg-type]
+            fault = self.faults[self.n_faults % len(self.faults)]
             self.seen[fault.__name__.strip("_").replace("_", " ")] += 1
             await fault()
+            self.n_faults += 1
 
     async def _kill_server(self) -> None:
         await asyncio.to_thread(self.server.kill)

@@ -70,6 +70,8 @@ class Server:
         self.address = address
         headers = {"Authorization": f"Bearer {self.token}"} if self.token else {}
         self.http = httpx.Client(base_url=address, headers=headers, timeout=30, verify=False)
+        self._listening = threading.Thread(target=self._listen, daemon=True)  # a full pipe would stop the server
+        self._listening.start()
 
     def __enter__(self) -> Server:
         return self
@@ -103,9 +105,13 @@ class Server:
         self._close()
 
     def _close(self) -> int:
-        self.said += self._process.stderr.readlines()
+        self._listening.join(30)
         self._process.stderr.close()
         return self._process.wait(30)
+
+    def _listen(self) -> None:
+        for line in self._process.stderr:
+            self.said.append(line)
 
     def post(self, body: bytes | dict[str, Any] | list[Any], **parameters: str) -> httpx.Response:
         """What is said to a message."""
