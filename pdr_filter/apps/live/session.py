@@ -10,7 +10,7 @@ import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -56,16 +56,16 @@ DEVICES = "devices"
 _LOG = logging.getLogger(__name__)
 
 
-@cache
+@lru_cache(maxsize=64)
 def plain_config(settings: Settings) -> Config:
     """Configuration of a session before its first samples are known."""
-    meta = {"subject": {"height_m": settings.height_m}}
-    return recipes.for_recording(settings.recipe, Recording("live", Samples(np.empty(0), np.empty((0, 3))), meta=meta))
+    empty = Samples(np.empty(0), np.empty((0, 3)))
+    return recipes.for_recording(settings.recipe, Recording("live", empty, meta=settings.meta))
 
 
-@cache
+@lru_cache(maxsize=64)
 def plain_config_bytes(settings: Settings) -> bytes:
-    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones.
+    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones of equal settings.
 
     ValueError for a recipe with parts of classes outside of this package: sessions are saved with their configuration.
     """
@@ -89,7 +89,8 @@ class DeviceSession:
 
     def __init__(self, device: str, session: str, settings: Settings, folder: Path) -> None:
         self.id = session_id(device, session)
-        self.device, self.session, self.settings = device, session, settings
+        self.device, self.session, self.settings = device, session, settings.of_phone(device, {})
+        self.name = ""  # that the phone gives the recording
         self.recorder = Recorder(folder / self.id)
         self._known_device = folder / DEVICES / f"{session_id(device, '')}.json"  # from earlier sessions of the phone
         self._device: Device | None = None  # with which this session began
@@ -150,6 +151,9 @@ class DeviceSession:
             if message.fix is not None:
                 events = self.advance()
                 return [*events, self._fixed(message.fix), *self._now(is_due=True)]
+            if message.meta and self.online is None:
+                self.settings = self.settings.of_phone(self.device, message.meta)
+                self.name = message.meta.get("name", "")
             self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, self.settings.platform)
             self._record(ready)
             return self.finish() if message.is_end and not self.has_ended else []
@@ -223,16 +227,15 @@ class DeviceSession:
     def _begun(self, samples: assembly.Streams) -> Config:
         """Return the configuration for the sensors in the first samples, and record it and metadata."""
         kind = assembly.known_kind(self.assembly)
-        name = file_name(f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id)
+        name = self.name or f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id
         meta: dict[str, Any] = {
-            "name": name,
+            "name": file_name(name),
             "source": "pdr-filter live",
             "accelerometer": f"{kind.force}, {kind.how}",
         }
         if kind.zero_ns:
             meta["epoch_ns"] = kind.zero_ns
-        if self.settings.height_m is not None:
-            meta["subject"] = {"height_m": self.settings.height_m}
+        meta |= self.settings.meta
         first = Recording(name, **cast(Any, samples), meta=meta)
         plain = plain_config(self.settings)
         config = live_config(first, plain)
