@@ -145,6 +145,12 @@ def cut_file(path: Path, size: int) -> None:
             path.unlink()
 
 
+def sync_file(path: Path) -> None:
+    """Wait until the disk has the bytes of a file, so that a power failure does not take them."""
+    with path.open("ab") as file:
+        _sync(file)
+
+
 def _sync(file: IO[bytes]) -> None:
     """Flush to disk, because some disks report only now that they are full."""
     file.flush()

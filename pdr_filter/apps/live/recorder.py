@@ -9,7 +9,8 @@ has the rest. A session that is not tracked (yet) has the journal alone, which `
 sent it.
 
 "Written" means that the operating system has the bytes, which protects from the death of a process. After a power
-failure the last seconds may be missing, because only the state waits for the disk.
+failure the messages since the last saved state may be missing, because only `Recorder.save` waits for the disk. Waiting
+at each message would take longer than the filter.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from pdr_filter.apps.live.messages import Message, parse
 from pdr_filter.data.io.files.own_format_writer import FILES, STREAM_COLUMNS
 from pdr_filter.values import Samples
 from pdr_filter.values import serialisation as serialise
-from pdr_filter.values.safe_files import append_whole, cut_file, whole_file
+from pdr_filter.values.safe_files import append_whole, cut_file, sync_file, whole_file
 
 STATE, CONFIG, META, STEPS, FIXES = "state.bin", "config.txt", "meta.json", "steps.jsonl", "fixes.csv"
 RANGES = "ranges.csv"
@@ -109,6 +110,8 @@ class Recorder:
         After an OSError the earlier state and its journal are those that `load` continues from.
         """
         self.flush()
+        for name in self._sizes:
+            sync_file(self.folder / name)  # a state that survives a power failure must not count bytes that do not
         old, number = self.folder / _journal(self._n_saved), self._n_saved + 1
         # before the state that names it, so that no message is without a journal
         size = append_whole(self.folder / _journal(number), _lines(held), 0)
