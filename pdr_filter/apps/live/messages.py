@@ -104,6 +104,15 @@ class Message:
         return sum(len(rows.time) for rows in self.rows.values())
 
 
+@dataclass(frozen=True, slots=True)
+class MessageBatch:
+    """Request to process the messages that one device sent in one HTTP body, received at `received_s`."""
+
+    device: str
+    messages: Sequence[Message]
+    received_s: float
+
+
 def together(messages: Sequence[Message], name: str) -> SensorRows | None:
     """Return the rows of one sensor in several messages, or None if there are none."""
     parts = [m.rows[name] for m in messages if name in m.rows and len(m.rows[name].time)]

@@ -14,17 +14,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from pdr_filter.apps.live.assembly import LateError
-from pdr_filter.apps.live.messages import Message, MessageError
+from pdr_filter.apps.live.messages import MessageBatch, MessageError
 from pdr_filter.apps.live.settings import BusyError, Event, FixError, Settings
-
-
-@dataclass(frozen=True, slots=True)
-class MessageBatch:
-    """Request to process the messages that one device sent in one HTTP body, received at `received_s`."""
-
-    device: str
-    messages: Sequence[Message]
-    received_s: float
 
 
 class Command(Enum):

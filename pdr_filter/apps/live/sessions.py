@@ -13,8 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pdr_filter.apps.live.assembly import SessionError
-from pdr_filter.apps.live.messages import Message, MessageError
-from pdr_filter.apps.live.parts import MessageBatch
+from pdr_filter.apps.live.messages import Message, MessageBatch, MessageError
 from pdr_filter.apps.live.recorder import DamagedError
 from pdr_filter.apps.live.session import DeviceSession, session_id
 from pdr_filter.apps.live.settings import BusyError, Event, Settings, worker_of

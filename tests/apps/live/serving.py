@@ -21,8 +21,7 @@ from typing import Any
 import httpx
 import numpy as np
 
-from pdr_filter.apps.live.messages import N_VALUES, Message, SensorRows, parse, to_json
-from pdr_filter.apps.live.parts import MessageBatch
+from pdr_filter.apps.live.messages import N_VALUES, Message, MessageBatch, SensorRows, parse, to_json
 from pdr_filter.apps.live.sessions import Sessions
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values import Samples

@@ -16,8 +16,7 @@ from faulty_disk import ERRORS, KILL, SHORT, FaultyDisk, Killed
 from serving import own_messages, short_walk
 
 from pdr_filter.apps.live import sessions as live_sessions
-from pdr_filter.apps.live.messages import Message, parse
-from pdr_filter.apps.live.parts import MessageBatch
+from pdr_filter.apps.live.messages import Message, MessageBatch, parse
 from pdr_filter.apps.live.recorder import Recorder
 from pdr_filter.apps.live.sessions import Sessions
 from pdr_filter.apps.live.settings import BusyError, Settings

@@ -20,8 +20,7 @@ import pdr_filter as pdr
 from pdr_filter.apps.live import session as live_session
 from pdr_filter.apps.live import sessions as live_sessions
 from pdr_filter.apps.live.assembly import LateError, SessionError
-from pdr_filter.apps.live.messages import parse
-from pdr_filter.apps.live.parts import MessageBatch
+from pdr_filter.apps.live.messages import MessageBatch, parse
 from pdr_filter.apps.live.recorder import exported_files
 from pdr_filter.apps.live.session import DeviceSession, session_id
 from pdr_filter.apps.live.sessions import Sessions
