@@ -145,11 +145,12 @@ class Recorder:
         cut_file(journal, self._journal_size)
         return state, _messages(content[: self._journal_size].split(b"\n")[:-1])
 
-    def steps(self) -> list[dict[str, Any]]:
-        """Return the steps that were written to disk. DamagedError if they cannot be read."""
+    def steps(self) -> Iterator[dict[str, Any]]:
+        """Yield the steps that were written to disk. ValueError if a line is damaged."""
         path = self.folder / STEPS
-        with reading(STEPS):
-            return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+        if path.exists():
+            with path.open() as file:
+                yield from map(json.loads, file)
 
     def _append(self, name: str, header: str, lines: str) -> None:
         waiting = self._waiting.setdefault(name, [])
@@ -209,7 +210,8 @@ def reading(name: str) -> Generator[None]:
     try:
         yield
     except Exception as error:  # damaged bytes can raise any exception
-        if isinstance(error, OSError) and not isinstance(error, FileNotFoundError | IsADirectoryError):
+        of_the_disk = isinstance(error, OSError) and not isinstance(error, FileNotFoundError | IsADirectoryError)
+        if of_the_disk or isinstance(error, DamagedError):
             raise
         raise DamagedError(f"{name}: {error}") from error
 

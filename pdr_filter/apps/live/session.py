@@ -21,7 +21,7 @@ from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.apps.live import assembly
 from pdr_filter.apps.live.assembly import Assembly, LateError, SessionError
 from pdr_filter.apps.live.messages import FORCE, Message
-from pdr_filter.apps.live.recorder import DEVICE, STATE, DamagedError, Recorder, reading
+from pdr_filter.apps.live.recorder import DEVICE, STATE, STEPS, DamagedError, Recorder, reading
 from pdr_filter.apps.live.settings import Event, FixError, Settings
 from pdr_filter.filter.pedestrian.alignment import Pose
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
@@ -362,6 +362,9 @@ class DeviceSession:
         self.path.append(_row(update.step.time_s, update.position_m, update.position_cov_m2))
         self._starts.append(update.of_start)
         self._drawn.append(self.path[-1][:3])
+        self._forget()
+
+    def _forget(self) -> None:
         for kept in (self.path, self._starts, self._drawn):
             if len(kept) > _MAX_PATH:
                 del kept[: _MAX_PATH // 10]
@@ -493,10 +496,12 @@ class DeviceSession:
         self.online.state = saved["state"]
         self.has_ended = self.online.state.finished
         self._judged = self.online.state.last.fixes
-        for step in self.recorder.steps()[-_MAX_PATH:]:
-            self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
-            start = step["of_start"]
-            self._starts.append(None if start is None else _pose(start))
+        with reading(STEPS):
+            for step in self.recorder.steps():
+                self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
+                start = step["of_start"]
+                self._starts.append(None if start is None else _pose(start))
+                self._forget()
 
 
 def load_device(path: Path) -> Device:

@@ -98,7 +98,7 @@ def test_a_process_that_dies_loses_nothing_that_it_took(
     devices.close()
     (session,) = devices.sessions.values()
     np.testing.assert_array_equal(positions(session), positions(expected))
-    assert len(session.recorder.steps()) == len(session.path)
+    assert len(list(session.recorder.steps())) == len(session.path)
     for name in ("accelerometer.csv", "gyroscope.csv", "magnetometer.csv"):
         assert (session.recorder.folder / name).read_bytes() == (expected.recorder.folder / name).read_bytes()
 
