@@ -193,6 +193,7 @@ def live_command(
         try:
             import uvicorn  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
+            from pdr_filter.apps.live.folder_lock import folder_lock
             from pdr_filter.apps.live.hub import Live
             from pdr_filter.apps.live.server import live_application
         except ImportError as error:
@@ -207,7 +208,9 @@ def live_command(
         shared = Live(settings, folder, phones.workers, phones.scheduler or "")
         server = address.server(live_application(shared, token, tiles), folder)
         listening = opened.enter_context(bound_socket(address.host, address.port))
-        say = partial(_print_addresses, address, listening.getsockname()[1], token)
+        port = listening.getsockname()[1]
+        opened.enter_context(folder_lock(folder, f"pdr-filter live at {address.url(port)}"))
+        say = partial(_print_addresses, address, port, token)
         asyncio.run(run_server(server, listening, [shared], partial(sources.tasks, walk, shared), say))
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from pdr_filter.apps.live.access import MAX_BODY_BYTES, Rates
 from pdr_filter.apps.live.broadcast import Broadcast
 from pdr_filter.apps.live.cluster import DaskCluster
-from pdr_filter.apps.live.messages import MessageError, parse
-from pdr_filter.apps.live.parts import Answer, MessageBatch
+from pdr_filter.apps.live.messages import MessageBatch, MessageError, parse
+from pdr_filter.apps.live.parts import Answer
 from pdr_filter.apps.live.settings import Event, Settings
 from pdr_filter.apps.live.traffic import REPORT_S, Traffic
 from pdr_filter.apps.live.workers import Process, Starter, Workers

@@ -21,7 +21,7 @@ A message of our own layout is an object with these fields. Device, session and 
 
 Answers, by HTTP status:
 
-- 200: accepted, and written to the recording.
+- 200: accepted. The operating system has it, so that it is not lost if the server is killed.
 - 400: not a message, or a header Host that is no address. 401: no token, or a wrong one. 403: not from this computer,
   or from a page of another site.
 - 409: a fix that cannot be used.
@@ -29,7 +29,7 @@ Answers, by HTTP status:
 - 413, 429: more than 4 MB in a message, or more than 1 MB a second.
 - 422: a session that cannot be tracked, with the reason. Its messages are recorded.
 - 500: a message that has ended its worker twice.
-- 503: no room or no time at present. Send the message again.
+- 503: no room, no time or a full disk at present. Nothing is kept of the message. Send it again.
 """
 
 from __future__ import annotations
@@ -103,6 +103,15 @@ class Message:
     def n_samples(self) -> int:
         """Number of samples of all sensors."""
         return sum(len(rows.time) for rows in self.rows.values())
+
+
+@dataclass(frozen=True, slots=True)
+class MessageBatch:
+    """Request to process the messages that one device sent in one HTTP body, received at `received_s`."""
+
+    device: str
+    messages: Sequence[Message]
+    received_s: float
 
 
 def together(messages: Sequence[Message], name: str) -> SensorRows | None:

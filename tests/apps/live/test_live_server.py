@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import os
-import signal
 import socket
 import ssl
 import subprocess
@@ -321,29 +319,6 @@ def test_a_certificate_is_kept_for_its_host_and_replaced_for_another_one(tmp_pat
     second.write_bytes(b"damaged")
     assert certificate(tmp_path, "10.0.0.22").read_bytes() != b"damaged"
     ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(second)
-
-
-def test_a_server_that_is_killed_in_the_middle_of_a_walk_goes_on(walk: Recording, tmp_path: Path) -> None:
-    bodies = own_messages(walk)
-    with Server("--record", str(tmp_path), "--workers", "2") as server:
-        for body in bodies[:25]:
-            assert server.post(body).status_code == 200
-        (_, busy) = sorted(server.children)
-        os.kill(busy, signal.SIGKILL)
-        os.kill(min(server.children), signal.SIGKILL)
-        for body in bodies[25:50]:
-            assert server.post(body).status_code == 200
-        server.kill()
-    assert len(pdr.read(next(tmp_path.glob("p-*"))).accelerometer) > 200  # can be read as it was left
-    with Server("--record", str(tmp_path)) as server:
-        for body in bodies[49:]:
-            assert server.post(body).status_code == 200
-        track = server.tracks()["p"]
-        steps = [json.loads(line) for line in (tmp_path / track["id"] / "steps.jsonl").read_text().splitlines()]
-        again = pdr.track(recorded(tmp_path, track, walk))
-    np.testing.assert_array_equal(positions(track), again.position_m)
-    assert [s["index"] for s in steps] == list(range(len(steps)))  # none twice
-    assert len(again.time_s) > 40
 
 
 def test_a_replay_of_a_file_that_cannot_be_read_ends_the_server(tmp_path: Path) -> None:
