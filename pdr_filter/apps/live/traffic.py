@@ -15,10 +15,9 @@ from pdr_filter.values.sanitise import printable
 # Interval of `server` events, and the number of them over which rates are averaged: half a minute.
 REPORT_S = 2.0
 _N_AVERAGED = 15
-# Messages are written as received, and their samples to the recording.
-_WRITTEN_PER_RECEIVED = 2.0
-# One phone with all sensors at 100 Hz sends 0.1 MB/s.
-_LEAST_WRITTEN_PER_S = 0.2e6
+# A recording of some minutes has 0.8 to 1.3 times the bytes of its messages, so the disk fills as messages come. One
+# phone with all sensors at 100 Hz sends 0.1 MB/s.
+_LEAST_BYTES_PER_S = 0.1e6
 # An hour is enough to notice a warning and to free some space.
 _WARNING_S = 3600.0
 _MAX_REASON = 200
@@ -58,7 +57,7 @@ class Traffic:
         span_s = max(now_s - then_s, 1e-3)
         bytes_per_s = (n_bytes - n_bytes_then) / span_s
         left_bytes = shutil.disk_usage(self.folder).free
-        left_s = left_bytes / max(_WRITTEN_PER_RECEIVED * bytes_per_s, _LEAST_WRITTEN_PER_S)
+        left_s = left_bytes / max(bytes_per_s, _LEAST_BYTES_PER_S)
         was_low, self._is_low = self._is_low, left_s < _WARNING_S
         if self._is_low and not was_low:
             _LOG.warning("%s: %.0f MB left on the disk: free some space", self.folder, left_bytes / 1e6)
