@@ -307,6 +307,33 @@ def test_what_comes_after_the_end_is_refused_also_by_the_next_process(walk: Reco
     assert (session.about()["has_ended"], session.about()["refused"]) == (True, "")
 
 
+def test_the_last_message_may_be_sent_again(walk: Recording, tmp_path: Path) -> None:
+    devices = sessions_in(tmp_path)
+    body = own_messages(walk)[0].replace(b'"number": 0', b'"number": 0, "end": true')
+    for _ in range(2):  # the first answer was lost
+        take(devices, body)
+    (session,) = devices.sessions.values()
+    assert (session.has_ended, session.about()["n_repeated_messages"]) == (True, 1)
+
+
+def test_an_error_of_the_filter_ends_the_track_of_one_session_whose_messages_are_kept(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bodies = own_messages(walk)[:16]
+    devices = sessions_in(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(live_session, "_pushed", lambda online, samples: [][1])
+        with pytest.raises(SessionError, match="IndexError: list index out of range"):
+            take_all(devices, bodies[:8])
+        for body in bodies[8:]:
+            with contextlib.suppress(SessionError):
+                take(devices, body)
+    (session,) = sessions_in(tmp_path).sessions.values()  # of a version without the error
+    assert session.about()["refused"] == ""
+    assert session.assembly.next_number == len(bodies)
+    assert not list(tmp_path.glob("*.damaged*"))
+
+
 def with_bias(walk: Recording, bias_radps: float) -> Recording:
     gyroscope = walk.gyroscope
     return replace(walk, gyroscope=Samples(gyroscope.time_s, gyroscope.values + np.array([0.0, 0.0, bias_radps])))
