@@ -8,7 +8,7 @@ import os
 import secrets
 import stat
 from collections.abc import Generator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -113,6 +113,42 @@ def write_files(contents: Mapping[Path, bytes]) -> None:
             file = opened.enter_context(whole_file(path))
             file.write(content)
             _sync(file)
+
+
+def append_whole(path: Path, content: bytes, size: int) -> int:
+    """Append to a file whose first `size` bytes count, completely or not at all, and return how many count then.
+
+    The operating system has the bytes after that, also if this process is killed. After an OSError the bytes are not
+    in the file, or behind those that count: the next call cuts them off.
+    """
+    try:
+        with path.open("ab") as file:
+            there = file.tell()
+            if there < size:
+                raise OSError(errno.EIO, f"has {there} bytes in place of {size}", str(path))
+            if there > size:
+                file.truncate(size)
+            file.write(content)
+    except OSError:
+        with suppress(OSError):
+            cut_file(path, size)
+        raise
+    return size + len(content)
+
+
+def cut_file(path: Path, size: int) -> None:
+    """Shorten a file to `size` bytes if it is longer, and delete it if nothing is left."""
+    if path.exists() and path.stat().st_size > size:
+        if size:
+            os.truncate(path, size)
+        else:
+            path.unlink()
+
+
+def sync_file(path: Path) -> None:
+    """Wait until the disk has the bytes of a file, so that a power failure does not take them."""
+    with path.open("ab") as file:
+        _sync(file)
 
 
 def _sync(file: IO[bytes]) -> None:

@@ -154,6 +154,10 @@ def test_rates_are_reported_for_each_sensor() -> None:
         "gyroscope": pytest.approx(50.0),
         "barometer": pytest.approx(2.0),
     }
+    online = pdr.OnlineFilter()
+    time_s = np.round(np.arange(300) / 418.0, 3)  # in whole milliseconds, most intervals are 2 ms
+    online.push_accelerometer(time_s, np.tile([0.0, 0.0, 9.8], (300, 1)))
+    assert online.now().rates_hz == {"accelerometer": pytest.approx(418.0, rel=0.01)}
 
 
 def test_now_and_updates_convert_to_json_without_nan() -> None:

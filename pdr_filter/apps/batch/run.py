@@ -23,6 +23,7 @@ from pdr_filter.recipes.calibration import read_person
 from pdr_filter.tracking import whole_recording as recording_run
 from pdr_filter.values.georeference import GnssUse, check_gnss
 from pdr_filter.values.recording import check_height
+from pdr_filter.values.sanitise import printable
 
 
 def track(
@@ -111,27 +112,31 @@ def track(
     table, parquet = tables(out)
     where = "" if calibration is None else str(Path(calibration).resolve())
     options = Task("", recipe, weighting or "", file_format or "", height_m, where, gnss or "")
-    tasks = [replace(options, path=path) for path in recordings_of(paths) if path != str(table.resolve())]
-    for task in tasks:
-        if "\n" in task.path or "\r" in task.path:
-            raise ValueError(
-                f"{task.path!r} has a line break in its name, which the table cannot store in one line: rename the file"
-            )
+    found = [path for path in recordings_of(paths) if path != str(table.resolve())]
+    # a row of the table is one line
+    tasks = [replace(options, path=printable(path) if {"\n", "\r"} & {*path} else path) for path in found]
     contexts = contexts_of(recipe)
     with open_table(table, retry_failed, contexts) as (known, append):
         rows = {row.task: row for row in known}
         clock = None if progress is None else Clock(tasks, rows, progress)
+
+        def add(row: Row) -> None:
+            if row.task not in rows:
+                append(row)
+                rows[row.task] = row
+                if clock is not None:
+                    clock.after(row)
+
+        for task, path in zip(tasks, found, strict=True):
+            if task.path != path:
+                add(failed_row(task, "its name has a line break, which the table cannot store: rename the file"))
         todo = [task for task in tasks if task not in rows]
         for i, result in each(track_one, todo, jobs=jobs, scheduler=scheduler):
             row = result if isinstance(result, Row) else failed_row(todo[i], result.reason)
             if not row.failed and tuple(row.context_s) != contexts:
                 names = ", ".join(row.context_s)
                 row = failed_row(todo[i], f"its contexts are {names}, not those of the recipe for an unknown person")
-            if row.task not in rows:
-                append(row)
-                rows[row.task] = row
-                if clock is not None:
-                    clock.after(row)
+            add(row)
     result = [rows[task] for task in tasks]
     if parquet is not None:
         write_rows_parquet(result, parquet, contexts)

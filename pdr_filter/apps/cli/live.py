@@ -17,10 +17,11 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from pdr_filter.apps.cli import console
-from pdr_filter.apps.cli.options import Height, Platform, Tiles
+from pdr_filter.apps.cli.options import Platform, Tiles, height_in_metres
 
 if TYPE_CHECKING:
     from pdr_filter.apps.live.hub import Live
+    from pdr_filter.apps.live.settings import Settings
     from pdr_filter.apps.workbench.hub import Workbench
     from pdr_filter.values.recording import Recording
 
@@ -78,10 +79,13 @@ class Address:
         import uvicorn
 
         from pdr_filter.apps.live.certificate import certificate
+        from pdr_filter.apps.live.connections import LimitedConnection, backlog
 
         return uvicorn.Server(
             uvicorn.Config(
                 application,
+                http=LimitedConnection,
+                backlog=backlog(),
                 ssl_certfile=certificate(folder / "certificate", self.name) if self.https else None,
                 log_level="warning",
                 access_log=False,
@@ -97,7 +101,12 @@ class Phones:
     """Options for phones and pedestrians."""
 
     platform: Platform = None
-    height_m: Height = None
+    height: list[str] | None = typer.Option(
+        None,
+        metavar="[PHONE=]M",
+        help="Height of the persons in metres, such as 1.78, if a phone does not send another one. PHONE=1.78 is the "
+        "height of the person with one phone, where PHONE is its name or the first letters of its name.",
+    )
     recipe: str = typer.Option("default", help="Name of a recipe, or module:function for a recipe of your own.")
     max_devices: int = typer.Option(64, min=1, help="Maximum number of phones at the same time.")
     workers: int = typer.Option(1, min=1, help="Number of processes among which the phones are divided.")
@@ -107,13 +116,23 @@ class Phones:
         "machines need access to the folder of --record.",
     )
 
-    def check(self) -> None:
-        """Raise ValueError for a recipe that does not exist or cannot be saved with a session."""
+    def settings(self) -> Settings:
+        """Return the settings of the server. ValueError for a recipe that does not exist or cannot be saved."""
+        from pdr_filter.apps.live.settings import Settings
+
+        named: list[tuple[str, float]] = []
+        for text in self.height or ():
+            name, _, metres = text.rpartition("=")
+            named.append((name, height_in_metres(metres)))
+        of_all = [height_m for name, height_m in named if not name]
+        of_phones = tuple((name, height_m) for name, height_m in named if name)
+        height_m = of_all[-1] if of_all else None
+        settings = Settings(self.recipe, height_m, self.platform or "", self.max_devices, of_phones)
         if self.recipe != "default":
             from pdr_filter.apps.live.session import plain_config_bytes
-            from pdr_filter.apps.live.settings import Settings
 
-            plain_config_bytes(Settings(self.recipe, self.height_m))
+            plain_config_bytes(settings)
+        return settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,11 +154,12 @@ class Sources:
     replay: Path | None = typer.Option(None, help="Replay this recording instead of listening to a phone.")
     speed: float = typer.Option(1.0, min=0.01, help="Playback speed relative to real time.")
 
-    def walk(self) -> Recording | None:
-        """Return the recording that is replayed, or None."""
+    def walk(self, height_m: float | None) -> Recording | None:
+        """Return the recording that is replayed, or None. `height_m` replaces the height in the recording."""
         from pdr_filter.data.io.formats import read
 
-        return None if self.replay is None else read(self.replay)
+        recording = None if self.replay is None else read(self.replay)
+        return recording if recording is None or height_m is None else recording.of_height(height_m)
 
     def tasks(self, walk: Recording | None, shared: Live) -> list[Coroutine[Any, Any, None]]:
         """Return a coroutine for each source, which fetches its samples and passes them to the server `shared`."""
@@ -173,24 +193,24 @@ def live_command(
         try:
             import uvicorn  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
+            from pdr_filter.apps.live.folder_lock import folder_lock
             from pdr_filter.apps.live.hub import Live
             from pdr_filter.apps.live.server import live_application
         except ImportError as error:
             raise ValueError(
                 f'the packages of the live server are not installed ({error}): pip install "pdr_filter[live]"'
             ) from None
-        from pdr_filter.apps.live.settings import Settings
-
-        phones.check()
-        walk = sources.walk()  # before the server starts, because a bad file must end the command
+        settings = phones.settings()
+        walk = sources.walk(settings.height_m)  # before the server starts, because a bad file must end the command
         token = address.token_in(record)
-        settings = Settings(phones.recipe, phones.height_m, phones.platform or "", phones.max_devices)
         folder = record or Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="pdr_filter_live_")))
         folder.mkdir(parents=True, exist_ok=True)
         shared = Live(settings, folder, phones.workers, phones.scheduler or "")
         server = address.server(live_application(shared, token, tiles), folder)
         listening = opened.enter_context(bound_socket(address.host, address.port))
-        say = partial(_print_addresses, address, listening.getsockname()[1], token)
+        port = listening.getsockname()[1]
+        opened.enter_context(folder_lock(folder, f"pdr-filter live at {address.url(port)}"))
+        say = partial(_print_addresses, address, port, token)
         asyncio.run(run_server(server, listening, [shared], partial(sources.tasks, walk, shared), say))
 
 

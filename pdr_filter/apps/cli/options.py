@@ -24,17 +24,22 @@ if TYPE_CHECKING:
     from pdr_filter.values.recording import Recording
 
 
-def _height_in_metres(value: float | None) -> float | None:
-    """Return the value of --height. BadParameter unless it is a plausible height in metres."""
+def height_in_metres(value: str | float) -> float:
+    """Return a value of --height as a number. BadParameter unless it is a plausible height in metres."""
     try:
-        if value is not None:
-            check_height(value)
+        check_height(float(value))
+        return float(value)
     except ValueError:
         low_m, high_m = limits.HEIGHT_RANGE_M
+        given = value if isinstance(value, str) else f"{value:g}"
         raise typer.BadParameter(
-            f"must be the height of a person in metres, {low_m:g} to {high_m:g}, such as 1.78, got {value:g}"
+            f"must be the height of a person in metres, {low_m:g} to {high_m:g}, such as 1.78, got {given}",
+            param_hint="'--height'",
         ) from None
-    return value
+
+
+def _known_height(value: float | None) -> float | None:
+    return None if value is None else height_in_metres(value)
 
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, or folders of recordings.")]
@@ -93,7 +98,7 @@ Tiles = Annotated[str, typer.Option(metavar="URL", help="URL of map tiles, which
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
 Height = Annotated[
     float | None,
-    typer.Option("--height", callback=_height_in_metres, help="Height of the person in m. Replaces a recorded height."),
+    typer.Option("--height", callback=_known_height, help="Height of the person in m. Replaces a recorded height."),
 ]
 
 

@@ -33,6 +33,7 @@ def workbench_command(
             import shapely  # noqa: F401  # pyright: ignore[reportUnusedImport]
             import uvicorn  # noqa: F401  # pyright: ignore[reportUnusedImport]
 
+            from pdr_filter.apps.live.folder_lock import folder_lock
             from pdr_filter.apps.live.hub import Live
             from pdr_filter.apps.live.settings import Settings
             from pdr_filter.apps.workbench.hub import Workbench
@@ -51,6 +52,8 @@ def workbench_command(
             live = Live(Settings(), folder / PHONES)
         listening = opened.enter_context(bound_socket(address.host, address.port))
         root, query = address.url(listening.getsockname()[1]), f"?token={token}" if token else ""
+        for written in (folder / HIDDEN, folder / PHONES) if address.is_open else (folder / HIDDEN,):
+            opened.enter_context(folder_lock(written, f"pdr-filter app at {root}"))
         phone = f"{root}/live/{'phone' if address.https else 'data'}{query}" if address.is_open else ""
         application = workbench_application(workbench, live, token, tiles, f"{root}/{query}", phone, known)
         server = address.server(application, folder / PHONES)

@@ -101,8 +101,8 @@ def take(
     dropped. `platform` ("ios", "android" or "") is used if no message names one. SessionError if the session cannot be
     tracked, LateError if the number of the message was given up.
     """
-    state, is_repeated = _counted(state, held, message)
-    if is_repeated:
+    state, came_before = _counted(state, held, message)
+    if came_before:
         return replace_unchecked(state, n_repeated=state.n_repeated + 1), list(held), []
     waiting = [*held, message]
     if state.kind is None:
@@ -113,6 +113,11 @@ def take(
             return state, waiting, []
         state = replace_unchecked(state, kind=kind)
     return _released(state, waiting)
+
+
+def is_repeated(state: Assembly, held: Sequence[Message], message: Message) -> bool:
+    """Return True if a message came before. LateError if its number was given up."""
+    return _counted(state, held, message)[1]
 
 
 def finish_assembly(
@@ -160,8 +165,8 @@ def _counted(state: Assembly, held: Sequence[Message], message: Message) -> tupl
     number = message.number
     if number is None:
         digest = hashlib.sha256(message.source).hexdigest()[:16]
-        is_repeated = bool(message.source) and digest in state.recent
-        return replace_unchecked(state, recent=(*state.recent, digest)[-_N_RECENT:]), is_repeated
+        came_before = bool(message.source) and digest in state.recent
+        return replace_unchecked(state, recent=(*state.recent, digest)[-_N_RECENT:]), came_before
     if any(first <= number <= last for first, last in state.given_up):
         raise LateError(
             f"message {number} is too late: it was given up after {_WAIT_S:g} s of later samples, and the track went "

@@ -19,6 +19,10 @@ event, `/ws` sends an empty object and `/events` a comment.
 - `now`: the fields of `OnlineFilter.now`, `received_unix_s` of the last message, and `silent_s`, at most five times a
   second.
 - `gone`: the phone has been silent for ten minutes.
+- `server`, every two seconds and without `id`: over half a minute, `messages_per_s`, `bytes_per_s` and `answer_s` (mean
+  time until a message was answered, or null); since the start, `n_refused` by HTTP status; `refusal`, the device and
+  the reason of the last one; `disk_left_bytes`, `disk_left_s` (time until the disk is full at this rate, or at that of
+  one phone if this is lower) and `is_disk_low` (true for less than an hour).
 """
 
 from __future__ import annotations

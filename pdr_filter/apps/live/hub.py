@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import time
 from collections.abc import AsyncIterator
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
 from pdr_filter.apps.live.access import MAX_BODY_BYTES, Rates
 from pdr_filter.apps.live.broadcast import Broadcast
 from pdr_filter.apps.live.cluster import DaskCluster
-from pdr_filter.apps.live.messages import MessageError, parse
-from pdr_filter.apps.live.parts import Answer, MessageBatch
+from pdr_filter.apps.live.messages import MessageBatch, MessageError, parse
+from pdr_filter.apps.live.parts import Answer
 from pdr_filter.apps.live.settings import Event, Settings
+from pdr_filter.apps.live.traffic import REPORT_S, Traffic
 from pdr_filter.apps.live.workers import Process, Starter, Workers
 
 
@@ -25,6 +28,8 @@ class Live:
         self.rates = Rates()
         self.sessions: dict[str, Event] = {}
         self.broadcast = Broadcast()
+        self.traffic = Traffic(folder)
+        self._reporting: asyncio.Task[None] | None = None
         self._workers: Workers | None = None
         self._cluster: DaskCluster | None = None
 
@@ -45,6 +50,7 @@ class Live:
         self._workers = Workers(start, self.n_workers, self._shown)
         await self._workers.start()
         without = ("path", "history", "silent_s")
+        self._reporting = asyncio.create_task(self._report())
         for key, track in (await self.tracks()).items():
             self.sessions[key] = {n: v for n, v in track.items() if n not in without} | {"event": "session"}
 
@@ -54,6 +60,8 @@ class Live:
 
     async def stop(self) -> None:
         """Save all sessions and end the workers."""
+        if self._reporting is not None:
+            self._reporting.cancel()
         if self._workers is not None:
             await self._workers.close()
         if self._cluster is not None:
@@ -64,19 +72,26 @@ class Live:
 
         `device`, `session` and `platform` are used for messages that do not contain them.
         """
+        begun_s = time.monotonic()
+        name, answer = await self._answer(body, device, session, platform)
+        self.traffic.add(len(body), name, answer, time.monotonic() - begun_s)
+        return answer
+
+    async def _answer(self, body: bytes, device: str, session: str, platform: str) -> tuple[str, Answer]:
+        """Return the name of the device that sent a body, and the answer to it."""
         if len(body) > MAX_BODY_BYTES:
-            return Answer(413, {"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"})
+            return device, Answer(413, {"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"})
         try:
             messages = parse(body, device, session, platform)
         except MessageError as error:
-            return Answer(400, {"error": str(error)})
+            return device, Answer(400, {"error": str(error)})
         names = {message.device for message in messages}
         if len(names) > 1:
-            return Answer(400, {"error": "one body is of one device; send messages of different devices apart"})
+            return device, Answer(400, {"error": "one body is of one device; send messages of different devices apart"})
         name = next(iter(names), device)
         if not self.rates.allows(name, len(body)):
-            return Answer(429, {"error": f"{name} sends too much; a phone may send 1 MB a second"})
-        return await self.workers.take(MessageBatch(name, messages, time.time()))
+            return name, Answer(429, {"error": f"{name} sends too much; a phone may send 1 MB a second"})
+        return name, await self.workers.take(MessageBatch(name, messages, time.time()))
 
     def _shown(self, text: str) -> None:
         """Pass an event of a worker on to all pages and clients. The last `session` event of each session is kept."""
@@ -92,3 +107,10 @@ class Live:
     def events(self) -> AsyncIterator[str]:
         """Yield the present state of all sessions, then each event, and an empty text now and then between events."""
         return self.broadcast.events(self.workers.snapshots)
+
+    async def _report(self) -> None:
+        """Send a `server` event to all pages and clients every `REPORT_S`."""
+        while True:
+            await asyncio.sleep(REPORT_S)
+            with suppress(OSError):  # the folder is on a drive that does not answer
+                self.broadcast.send(json.dumps(await asyncio.to_thread(self.traffic.event)))

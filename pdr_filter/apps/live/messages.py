@@ -11,6 +11,8 @@ A message of our own layout is an object with these fields. Device, session and 
 - `platform`: "ios" or "android", which decides the sign of the specific force.
 - `number`: count of the messages of a session, so that they may be repeated and in any order.
 - `end`: true in the last message of a session. Its last steps then do not wait for later samples.
+- `meta`: object with `name` of the recording, `placement` and `subject`, an object with `height_m`, `weight_kg`, `age`,
+  `id` and `gender` of the person. It is used in the messages before the track begins.
 - `samples`: by sensor (`N_VALUES`), rows of the time and the values. The time is in s, or in ms, us or ns since 1970.
   The specific force is +9.81 m/s2 on z for a phone lying face up. `linear_acceleration` and `gravity` are added; one
   without the other is refused.
@@ -19,14 +21,15 @@ A message of our own layout is an object with these fields. Device, session and 
 
 Answers, by HTTP status:
 
-- 200: accepted, and written to the recording.
-- 400: not a message. 401: no token, or a wrong one. 403: not from this computer, or from a page of another site.
+- 200: accepted. The operating system has it, so that it is not lost if the server is killed.
+- 400: not a message, or a header Host that is no address. 401: no token, or a wrong one. 403: not from this computer,
+  or from a page of another site.
 - 409: a fix that cannot be used.
 - 410: a message after the server stopped waiting for its number.
 - 413, 429: more than 4 MB in a message, or more than 1 MB a second.
 - 422: a session that cannot be tracked, with the reason. Its messages are recorded.
 - 500: a message that has ended its worker twice.
-- 503: no room or no time at present. Send the message again.
+- 503: no room, no time or a full disk at present. Nothing is kept of the message. Send it again.
 """
 
 from __future__ import annotations
@@ -40,6 +43,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numpy as np
 
 from pdr_filter.values import FloatArray, IntArray, limits
+from pdr_filter.values.recording import check_height
 from pdr_filter.values.sanitise import printable
 
 # Sensors by our names, with how many numbers one sample has. Specific force is in m/s2 with Android's sign, or with
@@ -92,12 +96,22 @@ class Message:
     rows: Mapping[str, SensorRows] = field(default_factory=dict[str, SensorRows])
     fix: Mapping[str, Any] | None = None  # position that a user has marked
     is_end: bool = False  # whether it is the last one of its session
+    meta: Mapping[str, Any] = field(default_factory=dict[str, Any])  # name, placement and subject, as in a recording
     source: bytes = b""  # one line of JSON from which `parse` makes the same message again
 
     @property
     def n_samples(self) -> int:
         """Number of samples of all sensors."""
         return sum(len(rows.time) for rows in self.rows.values())
+
+
+@dataclass(frozen=True, slots=True)
+class MessageBatch:
+    """Request to process the messages that one device sent in one HTTP body, received at `received_s`."""
+
+    device: str
+    messages: Sequence[Message]
+    received_s: float
 
 
 def together(messages: Sequence[Message], name: str) -> SensorRows | None:
@@ -146,7 +160,8 @@ def to_json(message: Message) -> bytes:
     samples = {name: np.column_stack([rows.time, rows.values]).tolist() for name, rows in message.rows.items()}
     content = {"device": message.device, "session": message.session, "platform": message.platform, "samples": samples}
     numbered = {} if message.number is None else {"number": message.number}
-    return json.dumps({**content, **numbered, **({"end": True} if message.is_end else {})}).encode()
+    more = ({"end": True} if message.is_end else {}) | ({"meta": dict(message.meta)} if message.meta else {})
+    return json.dumps({**content, **numbered, **more}).encode()
 
 
 def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | None:
@@ -158,8 +173,9 @@ def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | Non
     device, session = _text(item, "device", known["device"]), _text(item, "session", known["session"])
     platform = _text(item, "platform", known["platform"])
     if "samples" in item:
-        is_end = item.get("end") is True
-        return Message(device, session, _whole(item, "number"), platform, _own_rows(item["samples"]), is_end=is_end)
+        is_end, meta = item.get("end") is True, _meta(item["meta"]) if "meta" in item else {}
+        rows = _own_rows(item["samples"])
+        return Message(device, session, _whole(item, "number"), platform, rows, is_end=is_end, meta=meta)
     if "fix" in item:
         fix = _checked(item["fix"], dict, "a fix must be a JSON object")
         return Message(device, session, None, platform, fix=fix)
@@ -316,6 +332,23 @@ def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[
             time_s, *values = (column[:n] for column in lists)
             found[name] = _plausible(time_s, np.column_stack(values))
     return found
+
+
+def _meta(content: Any) -> dict[str, Any]:
+    """Return the meta data of a message with only the known fields. MessageError for a wrong number or height."""
+    given = _checked(content, dict, "meta must be an object")
+    person = _checked(given.get("subject") or {}, dict, "subject in meta must be an object")
+    names = [name for name in ("id", "gender") if person.get(name) is not None]
+    subject: dict[str, Any] = {name: _text(person, name, "") for name in names}
+    with _refusing("subject in meta cannot be used ({}): send numbers, and the height in metres"):
+        for name in ("height_m", "weight_kg", "age"):
+            if person.get(name) is not None:
+                subject[name] = float(person[name])
+                if not 0.0 <= subject[name] < _LARGEST:
+                    raise ValueError(f"{name} is {subject[name]}")
+        check_height(subject.get("height_m", 1.7))
+    found = {name: text for name in ("name", "placement") if (text := _text(given, name, ""))}
+    return {**found, "subject": subject} if subject else found
 
 
 # --- numbers ----------------------------------------------------------------------------------------------------------

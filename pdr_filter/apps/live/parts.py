@@ -6,24 +6,16 @@ It answers requests in their order, and returns events for pages with the answer
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pdr_filter.apps.live.assembly import LateError
-from pdr_filter.apps.live.messages import Message, MessageError
+from pdr_filter.apps.live.messages import MessageBatch, MessageError
 from pdr_filter.apps.live.settings import BusyError, Event, FixError, Settings
-
-
-@dataclass(frozen=True, slots=True)
-class MessageBatch:
-    """Request to process the messages that one device sent in one HTTP body, received at `received_s`."""
-
-    device: str
-    messages: Sequence[Message]
-    received_s: float
 
 
 class Command(Enum):
@@ -69,30 +61,18 @@ class Part:
         self._sessions = Sessions(settings, folder, emit, part, n_parts)
 
     def answer(self, requests: Sequence[Request]) -> list[Response]:
-        """Return a `Response` for each request, in order. Consecutive messages are filtered and saved together."""
+        """Return a `Response` for each request, in order. Consecutive messages are written and filtered together."""
         responses: list[Response] = []
-        taken: list[tuple[Answer, set[str]]] = []
-        for request in requests:
-            if isinstance(request, MessageBatch):
-                taken.append(self._accept(request))
+        for kind, group in groupby(requests, type):
+            if kind is MessageBatch:
+                batches = cast("list[MessageBatch]", list(group))
+                answers = [*map(_answer_to, batches, self._sessions.take(batches))]
+                # the first has the events of all
+                responses += [Response(a, [] if i else self._new_events()) for i, a in enumerate(answers)]
             else:
-                responses += self._filtered_responses(taken)
-                taken = []
-                responses.append(Response(self._answer(request), self._new_events()))
-        return [*responses, *self._filtered_responses(taken)]
-
-    def _filtered_responses(self, taken: Sequence[tuple[Answer, set[str]]]) -> list[Response]:
-        """Return a `Response` for each message, after the sessions were saved and those that are due were filtered.
-
-        If a session failed, its error becomes the answer to its messages. The first `Response` has all events.
-        """
-        failed = self._sessions.settle()
-        answers: list[Answer] = []
-        for answer, keys in taken:
-            errors = [failed[key] for key in keys if key in failed]
-            answers.append(_refusal(errors[0]) if errors and answer.status == 200 else answer)
-        events = self._new_events()
-        return [Response(answer, events if i == 0 else []) for i, answer in enumerate(answers)]
+                commands = cast("Iterator[Command]", group)
+                responses += [Response(self._answer(command), self._new_events()) for command in commands]
+        return responses
 
     def _new_events(self) -> list[str]:
         """Return the events since the previous call."""
@@ -109,18 +89,12 @@ class Part:
             sessions.close()
         return Answer(200, None)
 
-    def _accept(self, request: MessageBatch) -> tuple[Answer, set[str]]:
-        try:
-            content, keys = self._sessions.accept(request.messages, request.received_s)
-        except (ValueError, BusyError, OSError) as error:
-            return _refusal(error), set()
-        return Answer(200, content), keys
 
-
-def _refusal(error: Exception) -> Answer:
-    statuses = {MessageError: 400, FixError: 409, LateError: 410, BusyError: 503, OSError: 503}
-    status = next((status for kind, status in statuses.items() if isinstance(error, kind)), 422)
-    return Answer(status, {"error": str(error)})
+def _answer_to(batch: MessageBatch, error: Exception | None) -> Answer:
+    if error is None:
+        return Answer(200, {"samples": sum(message.n_samples for message in batch.messages)})
+    statuses: dict[type[Exception], int] = {MessageError: 400, FixError: 409, LateError: 410, BusyError: 503}
+    return Answer(statuses.get(type(error), 422), {"error": str(error)})
 
 
 def answers_of_part(

@@ -1,11 +1,16 @@
 """Folder of one session: a growing recording in the project's own format, and the state from which a server goes on.
 
-Samples, steps and fixes are appended to text files that other programs read (`pdr_filter.read` takes the folder). The
-journal holds the messages since the last saved state, one on a line as received. `Recorder.flush` writes both before a
-message is acknowledged. `Recorder.saved` writes the state and begins a new journal. The state holds the length of each
-file: a longer file is cut when the state is loaded, because the journal has the rest. A session that is not tracked
-(yet) has the journal alone, which `pdr_filter.read` takes if Sensor Logger sent it. All this is for a process that
-dies. After a power failure the last seconds may be missing, because nothing waits for the disk.
+The journal holds the messages since the last saved state, one on a line as received. Messages are in it before anything
+else happens to them, so an acknowledged message is never lost, and a message that could not be written changes nothing.
+Samples, steps and fixes are appended to text files that other programs read (`pdr_filter.read` takes the folder). If
+the disk is full, they wait in memory, because the journal has them all. `Recorder.save` writes the state and begins a
+new journal. The state holds the length of each file: a longer file is cut when the state is loaded, because the journal
+has the rest. A session that is not tracked (yet) has the journal alone, which `pdr_filter.read` takes if Sensor Logger
+sent it.
+
+"Written" means that the operating system has the bytes, which protects from the death of a process. After a power
+failure the messages since the last saved state may be missing, because only `Recorder.save` waits for the disk. Waiting
+at each message would take longer than the filter.
 """
 
 from __future__ import annotations
@@ -13,18 +18,19 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import os
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pdr_filter.apps.live.messages import Message
+from pdr_filter.apps.live.messages import Message, parse
 from pdr_filter.data.io.files.own_format_writer import FILES, STREAM_COLUMNS
 from pdr_filter.values import Samples
 from pdr_filter.values import serialisation as serialise
+from pdr_filter.values.safe_files import append_whole, cut_file, sync_file, whole_file
 
 STATE, CONFIG, META, STEPS, FIXES = "state.bin", "config.txt", "meta.json", "steps.jsonl", "fixes.csv"
 RANGES = "ranges.csv"
@@ -34,34 +40,30 @@ _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
 _RANGE_COLUMNS = "time_s,anchor_east_m,anchor_north_m,range_m,std_m\n"
 
 
+class DamagedError(ValueError):
+    """Error for a session whose files do not have the bytes that were written. It names the file."""
+
+
 class Recorder:
-    """Files of one session. Everything given to `samples`, `step`, `fix` and `journal` is in them after `flush`."""
+    """Files of one session. `journal` writes at once, and `flush` what was given to the other methods."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._waiting: dict[str, list[str]] = {}
-        self._sizes: dict[str, int] = {}
-        self._n_saved = 0
+        self._description: tuple[bytes, bytes] | None = None  # metadata and configuration that `flush` writes
+        self._waiting: dict[str, list[str]] = {}  # lines that `flush` writes
+        self._sizes: dict[str, int] = {}  # number of valid bytes of each file except the journal
+        self._n_saved, self._journal_size = 0, 0
         folder.mkdir(parents=True, exist_ok=True)
 
     def describe(self, meta: Mapping[str, Any], config: bytes) -> None:
-        """Write the properties of the session, and its configuration to a file that all sessions with it share."""
-        replace_file(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
-        shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
-        if not shared.exists():
-            shared.parent.mkdir(exist_ok=True)
-            replace_file(shared, config)
-        replace_file(self.folder / CONFIG, shared.name.encode())
-
-    @property
-    def is_described(self) -> bool:
-        """True after `describe`, also by an earlier process."""
-        return (self.folder / CONFIG).exists()
+        """Set the properties of the session, and its configuration. All sessions with it share one file."""
+        self._description = (json.dumps(dict(meta), indent=1) + "\n").encode(), config
 
     def config(self) -> Any:
-        """Configuration that was passed to `describe`."""
-        name = (self.folder / CONFIG).read_text()
-        return serialise.from_bytes((self.folder.parent / CONFIGS / name).read_bytes())
+        """Configuration that was passed to `describe`. DamagedError if its file is not the one that was written."""
+        with reading(CONFIG):
+            name = (self.folder / CONFIG).read_text()
+            return serialise.from_bytes((self.folder.parent / CONFIGS / name).read_bytes())
 
     def samples(self, name: str, rows: Samples) -> None:
         """Append samples of a sensor with all digits, so that the recording equals what the filter received."""
@@ -81,58 +83,74 @@ class Recorder:
         """Append a range to an anchor in the columns that `pdr-filter smooth --ranges` reads."""
         self._append(RANGES, _RANGE_COLUMNS, f"{time_s!r},{east_m!r},{north_m!r},{range_m!r},{std_m!r}\n")
 
-    def journal(self, message: Message) -> None:
-        """Append a message to the journal, where it stays until the next call of `saved`."""
-        self._append(_journal(self._n_saved), "", _line(message))
+    def journal(self, messages: Iterable[Message]) -> None:
+        """Write messages to the journal, all or none, where they stay until the next call of `save`."""
+        if lines := _lines(messages):
+            path = self.folder / _journal(self._n_saved)
+            self._journal_size = append_whole(path, lines, self._journal_size)
 
     def flush(self) -> None:
-        """Write everything that was appended. When this returns, the operating system has the data."""
-        for name, lines in self._waiting.items():
-            with (self.folder / name).open("ab", buffering=0) as file:
-                file.write("".join(lines).encode())
-                self._sizes[name] = file.tell()
-        self._waiting = {}
+        """Write everything that waits. After an OSError what was not written waits for the next call."""
+        if self._description is not None:
+            meta, config = self._description
+            shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
+            if not shared.exists():
+                _replace(shared, config)
+            _replace(self.folder / META, meta)
+            _replace(self.folder / CONFIG, shared.name.encode())
+            self._description = None
+        for name, lines in list(self._waiting.items()):
+            content = "".join(lines).encode()
+            self._sizes[name] = append_whole(self.folder / name, content, self._sizes.get(name, 0))
+            del self._waiting[name]
 
     def save(self, state: object, held: Iterable[Message]) -> None:
-        """Save a state from which `load` continues. A new journal begins with the messages that still wait."""
-        self.flush()
-        old = _journal(self._n_saved)
-        self._n_saved += 1
-        # before the state that names it, so that no message is without a journal
-        lines = "".join(map(_line, held))
-        new = _journal(self._n_saved)
-        (self.folder / new).write_bytes(lines.encode())
-        sizes = {name: size for name, size in self._sizes.items() if name != old}
-        content = {"state": state, "sizes": sizes, "n_saved": self._n_saved}
-        replace_file(self.folder / STATE, serialise.to_bytes(content))
-        (self.folder / old).unlink(missing_ok=True)
-        self._sizes = {**sizes, new: len(lines)}
+        """Save a state from which `load` continues. A new journal begins with the messages that still wait.
 
-    def load(self) -> tuple[Any, list[tuple[str, str, str, bytes]]]:
-        """Return the state saved last, or None, and the messages since: device, session, platform and JSON.
+        After an OSError the earlier state and its journal are those that `load` continues from.
+        """
+        self.flush()
+        for name in self._sizes:
+            sync_file(self.folder / name)  # a state that survives a power failure must not count bytes that do not
+        old, number = self.folder / _journal(self._n_saved), self._n_saved + 1
+        # before the state that names it, so that no message is without a journal
+        size = append_whole(self.folder / _journal(number), _lines(held), 0)
+        _replace(self.folder / STATE, serialise.to_bytes({"state": state, "sizes": self._sizes, "n_saved": number}))
+        self._n_saved, self._journal_size = number, size
+        with suppress(OSError):  # `load` deletes it otherwise
+            old.unlink(missing_ok=True)
+
+    def load(self) -> tuple[Any, Iterator[Message]]:
+        """Return the state saved last, or None, and the messages since. DamagedError if a file is not what was written.
 
         Lines that were written after the last save, and journals of earlier saves, are deleted.
         """
         path, state = self.folder / STATE, None
         if path.exists():
-            content = serialise.from_bytes(path.read_bytes())
-            state, self._sizes, self._n_saved = content["state"], dict(content["sizes"]), int(content["n_saved"])
+            with reading(STATE):
+                content = serialise.from_bytes(path.read_bytes())
+                state, self._sizes, self._n_saved = content["state"], dict(content["sizes"]), int(content["n_saved"])
         for name in (STEPS, FIXES, RANGES, *(f"{name}.csv" for name in STREAM_COLUMNS)):
-            self._cut(name, self._sizes.get(name, 0))
+            size, path = self._sizes.get(name, 0), self.folder / name
+            there = path.stat().st_size if path.exists() else 0
+            if there < size:
+                raise DamagedError(f"{name} has {there} bytes in place of {size}")
+            cut_file(path, size)
         journal = self.folder / _journal(self._n_saved)
-        for other in self.folder.glob("journal_*"):
-            if other != journal:  # left by a process that died between two writes of `saved`
+        for other in (*self.folder.glob("journal_*"), *self.folder.glob(".*.part")):
+            if other != journal:  # left by a process that died in `save`
                 other.unlink()
-        whole, _, _ = (journal.read_bytes() if journal.exists() else b"").rpartition(b"\n")
-        if journal.exists():  # a broken-off line was not acknowledged, and the next one must not follow it
-            self._cut(journal.name, len(whole) + bool(whole))
-            self._sizes[journal.name] = len(whole) + bool(whole)
-        return state, [_entry(line.decode()) for line in whole.split(b"\n") if line]
+        content = journal.read_bytes() if journal.exists() else b""
+        self._journal_size = content.rfind(b"\n") + 1  # a broken-off line was not acknowledged
+        cut_file(journal, self._journal_size)
+        return state, _messages(content[: self._journal_size].split(b"\n")[:-1])
 
-    def steps(self) -> list[dict[str, Any]]:
-        """Return the steps that were written to disk."""
+    def steps(self) -> Iterator[dict[str, Any]]:
+        """Yield the steps that were written to disk. ValueError if a line is damaged."""
         path = self.folder / STEPS
-        return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+        if path.exists():
+            with path.open() as file:
+                yield from map(json.loads, file)
 
     def _append(self, name: str, header: str, lines: str) -> None:
         waiting = self._waiting.setdefault(name, [])
@@ -140,23 +158,14 @@ class Recorder:
             waiting.append(header)
         waiting.append(lines)
 
-    def _cut(self, name: str, size: int) -> None:
-        path = self.folder / name
-        if path.exists() and path.stat().st_size > size:
-            if size == 0:
-                path.unlink()
-            else:
-                with path.open("r+b") as file:
-                    file.truncate(size)
-
 
 def exported_files(folder: Path) -> dict[str, Path]:
     """Return the files of a recording for users, or the messages of a session that was not tracked, by name."""
-    names = [name for name in (*FILES, STEPS, FIXES, RANGES, DEVICE) if (folder / name).exists()]
     journal = next(folder.glob("journal_*"), None)
-    if not names and journal is not None:
+    if journal is not None and not (folder / META).exists():
         return {"messages.json": journal}
-    return {name: folder / name for name in names}
+    names = (*FILES, STEPS, FIXES, RANGES, DEVICE)
+    return {name: folder / name for name in names if (folder / name).exists()}
 
 
 def zip_bytes(files: Mapping[str, Path]) -> bytes:
@@ -172,23 +181,41 @@ def _journal(number: int) -> str:
     return f"journal_{number}.json"
 
 
-def _line(message: Message) -> str:
-    """Return a message as one line of the journal.
+def _lines(messages: Iterable[Message]) -> bytes:
+    """Return messages as lines of the journal.
 
     Device, session and platform precede the JSON text. The text may lack them, because the address of the request can
     hold them.
     """
-    names = {"device": message.device, "session": message.session, "platform": message.platform}
-    return f"{json.dumps(names)} {message.source.decode('utf-8', 'replace')}\n"
+    lines = b""
+    for message in messages:
+        names = {"device": message.device, "session": message.session, "platform": message.platform}
+        lines += json.dumps(names).encode() + b" " + message.source.decode("utf-8", "replace").encode() + b"\n"
+    return lines
 
 
-def _entry(line: str) -> tuple[str, str, str, bytes]:
-    names, end = json.JSONDecoder().raw_decode(line)
-    return names["device"], names["session"], names["platform"], line[end + 1 :].encode()
+def _messages(lines: Sequence[bytes]) -> Iterator[Message]:
+    """Yield the messages of lines of the journal; DamagedError if a line has none."""
+    for line in lines:
+        with reading("journal"):
+            text = line.decode()
+            names, end = json.JSONDecoder().raw_decode(text)
+            messages = parse(text[end + 1 :].encode(), **names)
+        yield from messages
 
 
-def replace_file(path: Path, content: bytes) -> None:
-    """Replace a file atomically: even if the process ends suddenly, the file is the old or the new one."""
-    unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")  # two workers may write one configuration
-    unfinished.write_bytes(content)
-    unfinished.replace(path)
+@contextmanager
+def reading(name: str) -> Generator[None]:
+    """Turn errors about the content of a file into DamagedError. Those of the disk remain OSError."""
+    try:
+        yield
+    except Exception as error:  # damaged bytes can raise any exception
+        of_the_disk = isinstance(error, OSError) and not isinstance(error, FileNotFoundError | IsADirectoryError)
+        if of_the_disk or isinstance(error, DamagedError):
+            raise
+        raise DamagedError(f"{name}: {error}") from error
+
+
+def _replace(path: Path, content: bytes) -> None:
+    with whole_file(path) as file:
+        file.write(content)

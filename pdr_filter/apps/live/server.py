@@ -5,30 +5,41 @@ from __future__ import annotations
 import asyncio
 import json
 import uuid
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import SplitResult, urlsplit
 
 from starlette.applications import Starlette
-from starlette.requests import HTTPConnection, Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
-from starlette.routing import Route, WebSocketRoute
+from starlette.requests import ClientDisconnect, HTTPConnection, Request
+from starlette.responses import FileResponse, HTMLResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import BaseRoute, Route, WebSocketRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from pdr_filter.apps.live.access import LOOPBACK_NAMES, MAX_BODY_BYTES, TOKEN_COOKIE, is_token
 from pdr_filter.apps.live.broadcast import Broadcast
 from pdr_filter.apps.live.certificate import NAMES
+from pdr_filter.apps.live.connections import ALLOWED
 from pdr_filter.apps.live.geojson import geojson
 from pdr_filter.apps.live.hub import Live
 from pdr_filter.apps.live.parts import Answer
 from pdr_filter.apps.live.recorder import exported_files, zip_bytes
 
-PAGE = Path(__file__).parent / "page"
-# uPlot and the map, which reports hold, too.
-_SHARED = [Path(__file__).parents[1] / "report" / name for name in ("assets", "page")]
+APPS = Path(__file__).parents[1]
+# Of each file that a page can ask for, by suffix.
+_MEDIA_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain"}
+
+
+def page_files(*folders: str) -> dict[str, bytes]:
+    """Return the contents of all files of pages in some folders of `pdr_filter.apps`, by their names.
+
+    They are read once, at the start, because another version of the package may be installed while a server runs. What
+    a page asks for is looked up here, and never becomes a path.
+    """
+    paths = [path for folder in folders for path in (APPS / folder).iterdir() if path.suffix in _MEDIA_TYPES]
+    return {path.name: path.read_bytes() for path in paths}
 
 
 class Site:
@@ -36,6 +47,7 @@ class Site:
 
     def __init__(self, live: Live, tiles: str) -> None:
         self.live, self.tiles = live, tiles
+        self._files = page_files("report/assets", "report/page", "live/page")  # reports, too, have uPlot and the map
 
     def routes(self) -> list[Route | WebSocketRoute]:
         """Routes of the application."""
@@ -59,11 +71,11 @@ class Site:
     async def page(self, request: Request) -> Response:
         """Serve the page that shows the tracks, or the page on which a phone records in its browser."""
         name = {"/": "index.html", "/phone": "phone.html"}[request.url.path]
-        return FileResponse(PAGE / name, headers=page_headers(self.tiles))
+        return HTMLResponse(self._files[name], headers=page_headers(self.tiles))
 
     async def asset(self, request: Request) -> Response:
         """Serve scripts and styles of the pages."""
-        return asset_of(request, (PAGE, *_SHARED), self.tiles)
+        return asset_of(request, self._files, self.tiles)
 
     async def authority(self, _: Request) -> Response:
         """Serve the certificate of the authority."""
@@ -142,7 +154,16 @@ class Site:
 
 def live_application(live: Live, token: str = "", tiles: str = "") -> Starlette:
     """Application of a running server. Without a token it answers requests from this computer only."""
-    made = Starlette(routes=Site(live, tiles).routes())
+    return application(Site(live, tiles).routes(), token)
+
+
+def application(routes: Sequence[BaseRoute], token: str) -> Starlette:
+    """Application with some routes behind an `AccessMiddleware`."""
+
+    async def left(*_: Any) -> Response:
+        return Response(status_code=400)  # to nobody: the sender closed the connection before the end of its body
+
+    made = Starlette(routes=routes, exception_handlers={ClientDisconnect: left})
     made.add_middleware(AccessMiddleware, token=token)
     return made
 
@@ -164,6 +185,7 @@ class AccessMiddleware:
         asked = HTTPConnection(scope)
         refusal = self._refusal(asked)
         if refusal is None:
+            scope.setdefault("state", {})[ALLOWED] = True
             await self.inner(scope, receive, self._with_cookie(asked, send))
         elif scope["type"] == "http":
             await JSONResponse({"error": refusal[1]}, refusal[0])(scope, receive, send)
@@ -172,11 +194,14 @@ class AccessMiddleware:
 
     def _refusal(self, asked: HTTPConnection) -> tuple[int, str] | None:
         host, origin = asked.headers.get("host", ""), asked.headers.get("origin")
-        if origin is not None and urlsplit(origin).netloc != host:
+        server, page = _split(f"//{host}"), _split(origin or "")
+        if server is None or page is None:
+            return 400, "Host or Origin is not an address; use the whole address that the server printed"
+        if origin is not None and page.netloc != host:
             return 403, "pages of other sites may not ask this server"
         if not self.token:
             # a name that another site has pointed to this machine is not one of these
-            return None if urlsplit(f"//{host}").hostname in LOOPBACK_NAMES else (403, "this server is for localhost")
+            return None if server.hostname in LOOPBACK_NAMES else (403, "this server is for localhost")
         bearer = asked.headers.get("authorization", "").removeprefix("Bearer ").strip()
         if is_token(self.token, [asked.query_params.get("token"), bearer, asked.cookies.get(TOKEN_COOKIE)]):
             return None
@@ -197,6 +222,14 @@ class AccessMiddleware:
         return with_cookie
 
 
+def _split(address: str) -> SplitResult | None:
+    """Return the parts of an address, or None for a text such as "//[::1", which has none."""
+    try:
+        return urlsplit(address)
+    except ValueError:
+        return None
+
+
 _TOO_LONG = JSONResponse({"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"}, 413)
 
 
@@ -210,13 +243,13 @@ async def body_of(request: Request, most: int = MAX_BODY_BYTES) -> bytes | None:
     return bytes(body)
 
 
-def asset_of(request: Request, folders: Iterable[Path], tiles: str) -> Response:
-    """Return the script or style that a request names, from the first of some folders that has it."""
+def asset_of(request: Request, files: Mapping[str, bytes], tiles: str) -> Response:
+    """Return the script or style that a request names, or status 404 if it is not among the files."""
     name = request.path_params["name"]
-    path = next((p for folder in folders for p in folder.iterdir() if p.name == name), None)
-    if path is None or path.suffix not in (".js", ".css", ".txt"):
+    kind = Path(name).suffix
+    if name not in files or kind == ".html":
         return PlainTextResponse("not found", 404)
-    return FileResponse(path, headers=page_headers(tiles))
+    return Response(files[name], media_type=_MEDIA_TYPES[kind], headers=page_headers(tiles))
 
 
 def event_stream(broadcast: Broadcast, events: AsyncIterator[str]) -> Response:

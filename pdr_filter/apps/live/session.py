@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import math
 import time
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
 from pdr_filter import recipes
+from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.apps.live import assembly
 from pdr_filter.apps.live.assembly import Assembly, LateError, SessionError
-from pdr_filter.apps.live.messages import FORCE, Message, parse
-from pdr_filter.apps.live.recorder import DEVICE, Recorder
+from pdr_filter.apps.live.messages import FORCE, Message
+from pdr_filter.apps.live.recorder import DEVICE, STATE, STEPS, DamagedError, Recorder, reading
 from pdr_filter.apps.live.settings import Event, FixError, Settings
 from pdr_filter.filter.pedestrian.alignment import Pose
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
@@ -51,18 +53,19 @@ _LOAD_MESSAGES = 100
 _FIX_STD_RANGE_M = (0.01, 1000.0)
 # Folder with a file for each phone: its gyroscope bias at the end of its latest session.
 DEVICES = "devices"
+_LOG = logging.getLogger(__name__)
 
 
-@cache
+@lru_cache(maxsize=64)
 def plain_config(settings: Settings) -> Config:
     """Configuration of a session before its first samples are known."""
-    meta = {"subject": {"height_m": settings.height_m}}
-    return recipes.for_recording(settings.recipe, Recording("live", Samples(np.empty(0), np.empty((0, 3))), meta=meta))
+    empty = Samples(np.empty(0), np.empty((0, 3)))
+    return recipes.for_recording(settings.recipe, Recording("live", empty, meta=settings.meta))
 
 
-@cache
+@lru_cache(maxsize=64)
 def plain_config_bytes(settings: Settings) -> bytes:
-    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones.
+    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones of equal settings.
 
     ValueError for a recipe with parts of classes outside of this package: sessions are saved with their configuration.
     """
@@ -86,9 +89,11 @@ class DeviceSession:
 
     def __init__(self, device: str, session: str, settings: Settings, folder: Path) -> None:
         self.id = session_id(device, session)
-        self.device, self.session, self.settings = device, session, settings
+        self.device, self.session, self.settings = device, session, settings.of_phone(device, {})
+        self.name = ""  # that the phone gives the recording
         self.recorder = Recorder(folder / self.id)
         self._known_device = folder / DEVICES / f"{session_id(device, '')}.json"  # from earlier sessions of the phone
+        self._device: Device | None = None  # with which this session began
         self.assembly, self.held = Assembly(), list[Message]()
         self.online: OnlineFilter | None = None
         self.refused = ""  # reason why the session cannot be tracked
@@ -112,35 +117,50 @@ class DeviceSession:
 
     # --- messages ---
 
-    def take(self, message: Message, received_s: float) -> list[Event]:
-        """Take and record a message, which `advance` filters, and return the events that it causes.
+    def begin(self) -> None:
+        """Give a new session the gyroscope bias of the phone's latest session, if there is one."""
+        if self._known_device.exists():
+            days = max(time.time() - self._known_device.stat().st_mtime, 0.0) / 86400.0
+            with suppress(DamagedError):
+                self._device = load_device(self._known_device).after(days)
+                self._device.save(self.recorder.folder / DEVICE)
 
-        FixError or LateError if the message cannot be used. A message of a session that cannot be tracked is recorded,
-        and `refused` holds the reason. SessionError if the session has ended.
+    def is_kept(self, message: Message) -> bool:
+        """Return True if a message belongs in the journal, False if it came before, too late or after the end."""
+        return not self.has_ended and self._is_new(message)
+
+    def _is_new(self, message: Message) -> bool:
+        try:
+            return not assembly.is_repeated(self.assembly, self.held, message)
+        except LateError:
+            return False
+
+    def take(self, message: Message, received_s: float = math.nan) -> list[Event]:
+        """Take a message, which `advance` filters, and return the events that it causes. The journal has it before.
+
+        FixError or LateError if the message cannot be used, SessionError if the session has ended. A message of a
+        session that cannot be tracked changes nothing, and `refused` holds the reason.
         """
-        if self.has_ended:
+        if self.has_ended and self._is_new(message):
             raise SessionError("this session has ended; begin a new one")
-        self._received_s = received_s
-        events = self._took(message)
-        self.recorder.journal(message)
-        return events
-
-    def _took(self, message: Message) -> list[Event]:
-        self.seen_at = time.monotonic()
+        self._received_s, self.seen_at = received_s, time.monotonic()
         self._unsaved_at = min(self._unsaved_at, self.seen_at)
         if self.refused:
             return []
-        if message.fix is not None:
-            events = self.advance()
-            return [*events, self._fixed(message.fix), *self._now(is_due=True)]
         try:
+            if message.fix is not None:
+                events = self.advance()
+                return [*events, self._fixed(message.fix), *self._now(is_due=True)]
+            if message.meta and self.online is None:
+                self.settings = self.settings.of_phone(self.device, message.meta)
+                self.name = message.meta.get("name", "")
             self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, self.settings.platform)
             self._record(ready)
-        except LateError:
+            return self.finish() if message.is_end and not self.has_ended else []
+        except (FixError, LateError):
             raise
-        except ValueError as error:
+        except Exception as error:
             return self._refuse(error)
-        return self.finish() if message.is_end else []
 
     def _record(self, ready: Sequence[assembly.Streams]) -> None:
         """Append samples to the recording, and keep them for the filter, which is created at the first samples."""
@@ -166,11 +186,14 @@ class DeviceSession:
             return []
         try:
             return [*self._filtered(_joined(ready)), *self._about_changed()]
-        except ValueError as error:
+        except Exception as error:
             return self._refuse(error)
 
-    def _refuse(self, error: ValueError) -> list[Event]:
-        self.refused, self.held = str(error), []
+    def _refuse(self, error: Exception) -> list[Event]:
+        """Track the session no longer. An error of any kind stops one session only, whose journal goes on."""
+        if not isinstance(error, ValueError):
+            _LOG.error("%s: not tracked any more", self.recorder.folder, exc_info=error)
+        self.refused, self.held = reason_of(error), []
         return self._about_changed()
 
     def release(self) -> list[Event]:
@@ -183,11 +206,8 @@ class DeviceSession:
 
     def finish(self) -> list[Event]:
         """Filter the last steps, when no further message can arrive, and return the events. The session then ends."""
-        try:
-            self.assembly, self.held, ready = assembly.finish_assembly(self.assembly, self.held, self.settings.platform)
-            self._record(ready)
-        except ValueError as error:
-            return self._refuse(error)
+        self.assembly, self.held, ready = assembly.finish_assembly(self.assembly, self.held, self.settings.platform)
+        self._record(ready)
         events = self.advance()
         if self.refused:
             return events
@@ -205,25 +225,20 @@ class DeviceSession:
         return [*events, *self._outcomes(), *self._turned(), *self._corrected(), *self._now()]
 
     def _begun(self, samples: assembly.Streams) -> Config:
-        """Return the configuration for the sensors in the first samples, and write it and metadata to the recording."""
+        """Return the configuration for the sensors in the first samples, and record it and metadata."""
         kind = assembly.known_kind(self.assembly)
-        name = file_name(f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id)
+        name = self.name or f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id
         meta: dict[str, Any] = {
-            "name": name,
+            "name": file_name(name),
             "source": "pdr-filter live",
             "accelerometer": f"{kind.force}, {kind.how}",
         }
         if kind.zero_ns:
             meta["epoch_ns"] = kind.zero_ns
-        if self.settings.height_m is not None:
-            meta["subject"] = {"height_m": self.settings.height_m}
+        meta |= self.settings.meta
         first = Recording(name, **cast(Any, samples), meta=meta)
         plain = plain_config(self.settings)
         config = live_config(first, plain)
-        if not self.recorder.is_described:  # a session that is loaded again keeps its device
-            with suppress(OSError, ValueError):  # no earlier session, or a damaged file
-                days = max(time.time() - self._known_device.stat().st_mtime, 0.0) / 86400.0
-                Device.load(self._known_device).after(days).save(self.recorder.folder / DEVICE)
         self.recorder.describe(
             meta, plain_config_bytes(self.settings) if config is plain else serialise.to_bytes(config)
         )
@@ -231,8 +246,7 @@ class DeviceSession:
 
     def _with_device(self, config: Config) -> Config:
         """Return the configuration with the gyroscope bias from an earlier session, if this session began with one."""
-        path = self.recorder.folder / DEVICE
-        return config.with_device(Device.load(path)) if path.exists() else config
+        return config if self._device is None else config.with_device(self._device)
 
     def _keep_device(self) -> None:
         """Write the gyroscope bias of the phone for its next session, if this session has taught at least half."""
@@ -348,6 +362,9 @@ class DeviceSession:
         self.path.append(_row(update.step.time_s, update.position_m, update.position_cov_m2))
         self._starts.append(update.of_start)
         self._drawn.append(self.path[-1][:3])
+        self._forget()
+
+    def _forget(self) -> None:
         for kept in (self.path, self._starts, self._drawn):
             if len(kept) > _MAX_PATH:
                 del kept[: _MAX_PATH // 10]
@@ -432,37 +449,38 @@ class DeviceSession:
     def save(self) -> list[Event]:
         """Filter what waits, write the state of a session that is tracked, and return the events.
 
-        A session that is not tracked goes on from its journal.
+        A session that is not tracked goes on from its journal, and so does one whose state cannot be written.
         A saved state ends the journal, so that samples which it does not know would be missing in the track.
         """
-        events = self.advance()
-        if self.online is None or self.refused:
-            self.recorder.flush()
-        else:
-            self.recorder.save({"assembly": self.assembly, "state": self.online.state}, self.held)
-        self._unsaved_at = math.inf
+        events, self._unsaved_at = self.advance(), math.inf
+        try:
+            if self.online is None or self.refused:
+                self.recorder.flush()
+            else:
+                self.recorder.save({"assembly": self.assembly, "state": self.online.state}, self.held)
+        except OSError as error:
+            self._unsaved_at = time.monotonic()
+            _LOG.warning("%s: the state cannot be saved (%s) and is tried again", self.recorder.folder, error.strerror)
         return events
 
     @classmethod
     def load(cls, device: str, session: str, settings: Settings, folder: Path) -> DeviceSession:
-        """Return the session with all acknowledged messages, however the last process ended."""
+        """Return the session with all acknowledged messages, however the last process ended.
+
+        DamagedError if its files cannot be those that were written. An OSError is no damage.
+        """
         self = cls(device, session, settings, folder)
-        silent_s = time.time() - max(file.stat().st_mtime for file in (folder / self.id).iterdir())
-        saved, entries = self.recorder.load()
-        if saved is not None:
-            self.assembly = saved["assembly"]
-            self.online = OnlineFilter(self._with_device(self.recorder.config()))
-            self.online.state = saved["state"]
-            self.has_ended = self.online.state.finished
-            self._judged = self.online.state.last.fixes
-            for step in self.recorder.steps()[-_MAX_PATH:]:
-                self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
-                start = step["of_start"]
-                self._starts.append(None if start is None else _pose(start))
-        for number, (_, _, platform, body) in enumerate(entries, start=1):
-            for message in parse(body, device, session, platform):
-                with suppress(FixError, LateError):
-                    self._took(message)
+        files = list((folder / self.id).iterdir())
+        silent_s = time.time() - max((file.stat().st_mtime for file in files), default=0.0)
+        saved, messages = self.recorder.load()
+        if (path := self.recorder.folder / DEVICE).exists():
+            self._device = load_device(path)
+        with reading(STATE):
+            if saved is not None:
+                self._restore(saved)
+        for number, message in enumerate(messages, start=1):
+            with suppress(FixError, LateError, SessionError):
+                self.take(message)
             if number % _LOAD_MESSAGES == 0:
                 self.advance()
         self.save()
@@ -471,6 +489,26 @@ class DeviceSession:
         self._corrected(is_due=True)
         self.seen_at = time.monotonic() - max(silent_s, 0.0)
         return self
+
+    def _restore(self, saved: Mapping[str, Any]) -> None:
+        self.assembly = saved["assembly"]
+        self.online = OnlineFilter(self._with_device(self.recorder.config()))
+        self.online.state = saved["state"]
+        self.has_ended = self.online.state.finished
+        self._judged = self.online.state.last.fixes
+        with reading(STEPS):
+            for step in self.recorder.steps():
+                self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
+                start = step["of_start"]
+                self._starts.append(None if start is None else _pose(start))
+                self._forget()
+
+
+def load_device(path: Path) -> Device:
+    """Return the device of a file. DamagedError if it holds none, OSError if it cannot be read."""
+    path.read_bytes()  # because `Device.load` has one kind of error for both
+    with reading(path.name):
+        return Device.load(path)
 
 
 def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]:

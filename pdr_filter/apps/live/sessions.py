@@ -1,6 +1,6 @@
 """Sessions of the phones of one worker: each has its own filter, its own recording and its own saved state.
 
-No web here: `Sessions.accept` gets messages, `Sessions.settle` filters them, and events for pages go to `emit`.
+No web here: `Sessions.take` gets messages, records and filters them, and events for pages go to `emit`.
 """
 
 from __future__ import annotations
@@ -8,14 +8,16 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pdr_filter.apps.live.assembly import SessionError
-from pdr_filter.apps.live.messages import Message, MessageError
-from pdr_filter.apps.live.recorder import replace_file
+from pdr_filter.apps.live.messages import Message, MessageBatch, MessageError
+from pdr_filter.apps.live.recorder import DamagedError
 from pdr_filter.apps.live.session import DeviceSession, session_id
 from pdr_filter.apps.live.settings import BusyError, Event, Settings, worker_of
+from pdr_filter.values.safe_files import write_text
 from pdr_filter.values.sanitise import printable
 
 # A state costs 15 ms and is saved so often. A server that starts again filters the journal of this time.
@@ -47,35 +49,55 @@ class Sessions:
                 if is_recent and worker_of(device, n_parts) == part:
                     self.sessions[path.stem] = self._loaded(device, session)
                     self.sessions[path.stem].begun_unix_s = begun_unix_s
-            except (OSError, ValueError) as error:  # one folder must not stop the others
+            except Exception as error:  # one folder must not stop the others; its next message tries again
                 _LOG.warning("%s: not loaded: %s", path, error)
 
-    def accept(self, messages: Sequence[Message], received_s: float) -> tuple[Event, set[str]]:
-        """Assign messages to their sessions, and return {"samples": number} and the ids of these sessions.
+    def take(self, batches: Sequence[MessageBatch]) -> list[Exception | None]:
+        """Record messages, filter the sessions that are due, and return the first error of each batch, or None.
 
-        A session is created for a new phone. `settle` filters and saves the samples later. MessageError for a message
-        without a device, BusyError if there are too many sessions, SessionError, LateError or FixError if a message
-        cannot be used. The messages before it are taken.
+        The messages of a session are written to its journal together, before anything else happens to them. If this
+        fails, nothing is kept of them, and the session goes on when they are sent again.
+
+        Errors are MessageError for a message without a device, BusyError if there are too many sessions or no space,
+        and SessionError, LateError or FixError if a message cannot be used. The other messages are taken.
         """
-        n, keys = 0, set[str]()
-        for message in messages:
-            if not message.device:
-                raise MessageError("no device named; give deviceId, or ?device=NAME in the address")
-            taken_by = self._session(message, received_s)
-            self._taken.add(taken_by.id)
-            for event in taken_by.take(message, received_s):
-                self.emit(event)
-            keys.add(taken_by.id)
-            n += message.n_samples
-        return {"samples": n}, keys
+        errors: list[Exception | None] = [None] * len(batches)
+        received: dict[str, list[tuple[int, Message]]] = {}
+        for number, batch in enumerate(batches):
+            try:
+                for message in batch.messages:
+                    key = self._session(message, batch.received_s).id
+                    received.setdefault(key, []).append((number, message))
+            except (MessageError, BusyError) as error:
+                errors[number] = error
+        for key, found in received.items():
+            session = self.sessions[key]
+            try:
+                with _writing():
+                    session.recorder.journal(message for _, message in found if session.is_kept(message))
+            except BusyError as error:
+                for number, _ in found:
+                    errors[number] = error
+                continue
+            self._taken.add(key)
+            for number, message in found:
+                try:
+                    for event in session.take(message, batches[number].received_s):
+                        self.emit(event)
+                except ValueError as error:
+                    errors[number] = errors[number] or error
+        self.advance()
+        for key, found in received.items():
+            if reason := self.sessions[key].refused:
+                for number, _ in found:
+                    errors[number] = errors[number] or SessionError(reason)
+        return errors
 
-    def settle(self, is_all: bool = False) -> dict[str, Exception]:
-        """Save all messages since the last call, and filter the sessions that are due.
+    def advance(self, is_all: bool = False) -> None:
+        """Filter the sessions that are due, and write their samples and steps.
 
-        A session is due if enough samples wait, or if `is_all`. The result has the error of each session that failed,
-        by the id of the session.
+        A session is due if enough samples wait, or if `is_all`.
         """
-        failed: dict[str, Exception] = {}
         wait_s = 0.0 if is_all else min(len(self.sessions) * _PASS_S, _LONGEST_WAIT_S)
         for key in list(self._taken):
             session = self.sessions[key]
@@ -83,47 +105,49 @@ class Sessions:
                 for event in session.advance():
                     self.emit(event)
                 self._taken.discard(key)
-            if session.refused:
-                failed[key] = SessionError(session.refused)
-            try:
+            with suppress(OSError):  # the journal has all of it, and the next call writes what waits
                 session.recorder.flush()
-            except OSError as error:
-                # the next message loads the session again, which cuts off a half-written line
-                del self.sessions[key]
-                self._taken.discard(key)
-                failed[key] = BusyError(f"the recording cannot be written ({error}); free some space and send it again")
-        return failed
 
     def _session(self, message: Message, received_s: float) -> DeviceSession:
+        """Return the session of a message, new or loaded if it is not in memory."""
+        if not message.device:
+            raise MessageError("no device named; give deviceId, or ?device=NAME in the address")
         key = session_id(message.device, message.session)
-        if key in self.sessions:
-            return self.sessions[key]
-        if len(self.sessions) >= self.settings.max_devices:
-            raise BusyError(f"{len(self.sessions)} sessions already; start the server with more --max-devices")
-        names = self.folder / NAMES / f"{key}.json"
+        if key not in self.sessions:
+            if len(self.sessions) >= self.settings.max_devices:
+                raise BusyError(f"{len(self.sessions)} sessions already; start the server with more --max-devices")
+            with _writing():
+                self.sessions[key] = self._opened(message, received_s)
+        return self.sessions[key]
+
+    def _opened(self, message: Message, received_s: float) -> DeviceSession:
+        names = self.folder / NAMES / f"{session_id(message.device, message.session)}.json"
         if names.exists():
-            _, _, begun_unix_s = json.loads(names.read_text())
+            with suppress(ValueError):  # a damaged file seems to begin now
+                _, _, received_s = json.loads(names.read_text())
             session = self._loaded(message.device, message.session)
         else:
-            session = DeviceSession(message.device, message.session, self.settings, self.folder)
-            begun_unix_s = received_s
-            names.parent.mkdir(exist_ok=True)
-            replace_file(names, json.dumps([message.device, message.session, begun_unix_s]).encode())
-        session.begun_unix_s = begun_unix_s
-        self.sessions[key] = session
+            session = self._new(message.device, message.session)
+            write_text(names, json.dumps([message.device, message.session, received_s]))
+        session.begun_unix_s = received_s
         return session
 
+    def _new(self, device: str, session: str) -> DeviceSession:
+        made = DeviceSession(device, session, self.settings, self.folder)
+        made.begin()
+        return made
+
     def _loaded(self, device: str, session: str) -> DeviceSession:
-        """Return the session in a folder. If its files cannot be used, rename the folder and return a new session."""
+        """Return the session in a folder. If its files are damaged, rename the folder and return a new session."""
         try:
             return DeviceSession.load(device, session, self.settings, self.folder)
-        except Exception as error:  # damaged files, or those of another version, fail in many ways
+        except DamagedError as error:
             reason = printable(error)[:200]
         kept = self.folder / session_id(device, session)
         n = sum(1 for _ in self.folder.glob(f"{kept.name}.damaged*")) + 1
         aside = kept.rename(kept.with_name(f"{kept.name}.damaged{n}"))
         _LOG.warning("%s cannot be loaded (%s): kept as %s", kept, reason, aside.name)
-        made = DeviceSession(device, session, self.settings, self.folder)
+        made = self._new(device, session)
         made.notes = (
             f"the recording until now cannot be continued ({reason}): it is kept in the folder {aside.name}, and the "
             "track begins again",
@@ -133,12 +157,12 @@ class Sessions:
 
     def snapshots(self) -> list[Event]:
         """Return the events that show all sessions to a newly opened page."""
-        self.settle(is_all=True)
+        self.advance(is_all=True)
         return [event for session in self.sessions.values() for event in session.snapshot()]
 
     def maintain(self) -> None:
         """Filter and save what remains, send events, and remove silent phones. Call it about once per second."""
-        self.settle()
+        self.advance()
         for key, session in list(self.sessions.items()):
             events = session.rest()
             is_gone = time.monotonic() - session.seen_at > _IDLE_S
@@ -148,6 +172,7 @@ class Sessions:
                 events += session.save()
             if is_gone:
                 del self.sessions[key]
+                self._taken.discard(key)
                 events.append({"event": "gone", "id": key})
             for event in events:
                 self.emit(event)
@@ -157,3 +182,13 @@ class Sessions:
         for session in self.sessions.values():
             for event in session.save():
                 self.emit(event)
+
+
+@contextmanager
+def _writing() -> Generator[None]:
+    """Turn an error of the disk into BusyError, so that the phone sends its message again."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise BusyError(f"the recording cannot be written ({reason}); free some space and send it again") from error

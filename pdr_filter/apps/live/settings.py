@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from pdr_filter.values.recording import Subject
+
+_UNKNOWN = Subject()
 # Event for pages and programs in the types of JSON; the docstring of `apps.live.broadcast` lists the kinds.
 Event = dict[str, Any]
 
@@ -20,12 +24,30 @@ class BusyError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """Tracking options of a server, which apply to all phones."""
+    """Tracking options of a server, and what is known about the person and placement of one phone (`of_phone`)."""
 
     recipe: str = "default"
-    height_m: float | None = None
+    height_m: float | None = None  # of all persons that are not named otherwise
     platform: str = ""  # "ios" or "android", for an app that does not say it
     max_devices: int = 64
+    heights_m: tuple[tuple[str, float], ...] = ()  # of persons, by the first letters of the names of their phones
+    subject: Subject = _UNKNOWN
+    placement: str = ""
+
+    def of_phone(self, device: str, meta: Mapping[str, Any]) -> Settings:
+        """Return the settings for a phone that sends the meta data `meta` (see `messages.Message`).
+
+        The height is that of `heights_m`, otherwise that of the phone, otherwise `height_m`.
+        """
+        named = [{"height_m": height_m} for name, height_m in self.heights_m if device.startswith(name)]
+        known: dict[str, Any] = {"height_m": self.height_m, **meta.get("subject", {}), **(named[0] if named else {})}
+        return replace(self, subject=Subject(**known), placement=meta.get("placement", ""))
+
+    @property
+    def meta(self) -> dict[str, Any]:
+        """Known meta data of a recording of this phone."""
+        subject = {name: value for name, value in asdict(self.subject).items() if value is not None}
+        return {name: value for name, value in (("subject", subject), ("placement", self.placement)) if value}
 
 
 def worker_of(device: str, n_parts: int) -> int:

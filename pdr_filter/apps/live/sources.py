@@ -7,6 +7,7 @@ import json
 import urllib.request
 import uuid
 from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
+from dataclasses import asdict
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit
 
@@ -70,6 +71,8 @@ async def replay(recording: Recording, speed: float, take: Taker) -> None:
     # In recorded order: what a recording's clock did is replayed too. Other sensors go with the samples of their time.
     part_s = min(_PART_S * max(speed, 1.0), 1.0)  # as often where it is faster, but of a second at most
     cuts = np.append(np.arange(float(time_s[0]), float(time_s.max()), part_s)[1:], np.inf)
+    subject = {name: value for name, value in asdict(recording.subject).items() if value is not None}
+    meta = {"name": recording.name, "placement": recording.placement, "subject": subject}
     session, loop = uuid.uuid4().hex[:8], asyncio.get_running_loop()
     begun, sent = loop.time(), dict.fromkeys(streams, 0)
     for number, end_s in enumerate(cuts):
@@ -82,7 +85,7 @@ async def replay(recording: Recording, speed: float, take: Taker) -> None:
                 rows[name] = SensorRows(samples.time_s[part], samples.values[part])
                 sent[name] += n
         is_end = number == len(cuts) - 1
-        message = Message(f"replay {recording.name}", session, number, "android", rows, is_end=is_end)
+        message = Message(f"replay {recording.name}", session, number, "android", rows, is_end=is_end, meta=meta)
         await asyncio.sleep(max(begun + (number + 1) * part_s / speed - loop.time(), 0.0))
         if (await take(to_json(message))).status != 200:
             return

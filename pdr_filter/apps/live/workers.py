@@ -19,7 +19,8 @@ from pathlib import Path
 from typing import Protocol
 
 from pdr_filter.apps.batch.worker_process import LostError, WorkerProcess
-from pdr_filter.apps.live.parts import Answer, Command, MessageBatch, Request, Response, answers_of_part
+from pdr_filter.apps.live.messages import MessageBatch
+from pdr_filter.apps.live.parts import Answer, Command, Request, Response, answers_of_part
 from pdr_filter.apps.live.settings import Event, Settings, worker_of
 
 # Requests that wait for one worker at most: a second of 200 phones that send five times a second.

@@ -17,19 +17,21 @@ from urllib.parse import quote
 
 import segno
 from starlette.applications import Starlette
-from starlette.requests import ClientDisconnect, Request
+from starlette.requests import Request
 from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Mount, Route
 
 from pdr_filter.apps.live.hub import Live
 from pdr_filter.apps.live.server import (
-    AccessMiddleware,
+    APPS,
     Site,
+    application,
     asset_of,
     attachment,
     body_of,
     event_stream,
     image_sources,
+    page_files,
     page_headers,
 )
 from pdr_filter.apps.workbench.hub import FailedError, Workbench
@@ -42,8 +44,7 @@ from pdr_filter.values import limits
 from pdr_filter.values.safe_files import read_json
 from pdr_filter.values.sanitise import file_name, free_name
 
-PAGE = Path(__file__).parent / "page"
-_SHARED = [Path(__file__).parents[1] / name for name in ("report/assets", "report/page", "live/page")]
+_TEXTS = APPS / "workbench" / "page" / "texts.json"
 _TEXT = re.compile(r"\{\{(\w+)\}\}")
 # A recording of a day at 200 Hz in a zip file has 1 GB.
 _MAX_DROP_BYTES = 1024**3
@@ -51,7 +52,7 @@ _MAX_DROP_FILES = 10_000
 # A page waits no longer than this for the list of recordings.
 _SCAN_S = 1.5
 _MAX_EDIT_BYTES = 8 * 1024**2
-_TOKEN = re.compile(r"[0-9a-f]{16}")
+_TOKEN, _FLOOR = re.compile(r"[0-9a-f]{16}"), re.compile(r"[0-9]{1,3}")
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -73,6 +74,7 @@ class WorkbenchSite:
     def __init__(self, workbench: Workbench, tiles: str, address: str, phone: str, texts: dict[str, str]) -> None:
         self.workbench, self.plans = workbench, Plans(workbench.folder)
         self.tiles, self.address, self.phone, self.texts = tiles, address, phone, texts
+        self._files = page_files("live/page", "report/assets", "report/page", "workbench/page")
         self._drops: dict[Path, tuple[int, int]] = {}  # files and bytes of each drop that has not ended
 
     def routes(self) -> list[BaseRoute]:
@@ -89,7 +91,7 @@ class WorkbenchSite:
             ("/walks/{id}/compare", self.compare),
             ("/walks/{id}/export/{kind}", self.export),
             ("/plans/{name}", self.plan),
-            ("/plans/{name}/{floor:int}.png", self.picture),
+            ("/plans/{name}/{floor}.png", self.picture),
         ]
         post: list[tuple[str, Handler]] = [
             ("/drops/{token}", self.drop),
@@ -100,8 +102,8 @@ class WorkbenchSite:
             ("/walks/{id}/teach", self.teach),
             ("/plans", self.new_plan),
             ("/plans/{name}", self.save_plan),
-            ("/plans/{name}/{floor:int}.png", self.set_picture),
-            ("/plans/{name}/{floor:int}/rectify", self.rectify),
+            ("/plans/{name}/{floor}.png", self.set_picture),
+            ("/plans/{name}/{floor}/rectify", self.rectify),
         ]
         return [
             Route(path, _answering(handler), methods=[method])
@@ -118,7 +120,7 @@ class WorkbenchSite:
             self._walk(request)
         elif kind == "plan":
             self._plan(request)
-        content = (PAGE / f"{kind}.html").read_text(encoding="utf-8")
+        content = self._files[f"{kind}.html"].decode()
         filled = _TEXT.sub(lambda found: html.escape(self.texts[found[1]]), content)
         about = {"texts": self.texts, "tiles": self.tiles, "recipes": list(RECIPES), "exports": list(EXPORTS)}
         data = json.dumps(about).replace("<", "\\u003c")
@@ -126,7 +128,7 @@ class WorkbenchSite:
 
     async def asset(self, request: Request) -> Response:
         """Serve scripts and styles of the pages."""
-        return asset_of(request, (PAGE, *_SHARED), self.tiles)
+        return asset_of(request, self._files, self.tiles)
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""
@@ -321,14 +323,14 @@ class WorkbenchSite:
 
     async def picture(self, request: Request) -> Response:
         """Serve the picture of a storey."""
-        path = self.plans.picture(self._plan(request), request.path_params["floor"])
+        path = self._picture(request)
         if not path.exists():
             raise UnknownError("this storey has no picture: add one to the floor plan")
         return FileResponse(path, headers={"Cache-Control": "no-store"})
 
     async def set_picture(self, request: Request) -> Response:
         """Store the uploaded picture of a storey, and return its size."""
-        path = self.plans.picture(self._plan(request), request.path_params["floor"])
+        path = self._picture(request)
         source = self.workbench.incoming / f"{secrets.token_hex(8)}.source"  # two uploads may run at the same time
         try:
             too_large = f"the picture has more than {MAX_PICTURE_BYTES // 1024**2} MB; give a smaller file"
@@ -340,9 +342,16 @@ class WorkbenchSite:
 
     async def rectify(self, request: Request) -> Response:
         """Rectify the picture of a storey by four corners, and return its size."""
-        path = self.plans.picture(self._plan(request), request.path_params["floor"])
+        path = self._picture(request)
         content = await _json_of(request)
         return JSONResponse(await self.workbench.quick("rectify", str(path), content["corners"]))
+
+    def _picture(self, request: Request) -> Path:
+        """Return the file of the picture of a storey. UnknownError for a number that no storey has."""
+        name, floor = self._plan(request), request.path_params["floor"]
+        if not _FLOOR.fullmatch(floor):
+            raise UnknownError("the number of a storey must have one to three digits: reload the floor plan")
+        return self.plans.picture(name, int(floor))
 
     def _plan(self, request: Request) -> str:
         name = request.path_params["name"]
@@ -365,19 +374,15 @@ def workbench_application(
     routes = site.routes()
     if live is not None:
         routes.append(Mount("/live", routes=Site(live, tiles).routes()))
-    made = Starlette(routes=routes)
-    made.add_middleware(AccessMiddleware, token=token)
-    return made
+    return application(routes, token)
 
 
 def read_texts(path: Path | None = None) -> dict[str, str]:
     """Return the texts of the pages, with translated texts in place of English ones. ValueError for unknown names."""
-    texts: dict[str, str] = read_json(PAGE / "texts.json", limits.MAX_SMALL_BYTES)
+    texts: dict[str, str] = read_json(_TEXTS, limits.MAX_SMALL_BYTES)
     own = {} if path is None else read_json(path, limits.MAX_SMALL_BYTES)
     if not isinstance(own, dict) or own.keys() - texts.keys() or not all(isinstance(v, str) for v in own.values()):
-        raise ValueError(
-            f"{path}: must be a JSON object of texts by name, with no other names than in {PAGE / 'texts.json'}"
-        )
+        raise ValueError(f"{path}: must be a JSON object of texts by name, with no other names than in {_TEXTS}")
     return texts | own
 
 
@@ -391,8 +396,6 @@ def _answering(handler: Handler) -> Handler:
     async def answer(request: Request) -> Response:
         try:
             return await handler(request)
-        except ClientDisconnect:
-            return Response(status_code=400)
         except FailedError as error:
             return JSONResponse({"error": str(error)}, 507 if error.errno in _FULL else 422)
         except OSError as error:

@@ -36,6 +36,7 @@ from pdr_filter.values.recording import Recording
 from pdr_filter.values.safe_files import read_small, write_text
 from pdr_filter.version import __version__
 
+_PACKAGE = Path(__file__).parents[2]
 # Points of the small picture of a path.
 _N_POINTS = 120
 _MAX_CACHED = 2000
@@ -64,6 +65,9 @@ def make_worker(cache: str) -> Callable[[tuple[str, Sequence[Any]]], Any]:
         try:
             return getattr(worker, method)(*arguments)
         except Exception as error:  # a damaged file can raise any error
+            if isinstance(error, FileNotFoundError) and str(error.filename).startswith(str(_PACKAGE)):
+                words = "a file of pdr_filter is missing, because it was installed again: start the workbench again"
+                return {"error": words, "errno": error.errno}
             return {"error": reason_of(error), "errno": error.errno if isinstance(error, OSError) else None}
 
     return answer

@@ -78,8 +78,12 @@ def test_one_process_and_two_give_the_same_table(walks: Path, tmp_path: Path) ->
 def test_failures_stand_beside_the_successes_with_their_reason(walks: Path, tmp_path: Path) -> None:
     broken, missing = tmp_path / "broken, 'a' \"b\".zip", tmp_path / "missing.zip"
     broken.write_text("this is no zip file")
-    rows = batch.track([broken, walks / "walk_0.zip", missing], out=tmp_path / "out" / "tracks.csv")
-    assert [row.status for row in rows] == ["failed", "done", "failed"]
+    in_two_lines = shutil.copy(walks / "walk_0.zip", tmp_path / "two\nlines.zip")
+    paths = [broken, walks / "walk_0.zip", missing, in_two_lines]
+    rows = batch.track(paths, out=tmp_path / "out" / "tracks.csv")
+    assert [row.status for row in rows] == ["failed", "done", "failed", "failed"]
+    assert "line break" in rows[3].reason
+    assert batch.track(paths, out=tmp_path / "out" / "tracks.csv") == rows
     assert all(row.reason and row.n_steps is None and "\n" not in row.reason for row in (rows[0], rows[2]))
     assert rows[1].reason == ""
     assert {row.path for row in batch.read_table(tmp_path / "out" / "tracks.csv")} == {row.path for row in rows}

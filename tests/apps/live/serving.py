@@ -21,9 +21,8 @@ from typing import Any
 import httpx
 import numpy as np
 
-from pdr_filter.apps.live.messages import N_VALUES, Message, SensorRows, parse, to_json
+from pdr_filter.apps.live.messages import N_VALUES, Message, MessageBatch, SensorRows, parse, to_json
 from pdr_filter.apps.live.sessions import Sessions
-from pdr_filter.apps.live.settings import Event
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording
@@ -33,13 +32,12 @@ START_S = 120.0  # a server that has not printed its addresses by then is killed
 EPOCH_NS = 1_716_760_513_715_797_500
 
 
-def take(devices: Sessions, body: bytes, unix_s: float = 0.0) -> Event:
-    """Process the body of a message, and return what it held, which is then filtered and on the disk."""
-    content, keys = devices.accept(parse(body, "", "", ""), unix_s)
-    failed = devices.settle(is_all=True)
-    for key in keys & failed.keys():
-        raise failed[key]
-    return content
+def take(devices: Sessions, body: bytes, unix_s: float = 0.0) -> None:
+    """Process the body of a message, which is then filtered and on the disk."""
+    (error,) = devices.take([MessageBatch("", parse(body), unix_s)])
+    devices.advance(is_all=True)
+    if error is not None:
+        raise error
 
 
 class Server:
@@ -71,6 +69,8 @@ class Server:
         self.address = address
         headers = {"Authorization": f"Bearer {self.token}"} if self.token else {}
         self.http = httpx.Client(base_url=address, headers=headers, timeout=30, verify=False)
+        self._listening = threading.Thread(target=self._listen, daemon=True)  # a full pipe would stop the server
+        self._listening.start()
 
     def __enter__(self) -> Server:
         return self
@@ -104,9 +104,13 @@ class Server:
         self._close()
 
     def _close(self) -> int:
-        self.said += self._process.stderr.readlines()
+        self._listening.join(30)
         self._process.stderr.close()
         return self._process.wait(30)
+
+    def _listen(self) -> None:
+        for line in self._process.stderr:
+            self.said.append(line)
 
     def post(self, body: bytes | dict[str, Any] | list[Any], **parameters: str) -> httpx.Response:
         """What is said to a message."""

@@ -120,6 +120,8 @@ def test_a_server_and_workers_that_are_killed_go_on_with_real_times(walk: Record
         for message in messages[49:]:
             assert server.post(message).status_code == 200
         check(tmp_path, server.tracks()["iPhone de José"], walk)
+    steps = [json.loads(line)["index"] for line in (folder / "steps.jsonl").read_text().splitlines()]
+    assert steps == list(range(len(steps)))  # none twice
 
 
 def test_a_phone_that_returns_after_an_hour_goes_on_in_its_session(walk: Recording, tmp_path: Path) -> None:

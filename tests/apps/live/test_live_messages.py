@@ -45,8 +45,10 @@ def test_a_push_of_sensor_logger_is_read_to_the_nanosecond() -> None:
 def test_a_message_of_our_own_comes_back_as_it_was() -> None:
     rng = np.random.default_rng(1)
     rows = {"gyroscope": SensorRows(np.sort(rng.random(5)), rng.normal(size=(5, 3)))}
-    message = Message("p", "s", 3, "ios", rows, is_end=True)
+    meta = {"name": "walk", "placement": "hand", "subject": {"id": "p01", "height_m": 1.8}}
+    message = Message("p", "s", 3, "ios", rows, is_end=True, meta=meta)
     (again,) = parse(to_json(message))
+    assert again.meta == meta
     assert (again.device, again.session, again.number, again.platform, again.is_end) == ("p", "s", 3, "ios", True)
     np.testing.assert_array_equal(again.rows["gyroscope"].time, rows["gyroscope"].time)
     np.testing.assert_array_equal(again.rows["gyroscope"].values, rows["gyroscope"].values)
@@ -91,6 +93,10 @@ def test_phyphox_gives_the_sensors_that_have_times() -> None:
         (b'{"samples": {"../x": [[1, 2]]}}', "unknown sensor"),
         (b'{"type": "android.sensor.gyroscope", "timestamp": 1, "values": [1]}', "3 numbers"),
         (b'{"fix": 1}', "a fix must be"),
+        (b'{"samples": {}, "meta": 1}', "meta must be"),
+        (b'{"samples": {}, "meta": {"subject": 1}}', "subject in meta must be"),
+        (b'{"samples": {}, "meta": {"subject": {"height_m": 178}}}', "height in metres"),
+        (b'{"samples": {}, "meta": {"subject": {"age": 1e400}}}', "send numbers"),
         (json.dumps([{}] * 2000).encode(), "2000 messages"),
     ],
 )
@@ -128,6 +134,9 @@ JSON = st.recursive(
                     "type",
                     "timestamp",
                     "messageId",
+                    "meta",
+                    "subject",
+                    "height_m",
                 ]
             ),
             inner,

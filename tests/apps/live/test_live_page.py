@@ -95,7 +95,7 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
 
 def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(walk: Recording, tmp_path: Path) -> None:
     def numbers(browser: Browser) -> list[str]:
-        return browser.value("[...document.querySelectorAll('dd')].map(e => e.textContent)")
+        return browser.value("[...document.querySelectorAll('#numbers dd')].map(e => e.textContent)")
 
     def select(browser: Browser, device: str) -> None:
         browser.value(f"""(() => {{
@@ -141,7 +141,8 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         assert [browser.words(s) for s in ("#where", "#gaps", "#notes", "#rates")] == ["", "", "", ""]
         assert browser.value("document.getElementById('charts').hidden")
         headings = "[...document.querySelectorAll('h2, caption')].filter(e => e.offsetHeight).map(e => e.textContent)"
-        assert browser.value(headings) == ["Download"]
+        browser.until("!document.getElementById('server').hidden")
+        assert browser.value(headings) == ["Download", "Server"]
         browser.shot(tmp_path / "empty.png")
 
         select(browser, "ended")
@@ -192,6 +193,12 @@ def test_everything_can_be_seen_and_read(
         browser.open(server.address, width, 900, "dark" if dark else "light")
         browser.until(f"{SESSION}?.path.length > 20")
         browser.until("document.querySelectorAll('canvas').length === 3")
+        browser.until("Number.parseFloat(document.getElementById('messages').textContent) > 1")
+        assert browser.words("#warning") == browser.words("#refusal") == ""
+        rates = "messages_per_s: 5, bytes_per_s: 5e4, answer_s: 0.012, n_refused: {503: 2}, refusal: 'p: no space'"
+        browser.value(f"handlers.server({{{rates}, disk_left_bytes: 4e8, disk_left_s: 1800, is_disk_low: true}})")
+        assert browser.words("#warning").startswith("The disk of the server is full in 30 min: 400 MB are left.")
+        assert browser.words("#refusal") == "Refused by status: 503 (2). The last one: p: no space"
         assert browser.value("document.documentElement.scrollWidth") == width
         covered = browser.value("""
             [...document.querySelectorAll('dd, dt, button, select, #map, .uplot, a, caption')].filter(e => {
@@ -266,6 +273,7 @@ def test_a_browser_that_has_motion_sends_it(server: Server, tmp_path: Path) -> N
     """Events as Chromium on Android gives them: m/s2, degrees per second about z, x and y."""
     with Browser(tmp_path) as browser:
         browser.open(f"{server.address}/phone")
+        browser.value("document.getElementById('height').value = 1.62")
         browser.click("#start")
         browser.until("document.getElementById('connection').textContent === 'connected'")
         browser.value("running.socket.send('{')")
@@ -288,11 +296,13 @@ def test_a_browser_that_has_motion_sends_it(server: Server, tmp_path: Path) -> N
         sessions = server.http.get("/sessions").json()["sessions"]
         (session,) = [s for s in sessions if s["device"].startswith("browser")]
         assert session["force"] == "accelerometer, as it is"
+        browser.shot(tmp_path / "sender.png")
         answer = server.http.get(f"/sessions/{session['id']}/recording.zip")
         path = tmp_path / "sent.zip"
         path.write_bytes(answer.content)
         sent = pdr.read(path)
         assert not browser.value("isApple()")
+        assert sent.subject.height_m == 1.62
         np.testing.assert_allclose(sent.gyroscope.values[0], [0, np.pi, np.pi / 2], atol=1e-9)
         assert browser.complaints == []
         # whose signs are of iOS

@@ -5,8 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import os
-import signal
 import socket
 import ssl
 import subprocess
@@ -35,6 +33,7 @@ from pdr_filter.apps.live.messages import parse
 from pdr_filter.apps.live.parts import Answer
 from pdr_filter.apps.live.settings import Settings
 from pdr_filter.values.recording import Recording
+from pdr_filter.values.serialisation import to_bytes
 
 
 @pytest.fixture(scope="module")
@@ -127,6 +126,28 @@ def test_a_page_that_comes_late_is_told_the_contexts_until_then(
     assert len(times_s) > 20
     assert min(np.diff(times_s)) >= 1.0
     assert max(row["context_prob"]["walking"] or 0.0 for row in track["history"]) > 0.5
+
+
+@pytest.mark.parametrize(
+    ("options", "height_m"),
+    [({}, 1.62), ({"height_m": 1.9}, 1.62), ({"heights_m": (("wat", 1.55), ("watch", 1.5))}, 1.55)],
+)
+def test_person_and_placement_that_a_phone_sends_reach_the_filter_and_the_recording(
+    walk: Recording, tmp_path: Path, options: dict[str, Any], height_m: float
+) -> None:
+    meta = {"name": "Ann's walk", "placement": "Left foot", "subject": {"height_m": 1.62, "age": 40, "x": "y"}}
+    session = live_session.DeviceSession("watch 1", "s", Settings("zhou2019", **options), tmp_path)
+    for body in own_messages(walk, "watch 1", "s")[:6]:
+        for message in parse(json.dumps(json.loads(body) | {"meta": meta}).encode()):
+            session.take(message, 0.0)
+    assert session.online is not None
+    session.save()
+    recording = pdr.read(session.recorder.folder)
+    assert (recording.name, recording.is_on_foot) == ("Ann's walk", True)
+    assert (recording.subject.height_m, recording.subject.age) == (height_m, 40.0)
+    expected = pdr.recipes.for_recording("zhou2019", recording)
+    assert to_bytes(session.online.config) == to_bytes(expected)
+    assert to_bytes(expected) != to_bytes(pdr.recipes.for_recording("zhou2019", walk))
 
 
 def test_events_come_while_the_phone_sends(server: Server, walk: Recording) -> None:
@@ -300,29 +321,6 @@ def test_a_certificate_is_kept_for_its_host_and_replaced_for_another_one(tmp_pat
     ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(second)
 
 
-def test_a_server_that_is_killed_in_the_middle_of_a_walk_goes_on(walk: Recording, tmp_path: Path) -> None:
-    bodies = own_messages(walk)
-    with Server("--record", str(tmp_path), "--workers", "2") as server:
-        for body in bodies[:25]:
-            assert server.post(body).status_code == 200
-        (_, busy) = sorted(server.children)
-        os.kill(busy, signal.SIGKILL)
-        os.kill(min(server.children), signal.SIGKILL)
-        for body in bodies[25:50]:
-            assert server.post(body).status_code == 200
-        server.kill()
-    assert len(pdr.read(next(tmp_path.glob("p-*"))).accelerometer) > 200  # can be read as it was left
-    with Server("--record", str(tmp_path)) as server:
-        for body in bodies[49:]:
-            assert server.post(body).status_code == 200
-        track = server.tracks()["p"]
-        steps = [json.loads(line) for line in (tmp_path / track["id"] / "steps.jsonl").read_text().splitlines()]
-        again = pdr.track(recorded(tmp_path, track, walk))
-    np.testing.assert_array_equal(positions(track), again.position_m)
-    assert [s["index"] for s in steps] == list(range(len(steps)))  # none twice
-    assert len(again.time_s) > 40
-
-
 def test_a_replay_of_a_file_that_cannot_be_read_ends_the_server(tmp_path: Path) -> None:
     for name, content in (("nowhere.zip", None), ("broken.zip", b"no zip")):
         if content is not None:
@@ -337,8 +335,7 @@ def test_a_replay_of_a_file_that_cannot_be_read_ends_the_server(tmp_path: Path) 
 @pytest.mark.parametrize("name", ["walk", "Gänge \u2197 'zwei'"])
 def test_a_replay_ends_with_the_track_of_the_file(walk: Recording, tmp_path: Path, name: str) -> None:
     path = replace(walk, name=name).save(tmp_path / "walk.zip")
-    height_m = str(walk.subject.height_m)
-    with Server("--replay", str(path), "--speed", "100", "--height", height_m, "--workers", "2") as server:
+    with Server("--replay", str(path), "--speed", "100", "--workers", "2") as server:
 
         def ended() -> dict[str, Any] | None:
             found = [track for track in server.tracks().values() if track["has_ended"]]

@@ -20,7 +20,7 @@ import pdr_filter as pdr
 from pdr_filter.apps.live import session as live_session
 from pdr_filter.apps.live import sessions as live_sessions
 from pdr_filter.apps.live.assembly import LateError, SessionError
-from pdr_filter.apps.live.messages import parse
+from pdr_filter.apps.live.messages import MessageBatch, parse
 from pdr_filter.apps.live.recorder import exported_files
 from pdr_filter.apps.live.session import DeviceSession, session_id
 from pdr_filter.apps.live.sessions import Sessions
@@ -98,7 +98,7 @@ def test_a_process_that_dies_loses_nothing_that_it_took(
     devices.close()
     (session,) = devices.sessions.values()
     np.testing.assert_array_equal(positions(session), positions(expected))
-    assert len(session.recorder.steps()) == len(session.path)
+    assert len(list(session.recorder.steps())) == len(session.path)
     for name in ("accelerometer.csv", "gyroscope.csv", "magnetometer.csv"):
         assert (session.recorder.folder / name).read_bytes() == (expected.recorder.folder / name).read_bytes()
 
@@ -307,6 +307,33 @@ def test_what_comes_after_the_end_is_refused_also_by_the_next_process(walk: Reco
     assert (session.about()["has_ended"], session.about()["refused"]) == (True, "")
 
 
+def test_the_last_message_may_be_sent_again(walk: Recording, tmp_path: Path) -> None:
+    devices = sessions_in(tmp_path)
+    body = own_messages(walk)[0].replace(b'"number": 0', b'"number": 0, "end": true')
+    for _ in range(2):  # the first answer was lost
+        take(devices, body)
+    (session,) = devices.sessions.values()
+    assert (session.has_ended, session.about()["n_repeated_messages"]) == (True, 1)
+
+
+def test_an_error_of_the_filter_ends_the_track_of_one_session_whose_messages_are_kept(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bodies = own_messages(walk)[:16]
+    devices = sessions_in(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(live_session, "_pushed", lambda online, samples: [][1])
+        with pytest.raises(SessionError, match="IndexError: list index out of range"):
+            take_all(devices, bodies[:8])
+        for body in bodies[8:]:
+            with contextlib.suppress(SessionError):
+                take(devices, body)
+    (session,) = sessions_in(tmp_path).sessions.values()  # of a version without the error
+    assert session.about()["refused"] == ""
+    assert session.assembly.next_number == len(bodies)
+    assert not list(tmp_path.glob("*.damaged*"))
+
+
 def with_bias(walk: Recording, bias_radps: float) -> Recording:
     gyroscope = walk.gyroscope
     return replace(walk, gyroscope=Samples(gyroscope.time_s, gyroscope.values + np.array([0.0, 0.0, bias_radps])))
@@ -394,8 +421,7 @@ def test_messages_of_many_phones_are_recorded_at_once_and_filtered_together(
     samples, n_sent = tmp_path / session_id("p", "s") / "accelerometer.csv", 0
     for body in own_messages(walk, part_s=0.2)[:100]:
         n_sent += len(json.loads(body)["samples"]["accelerometer"])
-        devices.accept(parse(body), 0.0)
-        assert devices.settle() == {}
+        assert devices.take([MessageBatch("p", parse(body), 0.0)]) == [None]
         if n_sent > 210:  # until then it is not known which sensors there are
             assert samples.read_bytes().count(b"\n") == 1 + n_sent
     assert len(spans_s) >= 8
@@ -413,8 +439,7 @@ def test_a_state_that_is_saved_between_two_passes_of_the_filter_misses_no_sample
     for number, body in enumerate(bodies):
         if number % 30 == 0:  # the process before has died
             devices = sessions_in(tmp_path / "broken")
-        devices.accept(parse(body), 0.0)
-        devices.settle()
+        devices.take([MessageBatch("p", parse(body), 0.0)])
         if number % 30 == 20:
             monkeypatch.setattr(live_sessions, "_SAVE_S", -1.0)
             devices.maintain()

@@ -6,8 +6,8 @@ import asyncio
 from collections.abc import Sequence
 
 from pdr_filter.apps.batch.worker_process import LostError
-from pdr_filter.apps.live.messages import Message
-from pdr_filter.apps.live.parts import Answer, MessageBatch, Request, Response
+from pdr_filter.apps.live.messages import Message, MessageBatch
+from pdr_filter.apps.live.parts import Answer, Request, Response
 from pdr_filter.apps.live.workers import Workers
 
 

@@ -16,7 +16,7 @@ import pytest
 from benches import Client, running, short_walk
 from starlette.routing import Mount, Route
 
-from pdr_filter.apps.workbench import server
+from pdr_filter.apps.workbench import server, worker
 from pdr_filter.apps.workbench.hub import Workbench
 from pdr_filter.apps.workbench.server import WorkbenchSite, workbench_application
 from pdr_filter.apps.workbench.walks import Walks
@@ -39,7 +39,7 @@ def test_every_address_refuses_other_sites_other_hosts_and_wrong_tokens(tmp_path
     routes = [route for route in WorkbenchSite(bench, "", "", "", {}).routes() if isinstance(route, Route)]
     addresses = [(method, r.path) for r in routes for method in r.methods or () if method != "HEAD"]
     assert len(addresses) > 20
-    filled = {"{id}": "0" * 16, "{name}": "x", "{kind}": "csv", "{token}": "0" * 16, "{floor:int}": "0"}
+    filled = {"{id}": "0" * 16, "{name}": "x", "{kind}": "csv", "{token}": "0" * 16, "{floor}": "0"}
 
     async def run() -> None:
         for token, headers, status in (
@@ -83,6 +83,7 @@ async def test_names_of_dropped_files_never_are_paths(tmp_path: Path) -> None:
 async def test_addresses_with_paths_in_them_find_nothing(client: Client, tmp_path: Path) -> None:
     (tmp_path / "plans").mkdir()
     (tmp_path / "secret.geojson").write_text("{}")
+    await client.post("/plans", {"name": "House"})
     for path in (
         "/page/..%2fserver.py",
         "/page/%2e%2e%2fworker.py",
@@ -92,12 +93,32 @@ async def test_addresses_with_paths_in_them_find_nothing(client: Client, tmp_pat
         "/walks/..%2f..%2fetc",
         "/walks/x/report",
         "/walks/x/export/csv",
+        *(f"/{kind}/{'x' * 3000}" for kind in ("page", "walk", "plan", "walks", "plans")),
+        *(f"/plans/House/{'9' * n_digits}.png" for n_digits in (300, 5000)),
     ):
         answer = await client.http.get(path)
         assert answer.status_code == 404, path
     for token in ("..", "..%2f..%2fx", "0" * 15, "G" * 16):
         answer = await client.http.post(f"/drops/{token}", content=b"x")
         assert answer.status_code in (404, 405), token
+
+
+async def test_pages_are_served_after_another_version_was_installed(
+    client: Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await client.post("/plans", {"name": "House"})
+
+    def read_text(path: Path, *_: str, **__: str) -> str:
+        raise FileNotFoundError(errno.ENOENT, "No such file or directory", str(path))
+
+    monkeypatch.setattr(Path, "read_text", read_text)
+    monkeypatch.setattr(Path, "read_bytes", read_text)
+    monkeypatch.setattr(Path, "iterdir", read_text)
+    for path in ("/", "/plan/House", "/page/walk.js", "/page/leaflet.js", "/page/plane_map.css"):
+        assert await client.get(path)
+    # the worker processes may still need other files
+    monkeypatch.setattr(worker.Worker, "walk", lambda *_: read_text(Path(server.__file__)))
+    assert "start the workbench again" in worker.make_worker(str(client.bench.cache))(("walk", [""]))["error"]
 
 
 async def test_a_zip_bomb_is_refused_with_its_reason_and_not_kept(client: Client, tmp_path: Path) -> None:

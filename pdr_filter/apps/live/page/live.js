@@ -69,6 +69,19 @@ const handlers = {
     sessions.delete(event.id);
     list();
   },
+  server(event) {
+    const n = Object.values(event.n_refused).reduce((sum, count) => sum + count, 0);
+    text("messages", `${event.messages_per_s.toFixed(1)} per s`);
+    text("bytes", `${size(event.bytes_per_s)}/s`);
+    text("answer", event.answer_s === null ? "–" : `${Math.round(1000 * event.answer_s)} ms`);
+    text("refused", String(n));
+    text("disk", size(event.disk_left_bytes));
+    text("disk_time", duration(event.disk_left_s));
+    text("refusal", n ? `Refused by status: ${Object.entries(event.n_refused).map(([status, count]) => `${status} (${count})`).join(", ")}. The last one: ${event.refusal}` : "");
+    text("warning", event.is_disk_low ? `The disk of the server is full in ${duration(event.disk_left_s)}: ${size(event.disk_left_bytes)} are left. Free some space, otherwise phones can send nothing more.` : "");
+    byId("warning").hidden = !event.is_disk_low;
+    byId("server").hidden = false;
+  },
 };
 
 const UUID = /^[0-9a-f]{8}-?([0-9a-f]{4}-?){3}[0-9a-f]{12}$/i;
@@ -116,7 +129,8 @@ const steadySpeeds = history => history.map(({ walking_speed_mps: speed, time_s 
   return speed || history[k].walking_speed_mps;
 });
 
-const duration = s => s < 100 ? `${Math.round(s)} s` : s < 6000 ? `${Math.round(s / 60)} min` : `${Math.round(s / 3600)} h`;
+const duration = s => s < 100 ? `${Math.round(s)} s` : s < 6000 ? `${Math.round(s / 60)} min` : s < 720000 ? `${Math.round(s / 3600)} h` : `${Math.round(s / 86400)} days`;
+const size = bytes => bytes < 1e6 ? `${Math.round(bytes / 1e3)} kB` : bytes < 1e9 ? `${Math.round(bytes / 1e6)} MB` : `${Math.round(bytes / 1e9)} GB`;
 function stateOf(known) {
   const { about } = known, silentS = (performance.now() - known.heardAt) / 1000;
   if (about.has_ended) return "This session has ended.";

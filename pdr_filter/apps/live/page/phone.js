@@ -13,8 +13,9 @@ const RADIANS = Math.PI / 180;
 let running = null;
 
 class Sender {
-  constructor(name) {
+  constructor(name, height) {
     this.device = name;
+    this.about = height ? { meta: { subject: { height_m: height } } } : {};
     this.session = Array.from(crypto.getRandomValues(new Uint8Array(6)), b => b.toString(16).padStart(2, "0")).join("");
     this.number = 0;
     this.waiting = []; // messages without acknowledgement
@@ -44,7 +45,7 @@ class Sender {
     if (this.samples.accelerometer.length || this.samples.gyroscope.length || end) {
       this.waiting.push(JSON.stringify({
         device: this.device, session: this.session, number: this.number++, platform: isApple() ? "ios" : "android",
-        samples: this.samples, ...(end ? { end: true } : {}),
+        samples: this.samples, ...this.about, ...(end ? { end: true } : {}),
       }));
       this.samples = this.empty();
       if (this.waiting.length > KEPT) this.waiting.shift();
@@ -96,6 +97,8 @@ async function start() {
     button.textContent = "Start";
     return;
   }
+  const height = document.getElementById("height");
+  if (!height.reportValidity()) return;
   if (typeof DeviceMotionEvent === "undefined" || !isSecureContext) {
     say("This browser provides motion sensors only to https pages: start the server with --https, or use an app.", true);
     return;
@@ -105,7 +108,7 @@ async function start() {
     return;
   }
   navigator.wakeLock?.request("screen").catch(() => {});
-  running = new Sender(document.getElementById("name").value.trim() || "browser");
+  running = new Sender(document.getElementById("name").value.trim() || "browser", height.valueAsNumber);
   button.textContent = "Stop";
 }
 
