@@ -46,6 +46,7 @@ QUANTITY_OF = {word: quantity for quantity, words in _WORDS.items() for word in 
 # These words are known alone, not at the end of a longer name: heart_rate_x is not an angular rate.
 _LETTERS = {
     **{"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD, "rate": RATE, "rates": RATE},
+    **{"ac": ACCELERATION, "gy": RATE},  # as in AcX and GyX
     **dict.fromkeys(("lineara", "lina", "usera"), LINEAR),  # as in linear_ax
 }
 # A word may stand anywhere in a name. Only these are also recognised at the end of a longer word, such as `wristaccx`:
@@ -101,7 +102,7 @@ OF_UNIT = {
 }
 _AXIS_ALONE = re.compile(r"[\s_.]([xyz])\s*$", re.IGNORECASE)
 _AXES = ("x", "y", "z")
-_BARE = re.compile(r"([xyz])(?:axis|value)?|values?([xyz])")
+_BARE = re.compile(r"([xyz])(?:axis|value)?|(?:value|measurement)s?([xyz])")
 _CALIBRATED = re.compile(r"(un)?cal(ibrated)?$|raw$")
 _UNIT = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
 # Behind an axis, as in `ax_g` and `gyro_z_dps`.
@@ -143,7 +144,12 @@ _SPELLINGS = (
     (r"(?<=[a-z])s\^*-2$", "/s^2"),
     (r"(?<=[a-z])s\^*-1$", "/s"),
 )
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100ns": 1e-7}
+# Unix time from 2004 to 2039. Nanoseconds since a phone was started 20 minutes ago are as large as milliseconds of
+# that, but would then come less often than any sensor.
+_EPOCH_S = (1.1e9, 2.2e9)
+# Clocks of Windows count 100 ns since 1601 (FILETIME) or since the year 1 (.NET), so many seconds before 1970.
+_ZEROS_S = {"100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0)}
 _TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
 _TIME_WORDS = {  # in other languages
@@ -350,6 +356,21 @@ def _axes_of(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
         yield first[0], [first[1:], *words[1:]]
 
 
+def since_1970(ticks: float, unit: str) -> float | None:
+    """Return the Unix time in s of a time in ticks of a unit, or None if no clock shows it between 2004 and 2039."""
+    low, high = _EPOCH_S
+    times_s = (ticks * TIME_UNITS[unit] - zero_s for zero_s in _ZEROS_S.get(unit, (0.0,)))
+    return next((time_s for time_s in times_s if low < time_s < high), None)
+
+
+def is_bias(name: str) -> str:
+    """Return the axis whose bias a column of an uncalibrated sensor holds, as in BiasX, or an empty string."""
+    for axis, rest in _axes_of(words_of(_UNIT.sub("", name))):
+        if axis in _AXES and "".join(rest).endswith(("bias", "drift")):
+            return axis
+    return ""
+
+
 def is_time(name: str) -> bool:
     """Return True if a column has the name of a time."""
     bare = _UNIT.sub("", name)
@@ -380,7 +401,7 @@ def has_time_unit(name: str) -> bool:
 def time_unit_of(name: str) -> str:
     """Return the unit that the name of a column of times states, or an empty string."""
     found = _UNIT.search(name)
-    words = [found[1].strip()] if found else re.split(r"[^A-Za-z\u00b5\u03bc]+", name)
+    words = [found[1].strip()] if found else [*re.split(r"[^A-Za-z\u00b5\u03bc]+", name), *words_of(name)[-1:]]
     words = [normal_unit(word) for word in words]
     for unit, pattern in _TIME_UNIT_WORDS.items():
         if any(re.fullmatch(pattern, word) for word in words if word):

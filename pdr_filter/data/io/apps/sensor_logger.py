@@ -95,6 +95,7 @@ def is_without_seconds_elapsed(members: Members) -> bool:
 def looks_like_export(head: bytes) -> bool:
     """Return True if a file begins like an export in one file: JSON, pushed messages, or a database."""
     is_json = head.lstrip()[:1] == b"[" and b'"sensor"' in head[:4096]
+    is_json = is_json and (b'"seconds_elapsed"' in head or b'"Metadata"' in head)
     return is_json or is_push(head) or head.startswith(SQLITE)
 
 

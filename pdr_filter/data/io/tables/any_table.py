@@ -20,8 +20,9 @@ from pdr_filter.data.io.column_names import (
 from pdr_filter.data.io.files.archive import Members, open_members
 from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
 from pdr_filter.data.io.tables.column_groups import groups_of
-from pdr_filter.data.io.tables.column_guess import Guess, columns_by_content, guess
+from pdr_filter.data.io.tables.column_guess import Guess, guess
 from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
+from pdr_filter.data.io.tables.column_template import asked_mapping
 from pdr_filter.data.io.tables.json_tables import SUFFIXES, is_json, json_fields, json_sheets
 from pdr_filter.data.io.tables.matlab import is_matlab, matlab_sheets
 from pdr_filter.data.io.tables.phyphox_experiment import read_experiment
@@ -35,7 +36,7 @@ from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
-_TYPES = ("type", "name", "sensor", "sensortype", "event", "eventtype", "kind")  # that say of which sensor a row is
+_TYPES = ("type", "name", "sensor", "sensortype", "messagetype", "event", "eventtype", "kind")  # that say of which sensor a row is
 _NAMED_VALUE = re.compile(r"(?m)(?:^|[\s,;])([A-Za-z]+ ?[:=] ?[-+.]?\d)")
 _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename", "sensorid")  # that say whose a row is
 
@@ -68,7 +69,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         if not groups:
             raise RecordingError(f"{where}: {_nothing(sheets, path)}")
         for i, sheet in enumerate(sheets):
-            used = {place for group in groups if group.sheet == i for place in (*group.places, group.time)}
+            used = {place for group in groups if group.sheet == i for place in (*group.places, *group.bias, group.time)}
             sheets[i] = sheet.using(used, parsed.notes)
         shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
         dialect = dialect_of(shown)
@@ -85,7 +86,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         parsed.source = found.source
         read_experiment(members, parsed)
     parsed.found += found.evidence
-    used = {name for stream in found.mapping.streams for name in (*stream.columns, stream.time)}
+    used = {name for stream in found.mapping.streams for name in (*stream.columns, *stream.bias, stream.time)}
     beside = [name for s in sheets if not used.isdisjoint(s.fields) for name in s.fields if name not in used]
     if beside:
         parsed.found.append(f"columns not used: {', '.join(dict.fromkeys(beside))[:300]}")
@@ -116,7 +117,7 @@ def read_mapped(path: Path, mapping: Mapping) -> Recording:
         if decimal := mapping.decimal:
             texts = {s: replace(s.parse, decimal=decimal) for s in sheets if isinstance(s.parse, TextRows)}
             sheets = [replace(s, parse=texts.get(s, s.parse)) for s in sheets]
-        names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
+        names = {name for stream in mapping.streams for name in (stream.time, *stream.columns, *stream.bias)}
         used = [{i for i, name in enumerate(sheet.fields) if name in names} for sheet in sheets]
         sheets = [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
         fill_streams(parsed, mapping, sheets)
@@ -209,18 +210,10 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
     sheet = sheets[0]
     if all(name.startswith("column ") for name in sheet.fields):
         head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""
-        numbers = "its first line has numbers; write a line with the names of the columns above it"
-        return _named_values(head) or numbers
-    time, time_unit, force, unit = columns_by_content(sheet)
-    time, *force = [name.replace('"', "'") for name in (time, *force)]
-    return (
-        f"no column that is known to be of a sensor. Columns seen: {', '.join(sheet.fields[:30])[:300]}. Say which is "
-        "what in a file like this, where ? stands for what the values do not show, with your columns, unit of time (s, "
-        "ms, us, ns, date), unit (m/s2 or g) and sign (-1 if a phone lying face up reads negative on z), and give it "
-        f"with pdr-filter convert {path.name} --map MAP.toml:\n"
-        f'time = {{ column = "{time}", unit = "{time_unit}" }}\n'
-        f'accelerometer = {{ columns = ["{force[0]}", "{force[1]}", "{force[2]}"], unit = "{unit}", sign = 1 }}\n'
-    )
+        numbers = "its first line has numbers; write a line with the names of the columns above it, or a mapping"
+        return _named_values(head) or f"{numbers}. {asked_mapping(sheets, (), path.name)}"
+    seen = ", ".join(dict.fromkeys(name for sheet in sheets for name in sheet.fields[:30]))[:300]
+    return f"no column that is known to be of a sensor. Columns seen: {seen}. {asked_mapping(sheets, (), path.name)}"
 
 
 def sensors_of(members: Members, name: str) -> set[str]:

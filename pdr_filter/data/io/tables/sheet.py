@@ -32,6 +32,7 @@ class Sheet:
     dates: frozenset[int] = frozenset()  # columns of dates and clock times, parsed as whole nanoseconds
     exact: frozenset[int] = frozenset()  # columns of whole numbers that a float would round
     texts: Mapping[int, str] = field(default_factory=dict[int, str])  # texts of the first row by column
+    rate_hz: float = 0.0  # of the rows, if the file states it above them
     used: Set[int] = frozenset()  # columns that are parsed together
     notes: list[str] = field(default_factory=list[str])
     _parsed: dict[int | None, NumberTable] = field(default_factory=dict[int | None, NumberTable], init=False)
@@ -61,9 +62,12 @@ class Sheet:
         beside = {place for p in used if (place := column_of_nanoseconds(self.fields, p)) is not None}
         return replace(self, used=(used | beside) - self.dates, notes=notes)
 
-    def stream(self, places: Sequence[int], time: int | None) -> tuple[IntArray | FloatArray, FloatArray]:
+    def stream(
+        self, places: Sequence[int], time: int | None, bias: Sequence[int] = ()
+    ) -> tuple[IntArray | FloatArray, FloatArray]:
         """Return the times (N,) and the values (N, d) of those rows that have a value in one of the given columns.
 
+        The columns of `bias`, one for each value, are subtracted where they have a value.
         A place that the table does not have (-1) gives NaN. Times are integers if a float would lose digits, and row
         numbers if `time` is None. The table is parsed once for each column of integer times.
         """
@@ -74,6 +78,8 @@ class Sheet:
         table = self._parsed[exact]
         unknown = np.full(len(table), np.nan)
         values = np.array([table.values[:, numbers.index(p)] if p in numbers else unknown for p in places]).T
+        if bias:
+            values = values - np.nan_to_num(table.values[:, [numbers.index(p) for p in bias]])
         if time is None:
             ticks = np.arange(len(values))
         elif (nanoseconds := column_of_nanoseconds(self.fields, time)) is not None:

@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count, islice, pairwise
 
 import numpy as np
 
-from pdr_filter.data.io.column_names import column_of, is_time, is_unit
+from pdr_filter.data.io.column_names import column_of, is_time, is_unit, since_1970
 from pdr_filter.data.io.files.archive import Members
 from pdr_filter.data.io.tables.dates import as_nanoseconds, column_nanoseconds, is_date, without_midnights
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.text_table import Layout, NumberTable, concatenated, header_fields, parse_blocks
-from pdr_filter.values import limits
+from pdr_filter.values import FloatArray, limits
 from pdr_filter.values.errors import RecordingError
 
 _SEPARATORS = (",", ";", "\t", "|", " ")
@@ -27,6 +28,7 @@ _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|No
 _WHOLE = re.compile(r"[+-]?\d+")
 _LINES_TRIED = 40  # the first line of numbers among them begins the table
 _LINES_COMPARED = 8
+_ROWS_LOOKED_AT = 200  # for columns of times
 # Some apps and spreadsheets write a header in the code page of the phone; numbers are the same in all of them. The
 # first in which most names are known is taken. charset-normalizer takes half of such headers for another language.
 _CODE_PAGES = ("latin-1", "cp1251", "gbk", "shift_jis", "big5", "euc_kr")
@@ -124,6 +126,22 @@ def by_text(sheet: Sheet, column: int) -> list[Sheet]:
     return [replace(sheet, name=name, parse=replace(rows, only=(column, name))) for name in rows.texts_of(column)]
 
 
+def first_rows(sheet: Sheet) -> FloatArray:
+    """Return the first rows of a table (N, d), with NaN in columns of text or dates, and no rows for a damaged one."""
+    numbers = [i for i in range(len(sheet.fields)) if i not in sheet.texts and i not in sheet.dates]
+    parse = sheet.parse
+    if isinstance(parse, TextRows):
+        head = next(parse.blocks(), b"").split(b"\n", parse.n_before + _ROWS_LOOKED_AT)
+        head = head[: parse.n_before + _ROWS_LOOKED_AT]
+        parse = replace(parse, blocks=lambda: iter([b"\n".join([*head, b""])]))
+    found = np.full((0, len(sheet.fields)), np.nan)
+    with suppress(RecordingError):
+        values = parse(numbers, None, []).values[:_ROWS_LOOKED_AT]
+        found = np.full((len(values), len(sheet.fields)), np.nan)
+        found[:, numbers] = values
+    return found
+
+
 def text_sheets(members: Members, member: str, separator: str | None = None) -> list[Sheet]:
     """Return the tables in a text file, which usually has one table or none.
 
@@ -186,18 +204,34 @@ def text_sheet(
     before = [line for i, line in enumerate(lines[: found.first]) if i != found.at_header and line.strip()]
     stem = member.rpartition("/")[2].rpartition(".")[0] or member
     where, fields = members.where(member), unlike(named or [""] * len(row))
+    start_and_rate = [] if named else [{*_split(line, found.separator)} for line in lines[found.first :][:2]]
+    rate_hz = _rate_in(start_and_rate)
+    n_before = found.first + (2 if rate_hz else 0)
     dates = frozenset(i for i, text in enumerate(row) if is_date(text))
     blocks = blocks or (lambda: members.blocks(member))
     return Sheet(
         name=stem,
         where=where,
         fields=fields,
-        parse=TextRows(where, fields, dates, found.separator, found.decimal, found.first, blocks),
+        parse=TextRows(where, fields, dates, found.separator, found.decimal, n_before, blocks),
         about="\n".join(before),
         dates=dates,
         exact=frozenset(i for i, text in enumerate(row) if text.isdecimal() and int(text[:40]) > LARGEST_FLOAT_WHOLE),
         texts={i: text for i, text in enumerate(row) if text and not _is_value(text)},
+        rate_hz=rate_hz,
     )
+
+
+def _rate_in(rows: Sequence[set[str]]) -> float:
+    """Return the sampling rate in Hz if two rows are the time of the start and the rate, else zero.
+
+    Each is there once for each column, as Empatica writes them.
+    """
+    with suppress(ValueError):
+        start_s, rate_hz = (float(text) for row in rows for text in row)
+        low, high = limits.RATE_RANGE_HZ
+        return rate_hz if since_1970(start_s, "s") is not None and low <= rate_hz <= high else 0.0
+    return 0.0
 
 
 def unlike(names: Sequence[str]) -> tuple[str, ...]:
