@@ -36,7 +36,8 @@ from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
-_TYPES = ("type", "name", "sensor", "sensortype", "messagetype", "event", "eventtype", "kind")  # that say of which sensor a row is
+# Columns that say of which sensor a row is.
+_TYPES = ("type", "name", "sensor", "sensortype", "messagetype", "event", "eventtype", "kind")
 _NAMED_VALUE = re.compile(r"(?m)(?:^|[\s,;])([A-Za-z]+ ?[:=] ?[-+.]?\d)")
 _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename", "sensorid")  # that say whose a row is
 

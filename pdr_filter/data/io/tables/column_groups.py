@@ -32,6 +32,7 @@ from pdr_filter.values.errors import RecordingError
 
 _AXES = ("x", "y", "z")
 _ANGLES = ("roll", "pitch", "yaw")
+_NUMBERED = re.compile(r"(?i)(double_)?v(al(ue)?s?)?[\W_]*[0-3]\W*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,7 @@ def _times(sheet: Sheet, is_named: bool) -> list[int]:
 def _named_columns(sheet: Sheet) -> list[Column]:
     """Return the columns of a table with column names. Three such as value1, value2, value3 are x, y and z."""
     columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
-    numbered = [i for i, name in enumerate(sheet.fields) if re.fullmatch(r"(?i)(double_)?v(al(ue)?s?)?[\W_]*[0-3]\W*", name)]
+    numbered = [i for i, name in enumerate(sheet.fields) if _NUMBERED.fullmatch(name)]
     if len(numbered) == len(_AXES):
         for i, axis in zip(numbered, _AXES, strict=True):
             columns[i] = Column(i, sheet.fields[i], "", axis)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pdr_filter.data.io.checks import up_cosine
 from pdr_filter.data.io.column_names import (
     ACCELERATION,
     ANGLES,
@@ -24,7 +25,6 @@ from pdr_filter.data.io.column_names import (
     UNITS,
     column_of,
 )
-from pdr_filter.data.io.checks import up_cosine
 from pdr_filter.data.io.describe import median_norm
 from pdr_filter.data.io.tables.app_dialects import Dialect
 from pdr_filter.data.io.tables.column_groups import Group
@@ -108,7 +108,8 @@ def guess(
         if s.group.quantity == ACCELERATION and not s.is_unit_declared and s.constant > _MOST_GRAVITY_MPS2:
             raise RecordingError(
                 f"{where}: {s.group.name} are counts of the sensor, or in an unknown unit: their constant part is "
-                f"{s.constant:.4g}, and gravity is 9.8 m/s2 or 1 g; a mapping gives their scale. {asked_mapping(sheets, groups, 'FILE')}"
+                f"{s.constant:.4g}, and gravity is 9.8 m/s2 or 1 g; a mapping gives their scale. "
+                f"{asked_mapping(sheets, groups, 'FILE')}"
             )
     forces = _forces(streams, dialect, result, where)
     is_linear = len(forces) == 1 and not _has_gravity(forces[0])
