@@ -13,7 +13,9 @@ from pdr_filter.data.io.detection import BINARIES, detect, detect_file
 from pdr_filter.data.io.files.archive import IN_PLACE, Members, open_members, zips_among
 from pdr_filter.data.io.tables.any_table import TEXTS, sensors_of
 from pdr_filter.data.io.tables.column_mapping import mapping_beside
+from pdr_filter.data.io.tables.cut_files import in_time, is_numbered
 from pdr_filter.data.io.tables.json_tables import SUFFIXES
+from pdr_filter.data.io.tables.text_sheets import text_sheet
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
 
@@ -59,7 +61,7 @@ def recordings_in(folder: str | Path) -> list[Path]:
     found = [folder / trial for trial in trials]
     for path in inside:
         if path.is_dir() and not path.is_symlink():
-            found += recordings_in(path)
+            found += [] if trials and quantity_of_file(path.name)[0] else recordings_in(path)
         elif (
             path.is_file() and (path.suffix.lower() in _FILES or _is_known(path)) and trial_of(path.name) not in trials
         ):
@@ -86,10 +88,6 @@ def only_recording_in(path: Path) -> Path:
     if not parts:
         return path
     listed = ", ".join(parts[:3])
-    if all(quantity_of_file(PurePosixPath(part).parent.name)[0] for part in parts):
-        raise RecordingError(
-            f"{path}: several files of a sensor in its folder ({listed}); make a folder of each recording instead"
-        )
     raise RecordingError(
         f"{path}: holds {len(parts)} recordings ({listed}{', ...' if parts[3:] else ''}); read one, such as "
         f"{path / parts[0]}, or each that pdr_filter.data.io.folders.recordings_in lists"
@@ -139,15 +137,16 @@ def recordings_among(members: Members, names: Iterable[str]) -> list[str]:
                 whole.append(name)
             else:
                 of_sensors[name] = {ACCELERATION} if has_force else sensors & set(VECTORS)
-        found += _of_one_sensor(folder, of_sensors, not whole)
+        found += _of_one_sensor(members, folder, of_sensors, not whole)
         found += whole
     return found
 
 
-def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -> list[str]:
+def _of_one_sensor(members: Members, folder: str, of_sensors: dict[str, set[str]], is_all: bool) -> list[str]:
     """Return the recordings in a folder, for its files of one sensor each, which `of_sensors` has by name.
 
-    These are the trials, if two or more have an acceleration and a gyroscope; else the folder, if it has an
+    These are the trials, if two or more have an acceleration and a gyroscope, unless their files continue each other in
+    time as those of each hour do; else the folder, if it has an
     acceleration and another sensor, or one acceleration file alone (`is_all`: no file is a recording by itself); else
     each file with an acceleration that includes gravity.
     """
@@ -158,6 +157,11 @@ def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -
         trial for trial, sensors in trials.items() if trial and RATE in sensors and sensors & {ACCELERATION, LINEAR}
     ]
     if len(whole) > 1:
+        forces = [name for name, sensors in of_sensors.items() if sensors & {ACCELERATION, LINEAR}]
+        tables = [text_sheet(members, name) for name in forces if is_numbered(name)]
+        sheets = [table for table in tables if table is not None]
+        if len(sheets) == len(forces) and in_time(sheets) is not None:
+            return [folder]
         return [str(PurePosixPath(folder) / trial) for trial in whole]
     kinds = set[str]().union(*of_sensors.values())
     force_of = ACCELERATION if ACCELERATION in kinds else LINEAR

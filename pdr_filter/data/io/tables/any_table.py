@@ -23,6 +23,7 @@ from pdr_filter.data.io.tables.column_groups import groups_of
 from pdr_filter.data.io.tables.column_guess import Guess, guess
 from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
 from pdr_filter.data.io.tables.column_template import asked_mapping
+from pdr_filter.data.io.tables.cut_files import with_cut_files_joined
 from pdr_filter.data.io.tables.json_tables import SUFFIXES, is_json, json_fields, json_sheets
 from pdr_filter.data.io.tables.matlab import is_matlab, matlab_sheets
 from pdr_filter.data.io.tables.phyphox_experiment import read_experiment
@@ -147,7 +148,7 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
         whole = [sheet for name in texts if name not in of_json for sheet in text_sheets(members, name, separator)]
         for sheet in whole:
             _check_one_device(sheet)
-        found = [part for sheet in whole for part in _by_sensor(sheet)]
+        found = with_cut_files_joined([part for sheet in whole for part in _by_sensor(sheet)], notes)
         for name in of_json:
             if not members.is_container or sensors_of(members, name):
                 found += json_sheets(members, name, notes)

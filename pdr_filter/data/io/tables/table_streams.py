@@ -46,9 +46,10 @@ def fill_streams(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> N
     if first is not None and len(first.ticks):
         if any(_has_whole_ticks(stream) for stream in found.values()):
             zero = _Zero(first.ticks[0].item(), first.unit_s)
-        if _has_whole_ticks(first) and (epoch_s := float(first.ticks[0]) * first.unit_s) > 1e9:
-            unit = next((unit for unit, unit_s in TIME_UNITS.items() if unit_s == first.unit_s), "s")
-            parsed.meta["epoch_s"] = since_1970(float(first.ticks[0]), unit) or epoch_s
+        unit = next((unit for unit, unit_s in TIME_UNITS.items() if unit_s == first.unit_s), "")
+        epoch_s = since_1970(float(first.ticks[0]), unit) if unit else None
+        if epoch_s is not None:
+            parsed.meta["epoch_s"] = epoch_s
     for name, stream in streams.items():
         parsed.streams[name] = (_seconds(stream, zero), stream.values)
     if first is not None and first is found.get(LINEAR):
