@@ -15,7 +15,7 @@ from pdr_filter.apps.batch.progress import Clock, Progress
 from pdr_filter.apps.batch.result_table import Row, Task, failed_row, open_table, row_of, tables, write_rows_parquet
 from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.apps.batch.workers import each
-from pdr_filter.data.io.folders import recordings_of
+from pdr_filter.data.io.folders import absolute_recordings_of
 from pdr_filter.data.io.formats import known_format, read
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.recipes import check_name, contexts_of, for_recording
@@ -111,7 +111,7 @@ def track(
     table, parquet = tables(out)
     where = "" if calibration is None else str(Path(calibration).resolve())
     options = Task("", recipe, weighting or "", file_format or "", height_m, where, gnss or "")
-    tasks = [replace(options, path=path) for path in recordings_of(paths) if path != str(table.resolve())]
+    tasks = [replace(options, path=path) for path in absolute_recordings_of(paths) if path != str(table.resolve())]
     for task in tasks:
         if "\n" in task.path or "\r" in task.path:
             raise ValueError(

@@ -26,16 +26,22 @@ _MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.cs
 _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 
 
-def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
-    """Return the absolute paths of all recordings that the given paths stand for, each once and in order.
+def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+    """Return the paths of all recordings that the given paths stand for, in order.
 
-    A folder stands for all recordings in it (`recordings_in`), or for itself if there is none.
+    A folder, or a file with several recordings, stands for its recordings (`recordings_in`), and for itself if there
+    is none. A path that does not exist stays.
     """
+    given = [paths] if isinstance(paths, str | Path) else paths
     found: list[Path] = []
-    for path in [paths] if isinstance(paths, str | Path) else paths:
-        path = Path(path)
-        found += (recordings_in(path) or [path]) if path.is_dir() else [path]
-    return list(dict.fromkeys(str(path.resolve()) for path in found))
+    for path in map(Path, given):
+        found += (recordings_in(path) if path.exists() else []) or [path]
+    return found
+
+
+def absolute_recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
+    """Return the absolute paths of `recordings_of`, each once."""
+    return list(dict.fromkeys(str(path.resolve()) for path in recordings_of(paths)))
 
 
 def recordings_in(folder: str | Path) -> list[Path]:

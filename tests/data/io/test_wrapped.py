@@ -22,7 +22,6 @@ from app_files import (
     write_zip,
     xlsx_files,
 )
-
 from table_cases import FORCE, RATE, TIME_S, WALK
 
 from pdr_filter.data.io.folders import recordings_in
@@ -91,9 +90,9 @@ def test_several_walks_in_folders_of_sensors_are_as_many_recordings(tmp_path: Pa
 def hourly(names: tuple[str, str], gap_s: float = 0.0) -> dict[str, str]:
     """Files of accelerometer and gyroscope in folders, cut in the middle of the walk."""
     cut_s = float(np.median(TIME_S))
-    late = np.where(TIME_S >= cut_s, gap_s, 0.0)
+    late = np.where(cut_s <= TIME_S, gap_s, 0.0)
     ms = 1_664_625_543_000 + np.round(1000 * (TIME_S + late)).astype(np.int64)
-    parts = dict(zip(names, (TIME_S < cut_s, TIME_S >= cut_s), strict=True))
+    parts = dict(zip(names, (cut_s > TIME_S, cut_s <= TIME_S), strict=True))
     return {
         f"{sensor}/{name}.csv": table_text({"timestamp": ms[part]} | axes("%", values[part]))
         for sensor, values in (("accelerometer", FORCE), ("gyro", RATE))

@@ -38,7 +38,8 @@ def with_cut_files_joined(sheets: Sequence[Sheet], notes: list[str] | None) -> l
         ordered = in_time(parts) if len(parts) > 1 else None
         found += parts if ordered is None else [_joined(ordered)]
         if ordered is not None and notes is not None:
-            notes.append(f"{len(ordered)} files of {quantity_of_file(ordered[0].name)[0]} that continue each other joined")
+            sensor, _ = quantity_of_file(ordered[0].name)
+            notes.append(f"{sensor}: {len(ordered)} files that continue each other in time are joined")
     return found
 
 
