@@ -327,6 +327,9 @@ def column_of(place: int, name: str) -> Column:
             unit = unit or ("g" if "".join(rest) in ("gf", "gforce") else "deg/s" if axis in _GREEK_AXES else "")
             return Column(place, name, quantity, _GREEK_AXES.get(axis, axis), unit, "".join(rest), preference)
     quantity, preference = quantity_of_words(words)
+    if not quantity and words[-1:] in (["deg"], ["degrees"], ["m"]):  # latitude_deg
+        shorter, _ = quantity_of_words(words[:-1])
+        quantity = shorter if shorter in LOCATION else ""
     axis_found = _AXIS_ALONE.search(bare)
     if not quantity and axis_found:  # the chip behind the word, as in accelerometer_lsm6ds3_c.x
         word = bare[: axis_found.start()]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,10 +59,58 @@ def test_named_anchors_without_their_file_are_refused_with_the_option_that_is_mi
         ranges_of_file(tmp_path / "ranges.csv")
 
 
-def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_a_last_line_that_is_cut_off_is_refused_with_its_number(tmp_path: Path, end: str) -> None:
     anchors = anchors_file(tmp_path / "anchors.geojson", ANCHORS)
-    (tmp_path / "ranges.csv").write_text("time_s,anchor,range_m\n1.5,window,7.25\n2.5,do")
-    assert len(ranges_of_file(tmp_path / "ranges.csv", anchors)) == 1
+    (tmp_path / "ranges.csv").write_text(f"time_s,anchor,range_m\n1.5,window,7.25\n2.5,do{end}")
+    with pytest.raises(ValueError, match=r"line 3: time_s,range_m must all be numbers"):
+        ranges_of_file(tmp_path / "ranges.csv", anchors)
+
+
+@pytest.mark.parametrize("row", ["5,6,7", "5,6,7,", "5,6,7\n", "5,6,7,\n"])
+def test_a_fix_without_its_standard_deviation_has_the_given_one(tmp_path: Path, row: str) -> None:
+    (tmp_path / "fixes.csv").write_text(f"time_s,east_m,north_m,std_m\n1,2,3,0.5\n{row}", encoding="utf-8")
+    stds_m = [np.sqrt(fix.cov_m2[0, 0]) for fix in fixes_of_file(tmp_path / "fixes.csv", 4.0)]
+    np.testing.assert_allclose(stds_m, [0.5, 4.0])
+
+
+@pytest.mark.parametrize("names", ["latitude_deg,longitude_deg", "lat,lon", "Latitude,Longitude (deg)"])
+def test_fixes_in_degrees_are_metres_from_the_origin(tmp_path: Path, names: str) -> None:
+    path = tmp_path / "fixes.csv"
+    path.write_text(f"time_s,{names},std_m\n5,10.0001,20,2\n9,10,19.9999,2\n", encoding="utf-8")
+    origin = pdr.Origin(10.0, 20.0)
+    first, second = fixes_of_file(path, origin=origin)
+    np.testing.assert_allclose(first.position_m, origin.east_north_m(10.0001, 20.0), atol=1e-9)
+    np.testing.assert_allclose(second.position_m, origin.east_north_m(10.0, 19.9999), atol=1e-9)
+    with pytest.raises(ValueError, match=r"positions are in degrees.*--origin 10\.000100,20\.000000"):
+        fixes_of_file(path)
+    path.write_text(f"time_s,{names}\n\n5,100,20\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"fixes\.csv, line 3: position must be \(latitude, longitude\)"):
+        fixes_of_file(path, origin=origin)
+
+
+def test_anchors_on_both_sides_of_180_degrees_are_near_each_other(tmp_path: Path) -> None:
+    path = anchors_file(tmp_path / "a.geojson", {"a": (179.9999, -16.8), "b": (-179.9999, -16.8)})
+    found = anchors_of_file(path, origin=(-16.8, 179.9999))
+    np.testing.assert_allclose([found["a"], found["b"]], [[0.0, 0.0], [21.32, 0.0]], atol=0.05)
+
+
+def test_the_command_line_places_fixes_in_degrees_by_an_origin_or_the_first_location(tmp_path: Path) -> None:
+    walk = pdr.simulate.demo_walk()
+    time_s, truth = np.arange(5.0, 100.0, 10.0), walk.truth.position
+    easts, norths = (np.interp(time_s, truth.time_s, column) for column in (truth.east_m, truth.north_m))
+    lat_deg, lon_deg = pdr.Origin(10.0, 20.0).latitude_longitude_deg(np.column_stack([easts, norths]))
+    rows = [f"{t},{a:.9f},{o:.9f},0.5" for t, a, o in zip(time_s, lat_deg, lon_deg, strict=True)]
+    (tmp_path / "fixes.csv").write_text("\n".join(["time_s,latitude_deg,longitude_deg,std_m", *rows]))
+    here = pdr.Samples([0.0, 1.0], [[10.0, 20.0, 0.0, 5.0]] * 2)
+    for name, recording, options in (("a", walk, ["--origin", "10,20"]), ("b", replace(walk, location=here), [])):
+        asked = ["smooth", str(recording.save(tmp_path / f"{name}.zip")), "--fixes", str(tmp_path / "fixes.csv")]
+        done = CliRunner().invoke(app, [*asked, *options, "--out", str(tmp_path / name)])
+        assert done.exit_code == 0, done.output
+        (line,) = json.loads(next((tmp_path / name).glob("*.geojson")).read_text())["features"]
+        end_deg = line["geometry"]["coordinates"][-1]
+        off_m = pdr.Origin(10.0, 20.0).east_north_m(end_deg[1], end_deg[0]) - [truth.east_m[-1], truth.north_m[-1]]
+        assert np.hypot(*off_m) < 4.0
 
 
 def test_anchors_in_degrees_become_metres_from_the_origin(tmp_path: Path) -> None:
@@ -82,12 +131,12 @@ def test_one_anchor_is_in_degrees_if_it_is_near_the_origin(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ("time_s,range_m,anchor\n1,3,door\n2,3\n", "row 2: .*no anchor ''"),
-        ("time_s,range_m,anchor\n1,3,door\n\n2,3,roof\n", "row 2: .*no anchor 'roof'"),
-        ("time_s,anchor,range_m\n1,door,3\n2,door\n", "line 3: only 2 fields"),
-        ("time_s,anchor,range_m\n1,roof,3\n", "row 1: .*no anchor 'roof' .*door"),
+        ("time_s,range_m,anchor\n1,3,door\n2,3\n", "line 3: .*no anchor ''"),
+        ("time_s,range_m,anchor\n1,3,door\n\n2,3,roof\n", "line 4: .*no anchor 'roof'"),
+        ("time_s,anchor,range_m\n1,door,3\n2,door\n", "line 3: time_s,range_m must all be numbers"),
+        ("time_s,anchor,range_m\n1,roof,3\n", "line 2: .*no anchor 'roof' .*door"),
         ("time_s,range_m\n1,3\n", "no column anchor"),
-        ("time_s,anchor,range_m\n1,door,-3\n", "row 1: range_m must be a distance"),
+        ("time_s,anchor,range_m\n1,door,-3\n", "line 2: range_m must be a distance"),
         ("time_s,anchor,range_m\n1,door,x\n", "x"),
         ("time_s,anchor,range_m\n", "no ranges"),
         ("", "no column 'time_s'"),

@@ -156,23 +156,23 @@ ARGUMENTS: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "fixes": (
         lambda f: fixes_of_file(write_text(f / "fixes.csv", "time_s,east_m,north_m,std_m\n1,2,3,-4\n")),
-        "fixes.csv, row 1 ... std_m is -4 ... write a positive number",
+        "fixes.csv, line 2 ... std_m is -4 ... write a positive number",
     ),
     "a storey between two storeys": (
         lambda f: fixes_of_file(write_text(f / "fixes.csv", "time_s,east_m,north_m,floor\n1,2,3,0.5\n")),
-        "fixes.csv, row 1 ... floor is 0.5 ... write the number of the storey",
+        "fixes.csv, line 2 ... floor is 0.5 ... write the number of the storey",
     ),
     "a storey beyond all buildings": (
         lambda f: fixes_of_file(write_text(f / "fixes.csv", "time_s,east_m,north_m,floor\n1,2,3,1e29\n")),
-        "fixes.csv, row 1 ... floor is 1e+29 ... write the number of the storey",
+        "fixes.csv, line 2 ... floor is 1e+29 ... write the number of the storey",
     ),
     "loop closures": (
         lambda f: loop_closures_of_file(write_text(f / "loops.csv", "first_s,second_s\n7,5\n")),
-        "loops.csv, row 1 ... 7 and 5 ... exchange the two",
+        "loops.csv, line 2 ... 7 and 5 ... exchange the two",
     ),
     "a loop closure without duration": (
         lambda f: loop_closures_of_file(write_text(f / "loops.csv", "first_s,second_s\n7,7\n")),
-        "loops.csv, row 1 ... 7 and 7 ... correct one of them",
+        "loops.csv, line 2 ... 7 and 7 ... correct one of them",
     ),
 }
 
