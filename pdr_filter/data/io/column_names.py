@@ -381,7 +381,7 @@ def is_time(name: str) -> bool:
     is_word = not _TIME_WORDS.isdisjoint(bare.lower().split())
     is_unit = any(re.fullmatch(pattern, stem) for pattern in _TIME_UNIT_WORDS.values())
     letter, _, unit = bare.strip().lower().partition("_")  # as in t_ms
-    is_letter = stem in ("t", "ts") or (letter in ("t", "ts") and unit in TIME_UNITS)
+    is_letter = stem in ("t", "ts", "dt") or (letter in ("t", "ts") and unit in TIME_UNITS)
     return is_word or is_unit or is_letter or _TIME.search(stem) is not None
 
 

@@ -90,7 +90,7 @@ def _detect_alone(members: Members) -> str:
         return "own"  # which asks for the folder
     if found == "sensor_logger" and head.lstrip()[:1] not in (b"[", b"{") and not head.startswith(b"SQLite"):
         return "table"  # one sensor of it
-    if not found and b"\x00" not in head[:4096] and any(mark in head[:4096] for mark in (b",", b";", b"\t")):
+    if not found and b"\x00" not in head[:4096] and any(mark in head[:4096] for mark in (b",", b";", b"\t", b"/")):
         return "table"  # which says what it saw
     return found or "own"
 

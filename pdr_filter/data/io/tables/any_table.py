@@ -39,6 +39,7 @@ from pdr_filter.values.recording import Recording
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
 # Columns that say of which sensor a row is.
 _TYPES = ("type", "name", "sensor", "sensortype", "messagetype", "event", "eventtype", "kind")
+_LINES_LOOKED_AT = 40
 _NAMED_VALUE = re.compile(r"(?m)(?:^|[\s,;])([A-Za-z]+ ?[:=] ?[-+.]?\d)")
 _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename", "sensorid")  # that say whose a row is
 
@@ -168,9 +169,11 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
 
 def _named_values(head: bytes) -> str:
     """Return the reason why lines such as `ACC: 12, 0.1, 0.2, 9.8` or `x=0.1` cannot be read, or "" for other lines."""
-    found = _NAMED_VALUE.search(head.decode("utf-8", "replace"))
-    if found is None:
+    lines = [line for line in head.decode("utf-8", "replace").splitlines()[:_LINES_LOOKED_AT] if line.strip()]
+    named = [found for line in lines if (found := _NAMED_VALUE.search(line)) is not None]
+    if 2 * len(named) <= len(lines):  # a few such lines above the table are comments
         return ""
+    found = named[0]
     return (
         f"its lines have names in front of their numbers ({found[1]!r}); write the names once, in a line above, and "
         "the sensor of each line in a column of its own, as in sensor,time,x,y,z"

@@ -249,8 +249,10 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect, result: Guess, where: 
     linear = [s for s in (*of[LINEAR], *of[ACCELERATION]) if not _has_gravity(s) or not s.unit]
     if of[GRAVITY] and linear:
         gravity = max(of[GRAVITY], key=lambda s: len(s.values))
+        if not gravity.group.unit and G_OF_GRAVITY[0] <= gravity.constant <= G_OF_GRAVITY[1]:
+            gravity = replace(gravity, unit="g")  # as from a watch, in an app that writes m/s2 of a phone
         best = max(linear, key=lambda s: (s.group.quantity == LINEAR, len(s.values)))
-        if not best.is_unit_declared:
+        if not best.group.unit:
             best = replace(best, unit=gravity.unit)
         best = replace(best, group=replace(best.group, quantity=LINEAR))
         result.evidence.append(
@@ -390,6 +392,9 @@ def _sign(
     if abs(cosine) > limits.UP_COSINE_DOUBTFUL:
         result.evidence.append(f"sign: {'Android' if cosine > 0 else 'Apple'}'s, as the phone's attitude shows")
         return 1 if cosine > 0 else -1
+    if dialect.units.get(GRAVITY) == "m/s2" and len(forces) > 1 and forces[1].unit == "g":
+        result.evidence.append("sign: Apple's, whose gravity is in g; that of Android is in m/s2")
+        return -1
     if not dialect.app and forces[0].unit in ("g", "mg"):
         raise RecordingError(
             f"{where}: acceleration in g, and nothing shows its sign, which is Apple's or Android's: a phone lying "

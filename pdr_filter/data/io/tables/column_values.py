@@ -21,6 +21,7 @@ _SLOWEST_HZ = 0.1  # of times since 1970; other numbers of their size come less 
 # Increments of a clock are this near to their median, except for some after a loss or within a pack of samples.
 _NEAR = (0.4, 2.5)
 _NEAR_SHARE = 0.8
+_LEAST_FALLS = 0.05
 
 
 def constant_part(time_s: FloatArray, values: FloatArray) -> float:
@@ -102,6 +103,23 @@ def clocks_in(columns: FloatArray) -> list[int]:
         if np.mean((rises >= low) & (rises <= high)) >= _NEAR_SHARE:
             found[i] = bool((steps == 1).all()), not time_unit_of_values(column)
     return sorted(found, key=lambda i: found[i])
+
+
+def are_differences(ticks: FloatArray) -> bool:
+    """Return True for the times between samples, in place of the times of the samples.
+
+    They go up and down, or are constant, near one value that is the period of a usual sampling rate. Rounded times of
+    samples never go down.
+    """
+    found = ticks[1:][np.isfinite(ticks[1:])]  # the first one may be zero
+    if len(found) < limits.MIN_SAMPLES or not found.min() > 0:
+        return False
+    steps = np.diff(found)
+    if (steps < 0).mean() < _LEAST_FALLS and steps.any():
+        return False
+    low, high = np.median(found) * np.array(_NEAR)
+    is_near = np.mean((found >= low) & (found <= high)) >= _NEAR_SHARE
+    return bool(is_near) and time_unit_of_values(np.cumsum(found)) != ""
 
 
 def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

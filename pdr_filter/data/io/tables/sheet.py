@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.data.io.column_names import column_of_nanoseconds
+from pdr_filter.data.io.tables.column_values import are_differences
 from pdr_filter.data.io.text_table import NumberTable, finite
 from pdr_filter.values import FloatArray, IntArray
 
@@ -86,5 +87,9 @@ class Sheet:
             ticks = table.values[:, [numbers.index(time), numbers.index(nanoseconds)]] @ [1.0, 1e-9]
         else:
             ticks = table.whole if exact is not None else table.values[:, numbers.index(time)]
+            if exact is None and are_differences(ticks):
+                ticks = np.nancumsum(ticks)
+                words = f"column {self.fields[time]!r} has the times between the samples, which are summed"
+                self.notes.append(words)
         known = ~np.isnan(values).all(axis=1)
         return (ticks, values) if known.all() else (ticks[known], values[known])
