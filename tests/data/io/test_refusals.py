@@ -135,7 +135,10 @@ REFUSALS: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda f: write_text(f / "walk.csv", table_text({"time": TIME_S[:4]} | axes("acc_%", FORCE[:4]))),
         "accelerometer ... only 4 samples ... record for longer",
     ),
-    "no times": (lambda f: walk_csv(f, "time"), "walk.csv ... no column of times (columns: acc_x ... rate_hz = ..."),
+    "no times": (
+        lambda f: walk_csv(f, "time"),
+        "walk.csv ... no column of times (columns: acc_x ... rate_hz = 50 in place of column",
+    ),
     "text among numbers": (
         lambda f: walk_csv(f, acc_y=["far", *map(str, FORCE[1:, 1].tolist())]),
         "column acc_y ... 'far' is not a number ... use '.' as decimal point",

@@ -153,6 +153,8 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
         for name in of_json:
             if not members.is_container or sensors_of(members, name):
                 found += json_sheets(members, name, notes)
+        for name in of_json if not found else ():
+            found += json_sheets(members, name, notes)
         for name in members.names if not found else ():
             if name.lower().endswith(".mat") and is_matlab(members.head(name, 128)):
                 found += matlab_sheets(members, name)

@@ -6,8 +6,10 @@ Notes and evidence report each guess.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import PurePath
 
 import numpy as np
 
@@ -97,6 +99,7 @@ def guess(
     is in g with an unknown sign, or if a table has neither times nor a known rate.
     """
     result = Guess(Mapping(()), source=f"table of {dialect.app}" if dialect.app else "table")
+    asked = partial(asked_mapping, sheets, groups, _file_of(where))
     rate_hz = _rate_of_rows(sheets, groups, dialect, where)
     # The unit of an accelerometer's times shows that of slower sensors.
     of_force = [group for group in groups if group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
@@ -109,9 +112,9 @@ def guess(
             raise RecordingError(
                 f"{where}: {s.group.name} are counts of the sensor, or in an unknown unit: their constant part is "
                 f"{s.constant:.4g}, and gravity is 9.8 m/s2 or 1 g; a mapping gives their scale. "
-                f"{asked_mapping(sheets, groups, 'FILE')}"
+                f"{asked()}"
             )
-    forces = _forces(streams, dialect, result, where)
+    forces = _forces(streams, dialect, result, where, asked)
     is_linear = len(forces) == 1 and not _has_gravity(forces[0])
     time_s, force = forces[0].time_s, _force(forces)
     if is_linear:  # without gravity nothing shows how the phone turns
@@ -177,9 +180,14 @@ def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dia
     names = ", ".join(sheet.fields)[:200]
     app = f"this looks like {dialect.app}, but there is" if dialect.app else "there is"
     raise RecordingError(
-        f"{sheet.where}: {app} no column of times (columns: {names}); export it with times, or give column or rate: "
-        'pdr-filter convert FILE --map MAP.toml with "[time]" and \'column = "..."\' or "rate_hz = ..." in it'
+        f"{sheet.where}: {app} no column of times (columns: {names}); export it with times, or give column or rate. "
+        f"{asked_mapping(sheets, groups, _file_of(where))}"
     )
+
+
+def _file_of(where: str) -> str:
+    """Return the name of the file that messages call `where`."""
+    return PurePath(where.partition(": ")[0]).name
 
 
 def _time_unit(group: Group, sheet: Sheet) -> str:
@@ -209,7 +217,9 @@ def _stream(group: Group, sheet: Sheet, dialect: Dialect, rate_hz: float, usual:
     return _Stream(group, sheet, unit, time_s, values, bool(declared), declared, is_time_declared, constant)
 
 
-def _forces(streams: Sequence[_Stream], dialect: Dialect, result: Guess, where: str) -> list[_Stream]:
+def _forces(
+    streams: Sequence[_Stream], dialect: Dialect, result: Guess, where: str, asked: Callable[[], str]
+) -> list[_Stream]:
     """Return the streams that give the specific force: the accelerometer, or linear acceleration and gravity.
 
     Without them it is the linear acceleration alone. RecordingError if there is none, or if its unit is unknown.
@@ -223,7 +233,7 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect, result: Guess, where: 
         left = [name for sheet, fields in sheets.items() for p, name in enumerate(fields) if (sheet, p) not in used]
         rest = [name for name in left if column_of(0, name).unit in ("", *UNITS[ACCELERATION])]
         is_there = ", ".join(rest)[:200]
-        remedy = f", or if it is among {is_there}, say so: pdr-filter convert FILE --map MAP.toml" if rest[2:] else ""
+        remedy = f", or if it is among {is_there}, give a mapping. {asked()}" if rest[2:] else ""
         raise RecordingError(
             f"{where}: {app} has no accelerometer (sensors seen: {others}); record it and export again{remedy}"
         )

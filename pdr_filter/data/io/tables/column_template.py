@@ -6,6 +6,7 @@ Columns that the values do not show are "?". A sensor that counts has the scale 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -29,10 +30,12 @@ _COUNTS_PER_DEGREE = (131.0, 114.3, 65.5, 57.1, 32.8, 28.6, 16.4, 14.3, 100.0)
 _NEAR = 1.07  # a usual scale that is so near to the measured one is taken
 _LEAST_COUNTS = limits.SPECIFIC_FORCE_RANGE_MPS2[1]
 _RATE_AS_SAID = (0.5, 2.0)  # of the turning of gravity that an angular rate predicts
+_AXIS = re.compile(r"[XYZxyz\d]\W*$")
 _ASK = (
     "Say which is what in a file like this, where ? stands for what the values do not show, with your columns, unit of "
-    "time (s, ms, us, ns, 100ns, date), unit (m/s2 or g), counts_per_unit for a sensor that counts, and sign (-1 if a "
-    "phone lying face up reads negative on z), and give it with pdr-filter convert"
+    "time (s, ms, us, ns, 100ns, date; rate_hz = 50 in place of column and unit, if rows have no time), unit (m/s2 or "
+    "g), counts_per_unit if the sensor counts, and sign (-1 if a phone lying face up reads negative on z), and give it "
+    "with pdr-filter convert"
 )
 
 
@@ -98,6 +101,8 @@ def _streams(
         streams.append(StreamMap(stream, names, unit, 1, counts, (), *times))
 
     best = _best_force(sheet, at_s, values, [known[ACCELERATION]] if ACCELERATION in known else triples)
+    if best is None and ACCELERATION in known:
+        best = known[ACCELERATION], "m/s2", 1.0
     if best is not None and force is None and quantity_of_file(sheet.name)[0] != RATE:
         places, unit, counts = best
         add("accelerometer", places, unit, counts)
@@ -112,7 +117,7 @@ def _streams(
             is_counted = median_norm(values[:, [*known[RATE]]]) > _LEAST_COUNTS
             fitting = {known[RATE]: ("deg/s", math.nan if is_counted else 1.0)}
         if fitting:
-            triple = min(fitting, key=lambda triple: _n_lengths(sheet, triple))
+            triple = max(fitting, key=lambda triple: _likeness(sheet, triple))
             add("gyroscope", triple, *fitting[triple])
     return streams, force
 
@@ -129,18 +134,19 @@ def _best_force(
 ) -> tuple[tuple[int, ...], str, float] | None:
     """Return the columns of an accelerometer with gravity, their unit, and the counts for one unit, or None.
 
-    Axes have names of one length. With another column in place of an axis, less of gravity is constant.
+    Axes have names of one length that differ at their end. With another column in place of an axis, less of gravity is
+    constant.
     """
     parts = {triple: constant_part(at_s, values[:, [*triple]]) for triple in triples}
     low, high = G_OF_GRAVITY
     for unit, gravity in (("m/s2", STANDARD_GRAVITY_MPS2), ("g", 1.0)):
         if fitting := [triple for triple in triples if low <= parts[triple] / gravity <= high]:
-            best = max(fitting, key=lambda triple: (-_n_lengths(sheet, triple), parts[triple]))
+            best = max(fitting, key=lambda triple: (*_likeness(sheet, triple), parts[triple]))
             return best, unit, 1.0
-    counting = [triple for triple in triples if parts[triple] > _LEAST_COUNTS and _n_lengths(sheet, triple) == 1]
+    counting = [triple for triple in triples if parts[triple] > _LEAST_COUNTS and _likeness(sheet, triple)[0] == -1]
     if not counting:
         return None
-    best = max(counting, key=lambda triple: parts[triple])
+    best = max(counting, key=lambda triple: (*_likeness(sheet, triple), parts[triple]))
     return best, "g", _usual(parts[best], _COUNTS_PER_G)
 
 
@@ -162,5 +168,7 @@ def _usual(counts: float, usual: Sequence[float]) -> float:
     return near if max(near / counts, counts / near) < _NEAR else float(f"{counts:.2g}")
 
 
-def _n_lengths(sheet: Sheet, triple: Sequence[int]) -> int:
-    return len({len(sheet.fields[i]) for i in triple})
+def _likeness(sheet: Sheet, triple: Sequence[int]) -> tuple[int, int]:
+    """Return the negative numbers of different lengths of the names of columns, and of names without their axis."""
+    names = [sheet.fields[i] for i in triple]
+    return -len({len(name) for name in names}), -len({_AXIS.sub("", name) for name in names})
