@@ -116,6 +116,13 @@ def test_files_of_each_hour_in_folders_of_sensors_are_one_walk(
     assert recording.epoch_s == pytest.approx(1_664_625_543.0, abs=1e-3)
 
 
+def test_one_sensor_of_a_recording_is_refused_with_the_folder_to_give(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "hours", hourly(HOURS))
+    assert f"give its folder {path}" in refusal(path / "gyro" / f"{HOURS[0]}.csv")
+    path = write_folder(tmp_path / "walk", FILES)
+    assert f"give its folder {path}" in refusal(path / "Gyroscope.csv")
+
+
 @pytest.mark.parametrize(("names", "gap_s"), [(HOURS, 60.0), (("walk1", "walk2"), 0.0)])
 def test_files_that_do_not_continue_each_other_or_are_named_as_walks_are_two(
     tmp_path: Path, names: tuple[str, str], gap_s: float

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -15,12 +16,13 @@ from pdr_filter.data.io.column_names import (
     VECTORS,
     letters,
     quantity_of_file,
+    trial_of,
     words_of,
 )
 from pdr_filter.data.io.files.archive import Members, open_members
 from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
 from pdr_filter.data.io.tables.column_groups import groups_of
-from pdr_filter.data.io.tables.column_guess import Guess, guess
+from pdr_filter.data.io.tables.column_guess import Guess, NoAccelerometerError, guess
 from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
 from pdr_filter.data.io.tables.column_template import asked_mapping
 from pdr_filter.data.io.tables.cut_files import with_cut_files_joined
@@ -83,7 +85,13 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
                     f"{where}: its metadata say {said}, and platform is {platform}; leave platform out"
                 )
             platform = platform or said or None
-        found = guess(sheets, groups, dialect, platform, where)
+        try:
+            found = guess(sheets, groups, dialect, platform, where)
+        except NoAccelerometerError as error:
+            if (folder := _folder_of_recording(members)) is None:
+                raise
+            problem = str(error).partition("; ")[0]
+            raise RecordingError(f"{problem}; this is one sensor of a recording: give its folder {folder}") from None
         parsed.instead = dialect.instead
         fill_streams(parsed, found.mapping, sheets)
         parsed.source = found.source
@@ -193,6 +201,21 @@ def _check_one_device(sheet: Sheet) -> None:
                 f"{sheet.where}: column {name!r} has {len(values)} values ({', '.join(values)[:100]}), so the rows are "
                 "of several devices, and a recording is of one; write the rows of each into a file of its own"
             )
+
+
+def _folder_of_recording(members: Members) -> Path | None:
+    """Return the folder of a file that was given alone if other files in it have an accelerometer, or None."""
+    if members.is_container or members.inside:
+        return None
+    path = members.path
+    is_sensor = quantity_of_file(path.parent.name)[0] and not trial_of(path.parent.name)
+    up = path.parent.parent if is_sensor else path.parent
+    with suppress(RecordingError, OSError):
+        beside = Members(up)
+        others = [name for name in beside.names if not path.as_posix().endswith(f"/{name}") and _is_text(name, beside)]
+        if any(ACCELERATION in sensors_of(beside, name) for name in others[: limits.MAX_FILES_LOOKED_AT]):
+            return up
+    return None
 
 
 def _by_sensor(sheet: Sheet) -> Sequence[Sheet]:

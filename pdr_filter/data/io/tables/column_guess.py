@@ -31,7 +31,7 @@ from pdr_filter.data.io.describe import median_norm
 from pdr_filter.data.io.tables.app_dialects import Dialect
 from pdr_filter.data.io.tables.column_groups import Group
 from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
-from pdr_filter.data.io.tables.column_template import G_OF_GRAVITY, asked_mapping
+from pdr_filter.data.io.tables.column_template import G_OF_GRAVITY, NOT_SHOWN, asked_mapping
 from pdr_filter.data.io.tables.column_values import constant_part, time_unit_of_values, turning
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.table_streams import is_new_position, quaternion_of
@@ -57,6 +57,10 @@ _BY_SIZE = {
     FIELD: (limits.MAGNETIC_FIELD_RANGE_UT, ("ut", "gauss", "mt", "t")),
     "barometer": (limits.PRESSURE_RANGE_HPA, ("hpa", "pa", "kpa")),
 }
+
+
+class NoAccelerometerError(RecordingError):
+    """Error for tables without an acceleration that includes gravity."""
 
 
 @dataclass
@@ -233,8 +237,10 @@ def _forces(
         left = [name for sheet, fields in sheets.items() for p, name in enumerate(fields) if (sheet, p) not in used]
         rest = [name for name in left if column_of(0, name).unit in ("", *UNITS[ACCELERATION])]
         is_there = ", ".join(rest)[:200]
-        remedy = f", or if it is among {is_there}, give a mapping. {asked()}" if rest[2:] else ""
-        raise RecordingError(
+        mapping = asked() if rest[2:] else ""
+        is_shown = mapping and NOT_SHOWN not in mapping
+        remedy = f", or if it is among {is_there}, give a mapping. {mapping}" if is_shown else ""
+        raise NoAccelerometerError(
             f"{where}: {app} has no accelerometer (sensors seen: {others}); record it and export again{remedy}"
         )
     if all(math.isnan(s.constant) for s in found):
@@ -278,8 +284,8 @@ def _forces(
     app = f"this looks like {dialect.app or 'a table'}"
     instead = dialect.instead if dialect.app else "the accelerometer itself"
     if not linear and seen.group.quantity == GRAVITY:
-        raise RecordingError(f"{where}: {app} of gravity alone ({seen.group.name}); export {instead} instead")
-    raise RecordingError(
+        raise NoAccelerometerError(f"{where}: {app} of gravity alone ({seen.group.name}); export {instead} instead")
+    raise NoAccelerometerError(
         f"{where}: {app}, whose acceleration ({seen.group.name}) lacks gravity: the constant part of it is "
         f"{seen.constant:.2g}, and gravity is 9.8 m/s2 or 1 g; export {instead} instead"
     )

@@ -30,6 +30,7 @@ _COUNTS_PER_DEGREE = (131.0, 114.3, 65.5, 57.1, 32.8, 28.6, 16.4, 14.3, 100.0)
 _NEAR = 1.07  # a usual scale that is so near to the measured one is taken
 _LEAST_COUNTS = limits.SPECIFIC_FORCE_RANGE_MPS2[1]
 _RATE_AS_SAID = (0.5, 2.0)  # of the turning of gravity that an angular rate predicts
+NOT_SHOWN = 'columns = ["?", "?", "?"]'
 _AXIS = re.compile(r"[XYZxyz\d]\W*$")
 _ASK = (
     "Say which is what in a file like this, where ? stands for what the values do not show, with your columns, unit of "
