@@ -374,6 +374,7 @@ def is_bias(name: str) -> str:
     return ""
 
 
+@lru_cache(maxsize=256)
 def is_time(name: str) -> bool:
     """Return True if a column has the name of a time."""
     bare = _UNIT.sub("", name)

@@ -105,11 +105,11 @@ def guess(
     result = Guess(Mapping(()), source=f"table of {dialect.app}" if dialect.app else "table")
     asked = partial(asked_mapping, sheets, groups, _file_of(where))
     rate_hz = _rate_of_rows(sheets, groups, dialect, where)
-    # The unit of an accelerometer's times shows that of slower sensors.
-    of_force = [group for group in groups if group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
-    units = [_time_unit(group, sheets[group.sheet]) for group in of_force]
+    streams = [_stream(group, sheets[group.sheet], dialect, rate_hz) for group in groups]
+    # The unit of an accelerometer's times is that of slower sensors, whose times do not show it.
+    units = [s.time_unit for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
     usual = next(filter(None, units), "s")
-    streams = [_stream(group, sheets[group.sheet], dialect, rate_hz, usual) for group in groups]
+    streams = [s if s.time_unit else replace(s, time_unit=usual, time_s=s.time_s * TIME_UNITS[usual]) for s in streams]
     streams = [s for s in streams if len(s.values)]
     for s in streams:
         if s.group.quantity == ACCELERATION and not s.is_unit_declared and s.constant > _MOST_GRAVITY_MPS2:
@@ -136,7 +136,7 @@ def guess(
             if quantity == "location" and near.sheet is forces[0].sheet and _common_s(near, forces[0]) <= 0:
                 # A clock that began elsewhere: what counts is when the rows of the table have another place.
                 on_clock = replace(near.group, time=forces[0].group.time, time_unit=forces[0].time_unit)
-                near = _stream(on_clock, near.sheet, dialect, rate_hz, usual)
+                near = _stream(on_clock, near.sheet, dialect, rate_hz)
             chosen.append(_with_unit(near, force, time_s, result))
     left_out = sorted({s.sheet.name for s in streams} - {s.sheet.name for s in chosen})
     if left_out:
@@ -194,23 +194,17 @@ def _file_of(where: str) -> str:
     return PurePath(where.partition(": ")[0]).name
 
 
-def _time_unit(group: Group, sheet: Sheet) -> str:
-    """Return the unit of the times of a sensor, as their name or their values show it, or an empty string."""
-    if group.time is None or group.time in sheet.dates or group.time_unit:
-        return "ns" if group.time in sheet.dates else group.time_unit
-    return time_unit_of_values(sheet.stream(group.places, group.time)[0].astype(np.float64))
-
-
-def _stream(group: Group, sheet: Sheet, dialect: Dialect, rate_hz: float, usual: str) -> _Stream:
-    """Return the values of a sensor at its times. `usual` is the unit of times that do not show it."""
+def _stream(group: Group, sheet: Sheet, dialect: Dialect, rate_hz: float) -> _Stream:
+    """Return the values of a sensor at its times, in s if the unit of the times is known."""
     ticks, values = sheet.stream(group.places, group.time, group.bias)
     declared = group.unit or dialect.units.get(group.quantity, "")
     is_time_declared = bool(group.time is None or group.time_unit or group.time in sheet.dates)
     if group.time is None:
         unit, time_s = "s", ticks.astype(np.float64) / rate_hz
     else:
-        unit = _time_unit(group, sheet) or usual
-        time_s = ticks.astype(np.float64) * TIME_UNITS[unit]
+        unit = "ns" if group.time in sheet.dates else group.time_unit
+        unit = unit or time_unit_of_values(ticks.astype(np.float64))
+        time_s = ticks.astype(np.float64) * TIME_UNITS.get(unit, 1.0)
     known = np.isfinite(time_s)
     if group.quantity == "location":
         known &= is_new_position(values)

@@ -22,6 +22,7 @@ _SLOWEST_HZ = 0.1  # of times since 1970; other numbers of their size come less 
 _NEAR = (0.4, 2.5)
 _NEAR_SHARE = 0.8
 _LEAST_FALLS = 0.05
+_TICKS_LOOKED_AT = 1000
 
 
 def constant_part(time_s: FloatArray, values: FloatArray) -> float:
@@ -111,7 +112,8 @@ def are_differences(ticks: FloatArray) -> bool:
     They go up and down, or are constant, near one value that is the period of a usual sampling rate. Rounded times of
     samples never go down.
     """
-    found = ticks[1:][np.isfinite(ticks[1:])]  # the first one may be zero
+    found = ticks[1:_TICKS_LOOKED_AT]  # the first one may be zero
+    found = found[np.isfinite(found)]
     if len(found) < limits.MIN_SAMPLES or not found.min() > 0:
         return False
     steps = np.diff(found)

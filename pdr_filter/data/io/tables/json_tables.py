@@ -34,6 +34,7 @@ _PLAIN = ("values", "value", "data", "payload", "fields", "samples")  # keys tha
 _AXES = ("x", "y", "z")
 ROWS_AT_ONCE = 10_000  # limit of the rows that are in memory as Python objects
 _MAX_DEPTH = 5
+_NUMBERS = (float, int, str, bool)
 _WHOLE = re.compile(r"[0-9]{1,19}(,[0-9]{1,19})*+")
 
 Row = dict[str, Any]
@@ -132,6 +133,9 @@ def _rows_of(
     that is a row itself is a table of one row. Nested objects are searched, too, and so are packets: objects with the
     time of several samples, which then all have this time. `times` are those of the objects around this one.
     """
+    if _is_plain(item):
+        yield _sensor_of(item) or name, [_flat(item)]
+        return
     lists = {key: cast("list[Any]", value) for key, value in item.items() if isinstance(value, list)}
     tables = {key: rows for key, values in lists.items() if (rows := _as_rows(values))}
     columns = {key: rows for key, rows in lists.items() if key not in tables and _is_column(key, rows)}
@@ -157,6 +161,16 @@ def _rows_of(
         for key, value in inner.items():
             if _holds_samples(value):
                 yield from _rows_of(value, name if key in _PLAIN else key, depth + 1, times)
+
+
+def _is_plain(item: Row) -> bool:
+    """Return True if an object, and those in it, have no list: most rows of large files."""
+    for value in item.values():
+        if isinstance(value, list):
+            return False
+        if isinstance(value, dict) and not all(type(inner) in _NUMBERS for inner in cast("Row", value).values()):
+            return False
+    return True
 
 
 def _as_rows(values: list[Any]) -> list[Row]:

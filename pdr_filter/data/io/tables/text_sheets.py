@@ -97,7 +97,7 @@ class TextRows:
             rows = block[at:]
             if left or not rows:
                 continue
-            if b"\n#" in rows or rows.startswith(b"#"):
+            if b"#" in rows:
                 rows = re.sub(rb"(?m)^#.*", b"", rows)  # comments between rows
             if self.marks:
                 rows = _without_marks(rows, self.separator, self.marks)
@@ -142,8 +142,7 @@ def first_rows(sheet: Sheet) -> FloatArray:
     numbers = [i for i in range(len(sheet.fields)) if i not in sheet.texts and i not in sheet.dates]
     parse = sheet.parse
     if isinstance(parse, TextRows):
-        head = next(parse.blocks(), b"").split(b"\n", parse.n_before + _ROWS_LOOKED_AT)
-        head = head[: parse.n_before + _ROWS_LOOKED_AT]
+        head = next(parse.blocks(), b"")[: limits.HEAD_BYTES].split(b"\n", parse.n_before + _ROWS_LOOKED_AT)[:-1]
         parse = replace(parse, blocks=lambda: iter([b"\n".join([*head, b""])]))
     found = np.full((0, len(sheet.fields)), np.nan)
     with suppress(RecordingError):
