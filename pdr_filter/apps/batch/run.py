@@ -154,4 +154,4 @@ def track_one(task: Task) -> Row:
         )
     except Exception as error:  # an error of one file must not end the batch
         return failed_row(task, reason_of(error))
-    return row_of(task, result)
+    return row_of(task, result, recording)

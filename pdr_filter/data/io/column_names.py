@@ -152,6 +152,8 @@ _EPOCH_S = (1.1e9, 2.2e9)
 _ZEROS_S = {"100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0)}
 _TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
+_STEP_COUNTS = re.compile(r"(pedometer)?(numberof|n)?steps?(s|n|count(er)?|detected)?|schritte")
+_HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)(deg(rees)?)?")
 _TIME_WORDS = {  # in other languages
     *("tiempo", "temps", "tempo", "tijd", "czas", "aika", "tid", "hora", "heure", "ora", "uhr", "zaman", "waktu"),
     *("\u0432\u0440\u0435\u043c\u044f", "\u6642\u9593", "\u65f6\u95f4", "\u6642\u523b", "\uc2dc\uac04"),
@@ -364,6 +366,16 @@ def since_1970(ticks: float, unit: str) -> float | None:
     low, high = _EPOCH_S
     times_s = (ticks * TIME_UNITS[unit] - zero_s for zero_s in _ZEROS_S.get(unit, (0.0,)))
     return next((time_s for time_s in times_s if low < time_s < high), None)
+
+
+def is_step_count(name: str) -> bool:
+    """Return True if a column has the name of the phone's own step counter."""
+    return _STEP_COUNTS.fullmatch(letters(name)) is not None
+
+
+def is_heading(name: str) -> bool:
+    """Return True if a column has the name of the phone's own heading in degrees."""
+    return _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
 
 
 def is_bias(name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from functools import lru_cache
 from itertools import islice
@@ -23,6 +24,13 @@ _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", *BINARIES, *IN_PLACE}
 # Files whose names say that the folder around them is one recording.
 _MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "metadata.yaml", "raw data.csv"}
+_PERSON = re.compile(r"([A-Za-z]+\d*)(?=[-_ .])")
+_DATE = re.compile(r"\d{4}-?\d\d-?\d\d")  # in the names of exports
+_NO_PERSON = re.compile(
+    r"(rec(ord(ing)?)?|walk(ing)?|run(ning)?|stairs|trial|test|session|take|sensors?|log|data|export|file|new|my"
+    r"|untitled|track|way|upstairs|downstairs|standing|stationary|elevator|escalator|texting|pocket|swinging|calling|bag"
+    r"|hand|jog(ging)?|sit(ting)?|iphone|phone|android|samsung|pixel)\d*"
+)
 _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 
 
@@ -42,6 +50,24 @@ def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[Path]:
 def absolute_recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
     """Return the absolute paths of `recordings_of`, each once."""
     return list(dict.fromkeys(str(path.resolve()) for path in recordings_of(paths)))
+
+
+def person_in_name(path: Path) -> str:
+    """Return the person that the name of a recording's file begins with, such as anna in `anna_walk1-2024-05-01.zip`.
+
+    It is empty unless the files of its kind in the folder begin with different names, of which one is there again or
+    all have the date of an export, and for words that are no names of people.
+    """
+    try:
+        names = [entry.name for entry in path.parent.iterdir() if entry.suffix.lower() == path.suffix.lower()]
+    except OSError:
+        return ""
+    people = [_PERSON.match(name) for name in names[: limits.MAX_MEMBERS]]
+    found = [match[1].lower() for match in people if match is not None]
+    own = _PERSON.match(path.name)
+    is_study = len(found) == len(names) and len(set(found)) > 1
+    is_study = is_study and (len(set(found)) < len(found) or all(map(_DATE.search, names)))
+    return own[1] if own is not None and is_study and not any(map(_NO_PERSON.fullmatch, found)) else ""
 
 
 def recordings_in(folder: str | Path) -> list[Path]:

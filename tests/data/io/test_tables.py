@@ -20,6 +20,7 @@ from app_files import (
     refusal,
     table_text,
     write_folder,
+    write_text,
     write_zip,
     xlsx_files,
 )
@@ -305,3 +306,13 @@ def test_the_library_for_large_tables_has_the_same_bits_and_refuses_the_same(
         return found.whole.tolist(), found.values.tobytes(), notes
 
     assert parsed(1) == parsed(10**9)
+
+
+def test_a_column_of_the_phones_own_steps_and_heading_is_reported_and_changes_nothing(tmp_path: Path) -> None:
+    columns = columns_of("time", "acc%", "gyro%")
+    plain = read(write_text(tmp_path / "plain.csv", table_text(columns)))
+    own = {"stepCount": np.floor(TIME_S), "locationTrueHeading(°)": np.full(len(TIME_S), 12.0)}
+    found = read(write_text(tmp_path / "own.csv", table_text(columns | own)))
+    assert found.meta["phone"] == {"n_steps": int(TIME_S[-1]), "heading_deg": [12.0, 12.0]}
+    assert "phone" not in plain.meta
+    np.testing.assert_array_equal(found.accelerometer.values, plain.accelerometer.values)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -14,6 +14,8 @@ from pdr_filter.data.io.column_names import (
     LINEAR,
     SENSOR_CODES,
     VECTORS,
+    is_heading,
+    is_step_count,
     letters,
     quantity_of_file,
     trial_of,
@@ -34,7 +36,7 @@ from pdr_filter.data.io.tables.spreadsheet import is_spreadsheet, spreadsheet_sh
 from pdr_filter.data.io.tables.table_streams import fill_streams
 from pdr_filter.data.io.tables.text_sheets import TextRows, by_text, text_sheet, text_sheets
 from pdr_filter.data.io.text_table import UNKNOWN
-from pdr_filter.values import limits
+from pdr_filter.values import FloatArray, limits
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
@@ -95,6 +97,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         parsed.instead = dialect.instead
         fill_streams(parsed, found.mapping, sheets)
         parsed.source = found.source
+        parsed.set_phone(_by_phone(sheets, is_step_count), _by_phone(sheets, is_heading))
         read_experiment(members, parsed)
     parsed.found += found.evidence
     used = {name for stream in found.mapping.streams for name in (*stream.columns, *stream.bias, stream.time)}
@@ -201,6 +204,16 @@ def _check_one_device(sheet: Sheet) -> None:
                 f"{sheet.where}: column {name!r} has {len(values)} values ({', '.join(values)[:100]}), so the rows are "
                 "of several devices, and a recording is of one; write the rows of each into a file of its own"
             )
+
+
+def _by_phone(sheets: Sequence[Sheet], is_named: Callable[[str], bool]) -> FloatArray | None:
+    """Return the first column of numbers whose name fits, such as that of a step counter, or None."""
+    for sheet in sheets:
+        for i, name in enumerate(sheet.fields):
+            if i not in sheet.texts and i not in sheet.dates and is_named(name):
+                with suppress(RecordingError):
+                    return sheet.parse([i], None, []).values[:, 0]
+    return None
 
 
 def _folder_of_recording(members: Members) -> Path | None:
