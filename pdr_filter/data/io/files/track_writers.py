@@ -202,17 +202,17 @@ def geojson_line(vertices: list[list[float]], properties: dict[str, Any]) -> dic
 class _Piece(NamedTuple):
     """Part of a line on one side of 180 degrees of longitude."""
 
-    index: FloatArray  # of its vertices in the line; a fraction for one that was inserted at 180 degrees
+    vertex: FloatArray  # index of its vertices in the line; a fraction for one that was inserted at 180 degrees
     longitude_deg: FloatArray
 
     def at(self, values: Sequence[Any]) -> list[Any]:
         """Return values of the line at the vertices of this part. Storeys and unknown values are not interpolated."""
-        whole = self.index.astype(int)
+        whole = self.vertex.astype(int)
         if any(value is None or isinstance(value, int) for value in values):
             return [values[k] for k in whole]
         array = np.array(values, dtype=float)
         after = array[np.minimum(whole + 1, len(array) - 1)]
-        fraction = (self.index - whole).reshape(-1, *[1] * (array.ndim - 1))
+        fraction = (self.vertex - whole).reshape(-1, *[1] * (array.ndim - 1))
         return np.round((1 - fraction) * array[whole] + fraction * after, 9).tolist()
 
     def vertices(self, vertices: Sequence[Sequence[float]]) -> list[list[float]]:
