@@ -9,7 +9,7 @@ from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any
 
 from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.data.io.files.track_writers import pandas_for_parquet
@@ -297,8 +297,6 @@ def _of_cells(cells: Sequence[str], contexts: Sequence[str]) -> Row:
 
 def row_of(task: Task, result: Track, recording: Recording) -> Row:
     """Return the row of the batch table for a recording that was tracked."""
-    phone: Any = recording.meta.get("phone")
-    counted: Any = cast("dict[str, Any]", phone).get("n_steps") if isinstance(phone, dict) else None
     subject = recording.subject.id or person_in_name(Path(task.path))
     seconds = result.context_seconds()
     end_m = result.end_position_m
@@ -307,7 +305,7 @@ def row_of(task: Task, result: Track, recording: Recording) -> Row:
         name=_one_line(result.name),
         subject=_one_line(str(subject)),
         n_steps=result.n_steps,
-        phone_n_steps=counted if isinstance(counted, int) else None,
+        phone_n_steps=recording.phone_steps,
         distance_m=result.distance_m,
         duration_s=float(result.duration_s),
         end_east_m=float(end_m[0]),

@@ -248,7 +248,7 @@ def smooth_command(
             console.write_track(track, out, name)
     if marked.names:
         console.say(f"marks used: {', '.join(str(marked.folder / n) for n in marked.names)}")
-    console.print_tracks([track])
+    console.print_tracks([track], [recording.phone_steps])
     typer.echo(
         f"{len(result.observations)} observations, {len(result.rejected)} not used; "
         f"step scale {result.scale:.3f} ± {result.scale_std:.3f}"

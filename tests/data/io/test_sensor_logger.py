@@ -394,7 +394,7 @@ def test_steps_and_headings_of_the_phone_are_reported(tmp_path: Path, counts: li
         "Compass.csv": f"time,seconds_elapsed,magneticBearing\n{compass}",
     }
     recording = read(write_zip(tmp_path / "walk.zip", files))
-    assert recording.meta["phone"].get("n_steps") == n_steps
+    assert recording.phone_steps == n_steps
     assert recording.meta["phone"]["heading_deg"] == [359.6, 91.2]
     lines = reading_report(recording).lines()
     assert ("steps counted by the phone: 31" in lines) == (n_steps == 31)

@@ -254,6 +254,10 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
     if all(name.startswith("column ") for name in sheet.fields):
         head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""
         numbers = "its first line has numbers; write a line with the names of the columns above it, or a mapping"
+        if sheet.rate_hz:
+            numbers = (
+                f"its rows follow the time of the start and the rate of {sheet.rate_hz:g} Hz; a mapping gives a unit"
+            )
         return _named_values(head) or f"{numbers}. {asked_mapping(sheets, (), path.name)}"
     seen = ", ".join(dict.fromkeys(name for sheet in sheets for name in sheet.fields[:30]))[:300]
     return f"no column that is known to be of a sensor. Columns seen: {seen}. {asked_mapping(sheets, (), path.name)}"
