@@ -378,12 +378,19 @@ def is_heading(name: str) -> bool:
     return _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
 
 
-def is_bias(name: str) -> str:
-    """Return the axis whose bias a column of an uncalibrated sensor holds, as in BiasX, or an empty string."""
+def bias_of(name: str) -> tuple[str, str] | None:
+    """Return quantity and axis of a column with the bias of an uncalibrated sensor, or None for another column.
+
+    Examples
+    --------
+    >>> bias_of("gyro_bias_x"), bias_of("BiasY"), bias_of("gyro_x")
+    (('gyroscope', 'x'), ('', 'y'), None)
+    """
     for axis, rest in _axes_of(words_of(_UNIT.sub("", name))):
-        if axis in _AXES and "".join(rest).endswith(("bias", "drift")):
-            return axis
-    return ""
+        of_sensor = re.sub(r"(bias|drift)$", "", "".join(rest))
+        if axis in _AXES and of_sensor != "".join(rest):
+            return quantity_of_words([of_sensor])[0] if of_sensor else "", axis
+    return None
 
 
 @lru_cache(maxsize=256)

@@ -16,10 +16,10 @@ from pdr_filter.data.io.column_names import (
     UNITS,
     VECTORS,
     Column,
+    bias_of,
     column_of,
     column_of_nanoseconds,
     has_time_unit,
-    is_bias,
     is_time,
     letters,
     quantity_of_file,
@@ -66,19 +66,23 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
         times = times or clocks[:1]
     columns = [column for column in columns if column.place not in times]
 
-    biases = {is_bias(name): i for i, name in enumerate(sheet.fields)} if is_named else {}
-    bias = tuple(biases[axis] for axis in _AXES) if {*_AXES} <= biases.keys() else ()
+    biases = {bias: i for i, name in enumerate(sheet.fields) if is_named and (bias := bias_of(name)) is not None}
+    vectors = _vectors(sheet, columns, times)
 
     def group(quantity: str, places: Sequence[int], unit: str, preference: int = 1) -> Group:
         time = _time_of(sheet, quantity, places, times)
         name = ", ".join(sheet.fields[place] for place in places if place >= 0)
         name += f" of {sheet.name}" if quantity_of_file(sheet.name)[0] else ""
         time_unit = "" if time is None else time_unit_of(sheet.fields[time])
-        of_raw = bias if len(places) == len(bias) and not preference else ()
-        return Group(at, quantity, tuple(places), time, time_unit, unit, name, preference, of_raw)
+        bias: tuple[int, ...] = ()
+        for key in (quantity, "") if len(vectors) == 1 else (quantity,):
+            if not preference and all((key, axis) in biases for axis in _AXES):
+                bias = tuple(biases[key, axis] for axis in _AXES)
+                break
+        return Group(at, quantity, tuple(places), time, time_unit, unit, name, preference, bias)
 
     groups: list[Group] = []
-    for quantity, axes, preference in _vectors(sheet, columns, times):
+    for quantity, axes, preference in vectors:
         groups.append(group(quantity, [axis.place for axis in axes], _unit(sheet, quantity, axes), preference))
     angles = [column for name in _ANGLES for column in columns if column.quantity == ANGLES and column.axis == name]
     if len(angles) == len(_ANGLES):
