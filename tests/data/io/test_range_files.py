@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.apps.cli.app import app
+from pdr_filter.apps.cli.options import fixes_of
 from pdr_filter.data.io.fix_files import anchors_of_file, fixes_of_file, ranges_of_file
 
 ANCHORS = {"door": (-8.0, -6.0), "window": (45.0, -5.0, 1.5), "stairs": (5.0, 50.0)}
@@ -96,21 +98,16 @@ def test_anchors_on_both_sides_of_180_degrees_are_near_each_other(tmp_path: Path
 
 
 def test_the_command_line_places_fixes_in_degrees_by_an_origin_or_the_first_location(tmp_path: Path) -> None:
-    walk = pdr.simulate.demo_walk()
-    time_s, truth = np.arange(5.0, 100.0, 10.0), walk.truth.position
-    easts, norths = (np.interp(time_s, truth.time_s, column) for column in (truth.east_m, truth.north_m))
-    lat_deg, lon_deg = pdr.Origin(10.0, 20.0).latitude_longitude_deg(np.column_stack([easts, norths]))
-    rows = [f"{t},{a:.9f},{o:.9f},0.5" for t, a, o in zip(time_s, lat_deg, lon_deg, strict=True)]
-    (tmp_path / "fixes.csv").write_text("\n".join(["time_s,latitude_deg,longitude_deg,std_m", *rows]))
-    here = pdr.Samples([0.0, 1.0], [[10.0, 20.0, 0.0, 5.0]] * 2)
-    for name, recording, options in (("a", walk, ["--origin", "10,20"]), ("b", replace(walk, location=here), [])):
-        asked = ["smooth", str(recording.save(tmp_path / f"{name}.zip")), "--fixes", str(tmp_path / "fixes.csv")]
-        done = CliRunner().invoke(app, [*asked, *options, "--out", str(tmp_path / name)])
-        assert done.exit_code == 0, done.output
-        (line,) = json.loads(next((tmp_path / name).glob("*.geojson")).read_text())["features"]
-        end_deg = line["geometry"]["coordinates"][-1]
-        off_m = pdr.Origin(10.0, 20.0).east_north_m(end_deg[1], end_deg[0]) - [truth.east_m[-1], truth.north_m[-1]]
-        assert np.hypot(*off_m) < 4.0
+    (tmp_path / "fixes.csv").write_text("time_s,latitude_deg,longitude_deg\n5,10.0001,20\n")
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    located = replace(walk, location=pdr.Samples([0.0, 1.0], [[10.0, 20.0, 0.0, 5.0]] * 2))
+    given: tuple[dict[str, Any], ...] = ({"origin": (10.0, 20.0)}, {}, {"gnss": "filter"})
+    for recording, where in zip((walk, located, located), given, strict=True):
+        (fix,) = fixes_of(tmp_path / "fixes.csv", 2.0, recording, where)
+        np.testing.assert_allclose(fix.position_m, [0.0, 11.06], atol=0.01)
+        assert (where.get("origin") is None) == (where.get("gnss") == "filter")  # its origin is the first location
+    with pytest.raises(ValueError, match="positions are in degrees"):
+        fixes_of(tmp_path / "fixes.csv", 2.0, walk, {})
 
 
 def test_anchors_in_degrees_become_metres_from_the_origin(tmp_path: Path) -> None:
