@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from pdr_filter.values import Samples, Table, Wifi, check_array, check_step_length, check_walked, limits
 from pdr_filter.values.arrays import reduction, table
@@ -273,6 +273,13 @@ class Recording:
     def placement(self) -> str:
         """Place and manner of wearing the phone, as stated by the recording, in lower case. Empty if unknown."""
         return str(self.meta.get("placement") or "").lower()[: limits.MAX_NAME_CHARS]
+
+    @property
+    def phone_steps(self) -> int | None:
+        """Number of steps that the phone counted itself, or None if the file does not have it."""
+        phone: Any = self.meta.get("phone")
+        counted: Any = cast("dict[str, Any]", phone).get("n_steps") if isinstance(phone, dict) else None
+        return counted if isinstance(counted, int) and not isinstance(counted, bool) else None
 
     @property
     def is_on_foot(self) -> bool:

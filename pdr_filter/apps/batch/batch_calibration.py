@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pdr_filter.apps.batch.workers import Failure, each
-from pdr_filter.data.io.folders import recordings_of
+from pdr_filter.data.io.folders import absolute_recordings_of
 from pdr_filter.data.io.formats import known_format, read
 from pdr_filter.offline.calibration.segments import Segment, segments_of, with_distinct_names
 from pdr_filter.offline.robust_loss import LOSSES
@@ -138,7 +138,7 @@ def calibrate(
     if file_format:
         known_format(file_format)
     check_subject(subject, each_a_person)
-    files = recordings_of(paths)
+    files = absolute_recordings_of(paths)
     forms_of(priors, model, prior_std)  # an unknown model fails here, before any file is read
     reduce = partial(
         read_segments,

@@ -13,8 +13,10 @@ from typing import IO, Any
 
 from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.data.io.files.track_writers import pandas_for_parquet
+from pdr_filter.data.io.folders import person_in_name
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS
+from pdr_filter.values.recording import Recording
 from pdr_filter.values.safe_files import whole_file
 from pdr_filter.values.sanitise import csv_cell, of_csv_cell
 
@@ -60,8 +62,10 @@ class Row(Task):
         Reason of the failure.
     name : str
         Name of the recording.
-    n_steps : int or None
-        Number of steps.
+    subject : str
+        Person of the recording, by its meta data, or by its file name if the names in its folder are of several people.
+    n_steps, phone_n_steps : int or None
+        Number of steps, and that of the phone's own counter if the file has it.
     distance_m : float or None
         Walked distance in m.
     duration_s : float or None
@@ -86,7 +90,9 @@ class Row(Task):
     status: str = _DONE
     reason: str = ""
     name: str = ""
+    subject: str = ""
     n_steps: int | None = None
+    phone_n_steps: int | None = None
     distance_m: float | None = None
     duration_s: float | None = None
     end_east_m: float | None = None
@@ -289,14 +295,17 @@ def _of_cells(cells: Sequence[str], contexts: Sequence[str]) -> Row:
     return Row(**values)
 
 
-def row_of(task: Task, result: Track) -> Row:
+def row_of(task: Task, result: Track, recording: Recording) -> Row:
     """Return the row of the batch table for a recording that was tracked."""
+    subject = recording.subject.id or person_in_name(Path(task.path))
     seconds = result.context_seconds()
     end_m = result.end_position_m
     return Row(
         **asdict(task),
         name=_one_line(result.name),
+        subject=_one_line(str(subject)),
         n_steps=result.n_steps,
+        phone_n_steps=recording.phone_steps,
         distance_m=result.distance_m,
         duration_s=float(result.duration_s),
         end_east_m=float(end_m[0]),

@@ -15,7 +15,7 @@ from pdr_filter.apps.batch.progress import Clock, Progress
 from pdr_filter.apps.batch.result_table import Row, Task, failed_row, open_table, row_of, tables, write_rows_parquet
 from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.apps.batch.workers import each
-from pdr_filter.data.io.folders import recordings_of
+from pdr_filter.data.io.folders import absolute_recordings_of
 from pdr_filter.data.io.formats import known_format, read
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.recipes import check_name, contexts_of, for_recording
@@ -112,7 +112,7 @@ def track(
     table, parquet = tables(out)
     where = "" if calibration is None else str(Path(calibration).resolve())
     options = Task("", recipe, weighting or "", file_format or "", height_m, where, gnss or "")
-    found = [path for path in recordings_of(paths) if path != str(table.resolve())]
+    found = [path for path in absolute_recordings_of(paths) if path != str(table.resolve())]
     # a row of the table is one line
     tasks = [replace(options, path=printable(path) if {"\n", "\r"} & {*path} else path) for path in found]
     contexts = contexts_of(recipe)
@@ -159,4 +159,4 @@ def track_one(task: Task) -> Row:
         )
     except Exception as error:  # an error of one file must not end the batch
         return failed_row(task, reason_of(error))
-    return row_of(task, result)
+    return row_of(task, result, recording)

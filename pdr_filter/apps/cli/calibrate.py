@@ -206,7 +206,7 @@ def smooth_command(
     """
     import pdr_filter as pdr
     from pdr_filter.apps.maps.marks import Marks, read_marks, unused_fixes
-    from pdr_filter.data.io.fix_files import fixes_of_file, loop_closures_of_file
+    from pdr_filter.data.io.fix_files import loop_closures_of_file
     from pdr_filter.offline.smoothing.observations import waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 
@@ -229,7 +229,7 @@ def smooth_command(
         closed += wifi_loop_closures(recording) if wifi_loops else []
         position_fixes: list[Any] = known.pop("fixes")
         if fixes is not None:
-            position_fixes = list(fixes_of_file(fixes, fix_std_m))
+            position_fixes = options.fixes_of(fixes, fix_std_m, recording, where)
         if truth_as_fixes:
             position_fixes += waypoint_fixes(recording, fix_std_m)
         if radio is not None:
@@ -248,7 +248,7 @@ def smooth_command(
             console.write_track(track, out, name)
     if marked.names:
         console.say(f"marks used: {', '.join(str(marked.folder / n) for n in marked.names)}")
-    console.print_tracks([track])
+    console.print_tracks([track], [recording.phone_steps])
     typer.echo(
         f"{len(result.observations)} observations, {len(result.rejected)} not used; "
         f"step scale {result.scale:.3f} ± {result.scale_std:.3f}"

@@ -75,13 +75,14 @@ class Setting:
         `where` are the arguments of the georeference. The recording's own locations are used only on request.
         """
         import pdr_filter as pdr
-        from pdr_filter.data.io.fix_files import fixes_of_file
 
+        where = dict(where)
+        fixes = () if self.fixes is None else options.fixes_of(self.fixes, self.fix_std_m, recording, where)
         arguments: dict[str, Any] = {
             **where,
             "gnss": where["gnss"] or "off",
             "person": self.person,
-            "fixes": () if self.fixes is None else fixes_of_file(self.fixes, self.fix_std_m),
+            "fixes": fixes,
         }
         names = self.recipe or ["default"]
         if len(names) == 1:

@@ -296,17 +296,25 @@ def in_m(value: float, spec: str = "z.1f") -> str:
     return f"{value:{spec}} m"
 
 
-def print_tracks(tracks: Sequence[Track]) -> None:
-    """Print a table with a row for each track, and the notes of the tracks below."""
+def print_tracks(tracks: Sequence[Track], by_phone: Sequence[int | None] = ()) -> None:
+    """Print a table with a row for each track, and the notes of the tracks below.
+
+    `by_phone` are the steps that the phones counted themselves, None where a file does not have them. They are a column
+    if one has them.
+    """
+    is_counted = any(count is not None for count in by_phone)
     from pdr_filter.tracking.trust_report import context_durations
 
-    table = new_table("recording", "steps", "distance", "end east", "end north", "± at the end", "duration")
+    steps = ("steps", "steps by the phone") if is_counted else ("steps",)
+    table = new_table("recording", *steps, "distance", "end east", "end north", "± at the end", "duration")
     table.add_column("contexts")
-    for result in tracks:
+    for i, result in enumerate(tracks):
         summary = result.summary()
+        counted = [_or_blank(by_phone[i])] if is_counted else []
         table.add_row(
             escape(result.name),
             str(result.n_steps),
+            *counted,
             result.how_far,
             in_m(summary["end_east_m"]),
             in_m(summary["end_north_m"]),
@@ -317,6 +325,10 @@ def print_tracks(tracks: Sequence[Track]) -> None:
     table.caption = f"{STD_CAPTION}\n {_SMOOTHED}" if any(track.is_smoothed for track in tracks) else STD_CAPTION
     print_table(table)
     print_notes(tracks)
+
+
+def _or_blank(count: int | None) -> str:
+    return "" if count is None else str(count)
 
 
 def estimates(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,16 +11,24 @@ from pdr_filter.apps.cli import console
 from pdr_filter.apps.cli.options import Platform
 from pdr_filter.values.sanitise import file_name, printable, printable_lines
 
+if TYPE_CHECKING:
+    from pdr_filter.values.recording import Recording
+
 
 def convert_command(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="File or folder of any app.")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", help="File or folder of any app. Several are parts of one recording, which are joined."
+        ),
+    ],
     mapping: Path | None = typer.Option(
         None, "--map", help="TOML file with the column mapping. Default: the mapping is guessed."
     ),
     platform: Platform = None,
-    out: Path | None = typer.Option(None, help="Output file. Default: NAME_recording.zip next to FILE."),
+    out: Path | None = typer.Option(None, help="Output file. Default: NAME_recording.zip next to the first FILE."),
 ) -> None:
-    """Convert a file to a recording, and show the column mapping with its reasons.
+    """Convert a file to a recording, or join files that were cut in time, and show the column mapping.
 
     The column mapping of a table is written next to the recording, as NAME_recording.toml. If a column is mapped
     wrongly, correct this file and pass it with --map. Existing files are never overwritten.
@@ -30,6 +38,7 @@ def convert_command(
     from pdr_filter.data.io.files.archive import outside
     from pdr_filter.data.io.folders import only_recording_in
     from pdr_filter.data.io.formats import read
+    from pdr_filter.data.io.joined import joined
     from pdr_filter.data.io.tables.any_table import read_guessed, read_mapped
     from pdr_filter.data.io.tables.column_mapping import read_mapping
     from pdr_filter.values.safe_files import write_text
@@ -39,16 +48,22 @@ def convert_command(
             raise ValueError(
                 f"--platform {platform} and --map {mapping} both set the sign of the acceleration: omit --platform"
             )
-        text = ""
-        file = only_recording_in(file)
-        if mapping is not None:
-            recording = read_mapped(file, read_mapping(mapping))
-        elif detect(file) == "table":
-            found = read_guessed(file, platform)
-            recording, text = found.recording, found.guess.mapping.toml()
-        else:
-            recording = read(file, platform=platform)
-        to = out or outside(file.absolute())[0].with_name(f"{file_name(recording.name)}_recording.zip")
+        texts: dict[str, None] = {}
+        parts: list[Recording] = []
+        files = [only_recording_in(file) for file in files]
+        for file in files:
+            if mapping is not None:
+                parts.append(read_mapped(file, read_mapping(mapping)))
+            elif detect(file) == "table":
+                found = read_guessed(file, platform)
+                parts.append(found.recording)
+                texts[found.guess.mapping.toml()] = None
+            else:
+                parts.append(read(file, platform=platform))
+        recording = joined(parts)
+        # One mapping is written, so that it fits each of the files.
+        text = next(iter(texts), "") if len(texts) == 1 else ""
+        to = out or outside(files[0].absolute())[0].with_name(f"{file_name(recording.name)}_recording.zip")
         mapping_path = to.with_suffix(".toml") if to.suffix else to.with_name(f"{to.name}.toml")
         for path in (to, *([mapping_path] if text else [])):
             if path.exists():

@@ -40,12 +40,9 @@ def map_command(
     """
     import pdr_filter as pdr
     from pdr_filter.apps.maps.marks import unused_fixes
-    from pdr_filter.data.io.folders import recordings_in
 
     with console.one_line_errors():
-        paths = recordings_in(folder)
-        if not paths:
-            raise ValueError(f"{folder} has no recordings: give the folder that contains them")
+        paths = console.recording_paths([folder])
         console.say_unused_fixes(unused_fixes(paths))
         with console.progress("mapping"):
             found = pdr.map_walks(

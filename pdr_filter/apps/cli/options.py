@@ -84,7 +84,7 @@ FixesFile = Annotated[
     Path | None,
     typer.Option(
         help="CSV of position fixes with columns time_s, east_m, north_m and optionally std_m, floor, heading_deg and "
-        "heading_std_deg."
+        "heading_std_deg. Or latitude and longitude in degrees, with --origin or a recording that has locations."
     ),
 ]
 Platform = Annotated[
@@ -220,6 +220,23 @@ def context_changes(
 def wifi_fixes(radio: RadioMap, recording: Recording, with_grids: bool) -> list[Any]:
     """Return the position fixes of a recording on a radio map, and also its grids for a particle filter on a plan."""
     return [*radio.fixes(recording), *(radio.grids(recording) if with_grids else [])]
+
+
+def fixes_of(fixes: Path, std_m: float, recording: Recording, where: dict[str, Any]) -> list[Any]:
+    """Return the fixes of the file --fixes.
+
+    Positions in degrees are relative to the origin in the arguments `where` of the track, or to the first usable
+    location of the recording, which then becomes the origin of the track.
+    """
+    from pdr_filter.data.io.fix_files import degrees_in, fixes_of_file
+    from pdr_filter.filter.fixes.gnss import origin_of
+
+    origin = where.get("origin")
+    if origin is None and recording.location is not None and degrees_in(fixes):
+        origin = origin_of(recording.location)
+        if origin is not None and where.get("gnss") not in ("filter", "align"):
+            where["origin"] = origin
+    return list(fixes_of_file(fixes, std_m, origin))
 
 
 def ranges_of(ranges: Path | None, anchors: Path | None, origin: tuple[float, float] | None) -> list[Any]:

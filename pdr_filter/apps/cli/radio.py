@@ -18,10 +18,9 @@ def radio_command(
 ) -> None:
     """Fit the Wi-Fi map of a building from recordings, or folders of recordings, with Wi-Fi scans and waypoints."""
     import pdr_filter as pdr
-    from pdr_filter.data.io.folders import recordings_in
 
     with console.one_line_errors(), console.progress("fitting"):
-        found = [path for file in files for path in (recordings_in(file) if file.is_dir() else [file])]
+        found = console.recording_paths(files)
         fitted = pdr.RadioMap.fit(pdr.read(path, file_format) for path in found)
         before = console.existing(out, out.with_suffix(".npz"))
         written = fitted.save(out)

@@ -183,6 +183,7 @@ def track_command(
     written: set[str] = set()
     replaced: list[Path] = []
     listed: dict[str, Track] = {}
+    by_phone: list[int | None] = []
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
@@ -213,6 +214,7 @@ def track_command(
         name = console.unique_name(result.name, written)
         replaced.extend(output.write(tracks, recording, name))
         listed[name] = result
+        by_phone.append(recording.phone_steps)
         if as_json:
             console.print_json(result.summary())
         return result
@@ -228,7 +230,7 @@ def track_command(
         with console.one_line_errors():
             write_index(listed, failed, output.out / "index.html")
     if tracks and not as_json:
-        console.print_tracks(tracks)
+        console.print_tracks(tracks, by_phone)
         console.say_written(output.out)
     console.exit_if_failed(failed, len(files))
 

@@ -82,9 +82,14 @@ def _fit(folder: Path, out: Path, how: Fitting) -> None:
 
 
 def _person_of(path: Path, folder: Path) -> str:
-    """Return the name of the subfolder of `folder` that contains a recording, or "unnamed" directly in `folder`."""
+    """Return the name of the subfolder of `folder` that contains a recording, or the person in the name of its file.
+
+    It is "unnamed" for a file directly in `folder` whose name has no person.
+    """
+    from pdr_filter.data.io.folders import person_in_name
+
     parts = path.resolve().relative_to(folder.resolve()).parts
-    return parts[0] if len(parts) > 1 else "unnamed"
+    return parts[0] if len(parts) > 1 else person_in_name(path) or "unnamed"
 
 
 def _estimate_transitions(sequences: Path, out: Path) -> None:

@@ -170,7 +170,7 @@ def marks_in(folder: Path) -> Marks:
     _check_walk(walk, folder / WALK)
     return Marks(
         folder,
-        tuple(fixes_of_file(folder / FIXES)) if FIXES in found else (),
+        tuple(fixes_of_file(folder / FIXES, origin=walk.get("origin"))) if FIXES in found else (),
         tuple(loop_closures_of_file(folder / LOOP_CLOSURES)) if LOOP_CLOSURES in found else (),
         folder / PERSON if PERSON in found else None,
         walk,

@@ -26,7 +26,7 @@ from pdr_filter.apps.report.html import html_report
 from pdr_filter.apps.workbench.pictures import convert_picture, rectify
 from pdr_filter.data.io.files.archive import outside
 from pdr_filter.data.io.files.track_writers import GEOGRAPHIC_KINDS, write_by_suffix
-from pdr_filter.data.io.folders import recordings_in
+from pdr_filter.data.io.folders import recordings_of
 from pdr_filter.data.io.formats import read
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory, smooth
 from pdr_filter.recipes import for_recording
@@ -168,7 +168,7 @@ class Worker:
 
     def check(self, path: str) -> dict[str, Any]:
         """Return the number of recordings in a new file or folder, as {"n": number}, if the first can be read."""
-        found = recordings_in(path) or [Path(path)]
+        found = recordings_of(path)
         read(found[0])
         return {"n": len(found)}
 

@@ -19,6 +19,9 @@ from pdr_filter.values import FloatArray, Samples, limits, table
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording, Truth
 
+# A phone reports its first steps in groups of some seconds.
+_MOST_FIRST_STEPS = 50
+
 
 @dataclass
 class Parsed:
@@ -39,6 +42,25 @@ class Parsed:
     linear: str = ""  # name of the acceleration, if it lacks gravity
     instead: str = "the accelerometer with gravity"  # sensor to record in place of it
     notes: list[str] = field(default_factory=list[str])
+
+    def set_phone(self, counts: FloatArray | None, heading_deg: FloatArray | None) -> None:
+        """Store the steps that the phone counted, and its heading at the start and the end, in `meta`.
+
+        A counter that begins above 50 counts since the phone was started.
+        """
+        phone: dict[str, Any] = {}
+        counts, heading_deg = (
+            np.empty(0) if values is None else values[np.isfinite(values)] for values in (counts, heading_deg)
+        )
+        if len(counts) and 0 <= counts[0] <= counts[-1] <= limits.LARGEST_VALUE:
+            phone["n_steps"] = int(counts[-1] - (counts[0] if counts[0] > _MOST_FIRST_STEPS else 0))
+            self.found.append(f"steps counted by the phone: {phone['n_steps']}")
+        if len(heading_deg) and np.abs(heading_deg).max() <= 360:
+            phone["heading_deg"] = [round(float(heading_deg[k]) % 360, 1) for k in (0, -1)]
+            words = "{:.0f} degrees at the start, {:.0f} at the end".format(*phone["heading_deg"])
+            self.found.append(f"heading by the phone: {words}")
+        if phone:
+            self.meta["phone"] = phone
 
     def set_device(self, *words: str | None) -> None:
         """Store the words, joined by spaces, as phone model in `meta`, unless all are empty or None."""

@@ -46,6 +46,7 @@ QUANTITY_OF = {word: quantity for quantity, words in _WORDS.items() for word in 
 # These words are known alone, not at the end of a longer name: heart_rate_x is not an angular rate.
 _LETTERS = {
     **{"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD, "rate": RATE, "rates": RATE},
+    **{"ac": ACCELERATION, "gy": RATE},  # as in AcX and GyX
     **dict.fromkeys(("lineara", "lina", "usera"), LINEAR),  # as in linear_ax
 }
 # A word may stand anywhere in a name. Only these are also recognised at the end of a longer word, such as `wristaccx`:
@@ -101,7 +102,7 @@ OF_UNIT = {
 }
 _AXIS_ALONE = re.compile(r"[\s_.]([xyz])\s*$", re.IGNORECASE)
 _AXES = ("x", "y", "z")
-_BARE = re.compile(r"([xyz])(?:axis|value)?|values?([xyz])")
+_BARE = re.compile(r"([xyz])(?:axis|value)?|(?:value|measurement)s?([xyz])")
 _CALIBRATED = re.compile(r"(un)?cal(ibrated)?$|raw$")
 _UNIT = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
 # Behind an axis, as in `ax_g` and `gyro_z_dps`.
@@ -143,9 +144,16 @@ _SPELLINGS = (
     (r"(?<=[a-z])s\^*-2$", "/s^2"),
     (r"(?<=[a-z])s\^*-1$", "/s"),
 )
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100ns": 1e-7}
+# Unix time from 2004 to 2039. Nanoseconds since a phone was started 20 minutes ago are as large as milliseconds of
+# that, but would then come less often than any sensor.
+_EPOCH_S = (1.1e9, 2.2e9)
+# Clocks of Windows count 100 ns since 1601 (FILETIME) or since the year 1 (.NET), so many seconds before 1970.
+_ZEROS_S = {"100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0)}
 _TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
+_STEP_COUNTS = re.compile(r"(pedometer)?(numberof|n)?steps?(s|n|count(er)?|detected)?|schritte")
+_HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)(deg(rees)?)?")
 _TIME_WORDS = {  # in other languages
     *("tiempo", "temps", "tempo", "tijd", "czas", "aika", "tid", "hora", "heure", "ora", "uhr", "zaman", "waktu"),
     *("\u0432\u0440\u0435\u043c\u044f", "\u6642\u9593", "\u65f6\u95f4", "\u6642\u523b", "\uc2dc\uac04"),
@@ -321,6 +329,9 @@ def column_of(place: int, name: str) -> Column:
             unit = unit or ("g" if "".join(rest) in ("gf", "gforce") else "deg/s" if axis in _GREEK_AXES else "")
             return Column(place, name, quantity, _GREEK_AXES.get(axis, axis), unit, "".join(rest), preference)
     quantity, preference = quantity_of_words(words)
+    if not quantity and words[-1:] in (["deg"], ["degrees"], ["m"]):  # latitude_deg
+        shorter, _ = quantity_of_words(words[:-1])
+        quantity = shorter if shorter in LOCATION else ""
     axis_found = _AXIS_ALONE.search(bare)
     if not quantity and axis_found:  # the chip behind the word, as in accelerometer_lsm6ds3_c.x
         word = bare[: axis_found.start()]
@@ -350,6 +361,39 @@ def _axes_of(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
         yield first[0], [first[1:], *words[1:]]
 
 
+def since_1970(ticks: float, unit: str) -> float | None:
+    """Return the Unix time in s of a time in ticks of a unit, or None if no clock shows it between 2004 and 2039."""
+    low, high = _EPOCH_S
+    times_s = (ticks * TIME_UNITS[unit] - zero_s for zero_s in _ZEROS_S.get(unit, (0.0,)))
+    return next((time_s for time_s in times_s if low < time_s < high), None)
+
+
+def is_step_count(name: str) -> bool:
+    """Return True if a column has the name of the phone's own step counter."""
+    return _STEP_COUNTS.fullmatch(letters(name)) is not None
+
+
+def is_heading(name: str) -> bool:
+    """Return True if a column has the name of the phone's own heading in degrees."""
+    return _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
+
+
+def bias_of(name: str) -> tuple[str, str] | None:
+    """Return quantity and axis of a column with the bias of an uncalibrated sensor, or None for another column.
+
+    Examples
+    --------
+    >>> bias_of("gyro_bias_x"), bias_of("BiasY"), bias_of("gyro_x")
+    (('gyroscope', 'x'), ('', 'y'), None)
+    """
+    for axis, rest in _axes_of(words_of(_UNIT.sub("", name))):
+        of_sensor = re.sub(r"(bias|drift)$", "", "".join(rest))
+        if axis in _AXES and of_sensor != "".join(rest):
+            return quantity_of_words([of_sensor])[0] if of_sensor else "", axis
+    return None
+
+
+@lru_cache(maxsize=256)
 def is_time(name: str) -> bool:
     """Return True if a column has the name of a time."""
     bare = _UNIT.sub("", name)
@@ -357,7 +401,7 @@ def is_time(name: str) -> bool:
     is_word = not _TIME_WORDS.isdisjoint(bare.lower().split())
     is_unit = any(re.fullmatch(pattern, stem) for pattern in _TIME_UNIT_WORDS.values())
     letter, _, unit = bare.strip().lower().partition("_")  # as in t_ms
-    is_letter = stem in ("t", "ts") or (letter in ("t", "ts") and unit in TIME_UNITS)
+    is_letter = stem in ("t", "ts", "dt") or (letter in ("t", "ts") and unit in TIME_UNITS)
     return is_word or is_unit or is_letter or _TIME.search(stem) is not None
 
 
@@ -380,7 +424,7 @@ def has_time_unit(name: str) -> bool:
 def time_unit_of(name: str) -> str:
     """Return the unit that the name of a column of times states, or an empty string."""
     found = _UNIT.search(name)
-    words = [found[1].strip()] if found else re.split(r"[^A-Za-z\u00b5\u03bc]+", name)
+    words = [found[1].strip()] if found else [*re.split(r"[^A-Za-z\u00b5\u03bc]+", name), *words_of(name)[-1:]]
     words = [normal_unit(word) for word in words]
     for unit, pattern in _TIME_UNIT_WORDS.items():
         if any(re.fullmatch(pattern, word) for word in words if word):

@@ -16,7 +16,7 @@ from pdr_filter.data.io.tables.any_table import TEXTS, sensors_of
 from pdr_filter.data.io.tables.column_mapping import mapping_beside
 from pdr_filter.data.io.tables.matlab import is_matlab
 from pdr_filter.data.io.tables.spreadsheet import is_spreadsheet
-from pdr_filter.data.io.tables.text_sheets import text_sheet
+from pdr_filter.data.io.tables.text_sheets import first_rows, text_sheet
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
 
@@ -53,7 +53,8 @@ def _detect_among(members: Members) -> str:
         found = detect_file(members, by_name["accelerometer.csv"])
         if found == "sensor_logger" or (found == "table" and "meta.json" not in by_name):
             return found
-        return "own"
+        if "meta.json" in by_name or _has_own_header(members, by_name["accelerometer.csv"]):
+            return "own"
     if "data.hdf5" in by_name and members.path.is_dir():
         return "ronin"
     if ros_bag.is_bag(members):
@@ -69,11 +70,18 @@ def _detect_among(members: Members) -> str:
 
 def _is_unknown_table(members: Members, name: str) -> bool:
     """Return True for a text with numbers in no known layout, which the table reader refuses with the reason."""
-    if not name.lower().endswith(TEXTS) or members.head(name).removeprefix(BOM_UTF8).startswith(b"time_s,"):
-        return False
     with suppress(RecordingError):
-        return text_sheet(members, name) is not None
+        if name.lower().endswith(TEXTS) and not _has_own_header(members, name):
+            return text_sheet(members, name) is not None
+        if name.lower().endswith(json_tables.SUFFIXES) and json_tables.is_json(members.head(name)):
+            return any(len(first_rows(sheet)) >= limits.MIN_SAMPLES for sheet in json_tables.json_sheets(members, name))
     return False
+
+
+def _has_own_header(members: Members, name: str) -> bool:
+    """Return True if the first line of a file has a column `time_s`, as the project's own format has."""
+    line = members.head(name).removeprefix(BOM_UTF8).partition(b"\n")[0]
+    return b"time_s" in [field.strip(b' \r"') for field in line.split(b",")]
 
 
 def _detect_alone(members: Members) -> str:
@@ -86,11 +94,16 @@ def _detect_alone(members: Members) -> str:
     if mapping_beside(path).is_file() and mapping_beside(path) != path:
         return found if found in ("get_sensor_data", "ronin") else "generic_csv"
     head = members.head(name)
-    if not found and path.name == REQUIRED and any(path.with_name(other).is_file() for other in OTHERS):
+    if (
+        not found
+        and path.name == REQUIRED
+        and _has_own_header(members, name)
+        and any(path.with_name(other).is_file() for other in OTHERS)
+    ):
         return "own"  # which asks for the folder
     if found == "sensor_logger" and head.lstrip()[:1] not in (b"[", b"{") and not head.startswith(b"SQLite"):
         return "table"  # one sensor of it
-    if not found and b"\x00" not in head[:4096] and any(mark in head[:4096] for mark in (b",", b";", b"\t")):
+    if not found and b"\x00" not in head[:4096] and any(mark in head[:4096] for mark in (b",", b";", b"\t", b"/")):
         return "table"  # which says what it saw
     return found or "own"
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pdr_filter.data.io.text_table import TextTable, text_rows
+from pdr_filter.data.io.column_names import column_of
+from pdr_filter.data.io.text_table import TextTable, to_number
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.values import FloatArray, HeadingFix, Origin, PositionFix, RangeFix, limits
+from pdr_filter.values.origin import check_coordinates
 from pdr_filter.values.safe_files import read_json, read_small
 
 # Standard deviations in m of fixes and loop closures in files without the column std_m.
@@ -21,18 +23,22 @@ _MOST_FLOORS = 1000
 _MOST_DEG = 0.05
 
 
-def fixes_of_file(path: str | Path, std_m: float = FIX_STD_M) -> list[PositionFix | HeadingFix]:
+def fixes_of_file(
+    path: str | Path, std_m: float = FIX_STD_M, origin: Origin | tuple[float, float] | None = None
+) -> list[PositionFix | HeadingFix]:
     r"""Read position fixes, with headings and storeys if the file has them, from a CSV file.
 
     Parameters
     ----------
     path : str or Path
-        CSV file with columns `time_s`, `east_m`, `north_m` and optionally `std_m`. Times are on the clock of the
-        samples. Two optional columns, `heading_deg` and `heading_std_deg`, give the walking heading at the time of a
-        fix, clockwise from north. The optional column `floor` gives the storey. Cells of optional columns are empty
-        where the value is not known.
+        CSV file with columns `time_s`, `east_m`, `north_m` and optionally `std_m`. Columns of latitude and longitude
+        in degrees may replace `east_m` and `north_m`. Times are on the clock of the samples. Two optional columns,
+        `heading_deg` and `heading_std_deg`, give the walking heading at the time of a fix, clockwise from north. The
+        optional column `floor` gives the storey. Cells of optional columns are empty where the value is not known.
     std_m : float, default 1.0
-        Standard deviation in m of fixes in a file without the column `std_m`.
+        Standard deviation in m of fixes without a value in the column `std_m`.
+    origin : Origin or (latitude_deg, longitude_deg), optional
+        Geographic origin of the track, for positions in degrees.
 
     Returns
     -------
@@ -42,7 +48,7 @@ def fixes_of_file(path: str | Path, std_m: float = FIX_STD_M) -> list[PositionFi
     Raises
     ------
     ValueError
-        If the file cannot be used. The message names the file, the row and the remedy.
+        If the file cannot be used. The message names the file, the line and the remedy.
     OSError
         If the file cannot be read.
 
@@ -58,13 +64,16 @@ def fixes_of_file(path: str | Path, std_m: float = FIX_STD_M) -> list[PositionFi
     """
     file = Path(path)
     optional = (("floor",), ("heading_deg", "heading_std_deg"))
-    rows = _rows(file, ("time_s", "east_m", "north_m"), "fixes", std_m, optional)
+    degrees = degrees_in(file)
+    rows = _rows(file, ("time_s", *(degrees or ("east_m", "north_m"))), "fixes", std_m, optional)
+    if degrees:
+        rows = _in_metres(file, rows, origin)
     fixes: list[PositionFix] = []
     headings: list[HeadingFix] = []
-    for k, (t, east, north, std, floor, heading_deg, heading_std_deg) in enumerate(rows, 1):
+    for line, (t, east, north, std, floor, heading_deg, heading_std_deg), _ in rows:
         if math.isfinite(floor) and (floor != round(floor) or abs(floor) > _MOST_FLOORS):
             raise ValueError(
-                f"{file}, row {k}: floor is {floor:g}; write the number of the storey, such as 0, or leave it empty"
+                f"{file}, line {line}: floor is {floor:g}; write the number of the storey, such as 0, or leave it empty"
             )
         storey = int(floor) if math.isfinite(floor) else None
         fixes.append(PositionFix(t, np.array([east, north]), std**2 * np.eye(2), floor=storey))
@@ -72,8 +81,37 @@ def fixes_of_file(path: str | Path, std_m: float = FIX_STD_M) -> list[PositionFi
             try:
                 headings.append(HeadingFix(t, math.radians(heading_deg), math.radians(heading_std_deg)))
             except ValueError as error:
-                raise ValueError(f"{file}, row {k}: heading_std_deg must be positive and finite ({error})") from None
+                raise ValueError(
+                    f"{file}, line {line}: heading_std_deg must be positive and finite ({error})"
+                ) from None
     return [*fixes, *headings]
+
+
+def degrees_in(path: str | Path) -> tuple[str, str] | None:
+    """Return the names of the columns of latitude and longitude in a file of fixes, or None if it has `east_m`."""
+    fields = TextTable([read_small(Path(path), limits.MAX_WHOLE_BYTES)], str(path)).fields
+    by_quantity = {column_of(i, name).quantity: name for i, name in reversed([*enumerate(fields)])}
+    latitude, longitude = by_quantity.get("latitude"), by_quantity.get("longitude")
+    return None if "east_m" in fields or latitude is None or longitude is None else (latitude, longitude)
+
+
+def _in_metres(file: Path, rows: Sequence[_Row], origin: Origin | tuple[float, float] | None) -> list[_Row]:
+    """Return rows of time, latitude and longitude with metres east and north of the origin in place of degrees."""
+    for line, (_, latitude_deg, longitude_deg, *_), _ in rows:
+        check_coordinates(f"{file}, line {line}: position", latitude_deg, longitude_deg)
+    if origin is None:
+        _, latitude_deg, longitude_deg, *_ = rows[0].values
+        raise ValueError(
+            f"{file}: the positions are in degrees, and the geographic origin of the track is unknown; give it, such "
+            f"as the first position: --origin {latitude_deg:.6f},{longitude_deg:.6f}, and in Python "
+            f"origin=({latitude_deg:.6f}, {longitude_deg:.6f}) both here and for the track, or write east_m,north_m"
+        )
+    here = Origin.of(origin)
+    return [
+        row._replace(values=[time_s, *here.east_north_m(latitude_deg, longitude_deg).tolist(), *more])
+        for row in rows
+        for time_s, latitude_deg, longitude_deg, *more in [row.values]
+    ]
 
 
 def ranges_of_file(
@@ -86,12 +124,11 @@ def ranges_of_file(
 
     `anchors` is the GeoJSON file for `anchors_of_file`. Without it, columns `anchor_east_m` and `anchor_north_m`
     replace the column `anchor`. Times are on the clock of the samples. `std_m` (m) is for files without that column.
-    `origin` is the geographic origin of the track, for anchors in degrees. ValueError names the file, the row and the
+    `origin` is the geographic origin of the track, for anchors in degrees. ValueError names the file, the line and the
     remedy.
     """
     file = Path(path)
-    header, *lines = text_rows(read_small(file, limits.MAX_WHOLE_BYTES), str(file)) or [[]]
-    fields = [field.strip() for field in header]
+    fields = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file)).fields
     if anchors is None:
         if "anchor" in fields and "anchor_east_m" not in fields:
             raise ValueError(
@@ -99,28 +136,29 @@ def ranges_of_file(
                 "anchors, --anchors anchors.geojson, or columns anchor_east_m,anchor_north_m"
             )
         rows = _rows(file, ("time_s", "anchor_east_m", "anchor_north_m", "range_m"), "ranges", std_m)
-        return [_range(file, k, t, np.array([e, n]), r, std) for k, (t, e, n, r, std) in enumerate(rows)]
+        return [_range(file, line, t, np.array([e, n]), r, std) for line, (t, e, n, r, std), _ in rows]
     places = anchors_of_file(anchors, origin)
     rows = _rows(file, ("time_s", "range_m"), "ranges", std_m)
     if "anchor" not in fields:
         raise ValueError(f"{file}: no column anchor (found: {', '.join(fields)[:160]}); write the name of each anchor")
     column = fields.index("anchor")
-    names = [line[column].strip() if column < len(line) else "" for line in lines[: len(rows)]]
-    unknown = next((k for k, name in enumerate(names) if name not in places), None)
-    if unknown is not None:
-        raise ValueError(
-            f"{file}, row {unknown + 1}: {anchors} has no anchor {names[unknown][:60]!r} (it has "
-            f"{', '.join(places)[:160]}); add it, or correct the name"
-        )
-    named = zip(names, rows, strict=True)
-    return [_range(file, k, t, places[name], r, std) for k, (name, (t, r, std)) in enumerate(named)]
+    found: list[RangeFix] = []
+    for line, (t, r, std), cells in rows:
+        name = cells[column].strip() if column < len(cells) else ""
+        if name not in places:
+            raise ValueError(
+                f"{file}, line {line}: {anchors} has no anchor {name[:60]!r} (it has {', '.join(places)[:160]}); add "
+                "it, or correct the name"
+            )
+        found.append(_range(file, line, t, places[name], r, std))
+    return found
 
 
-def _range(file: Path, row: int, time_s: float, anchor_m: FloatArray, range_m: float, std_m: float) -> RangeFix:
+def _range(file: Path, line: int, time_s: float, anchor_m: FloatArray, range_m: float, std_m: float) -> RangeFix:
     try:
         return RangeFix(time_s, anchor_m, range_m, std_m)
     except ValueError as error:
-        raise ValueError(f"{file}, row {row + 1}: {error}") from None
+        raise ValueError(f"{file}, line {line}: {error}") from None
 
 
 def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Mapping[str, FloatArray]:
@@ -151,6 +189,8 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
         ) from None
     flat = np.array([place[:2] for place in found.values()])
     here = None if origin is None else Origin.of(origin)
+    if np.ptp(flat[:, 0]) > 360 - _MOST_DEG and np.abs(flat[:, 0]).max() <= 180:  # on both sides of 180 degrees
+        flat[:, 0] %= 360
     is_near = here is not None and bool(np.abs(flat - (here.longitude_deg, here.latitude_deg)).max() <= _MOST_DEG)
     if float(np.ptp(flat, axis=0).max()) > _MOST_DEG or (len(flat) == 1 and not is_near):
         return found
@@ -166,51 +206,68 @@ def loop_closures_of_file(path: str | Path, std_m: float = LOOP_CLOSURE_STD_M) -
     """Read loop closures from a CSV file with columns `first_s`, `second_s` and optionally `std_m`.
 
     Times are on the clock of the samples. `std_m` (m) is for files without that column. ValueError names the file, the
-    row and the remedy.
+    line and the remedy.
     """
     rows = _rows(Path(path), ("first_s", "second_s"), "loop closures", std_m)
-    back = next((k for k, (first_s, second_s, _) in enumerate(rows) if not first_s < second_s), None)
-    if back is not None:
-        first_s, second_s, _ = rows[back]
-        remedy = "exchange the two" if first_s > second_s else "correct one of them, or leave the row out"
-        raise ValueError(
-            f"{path}, row {back + 1}: first_s must be before second_s, got {first_s:.15g} and {second_s:.15g}; {remedy}"
-        )
-    return [LoopClosure(*row) for row in rows]
+    for line, (first_s, second_s, _), _ in rows:
+        if not first_s < second_s:
+            remedy = "exchange the two" if first_s > second_s else "correct one of them, or leave the row out"
+            raise ValueError(
+                f"{path}, line {line}: first_s must be before second_s, got {first_s:.15g} and {second_s:.15g}; "
+                f"{remedy}"
+            )
+    return [LoopClosure(*row.values) for row in rows]
+
+
+class _Row(NamedTuple):
+    """Row of a table, with its line in the file."""
+
+    line: int
+    values: list[float]
+    cells: list[str]
 
 
 def _rows(
     file: Path, names: tuple[str, ...], what: str, std_m: float, optional: Sequence[tuple[str, ...]] = ()
-) -> list[list[float]]:
+) -> list[_Row]:
     """Return the values of the columns `names` in each row, a standard deviation in m, and groups of optional columns.
 
-    The standard deviation is `std_m` in a file without that column. Optional values are NaN in empty cells, and in a
-    file without the first column of the group. `what` names the rows in messages. ValueError if a value is missing, a
-    standard deviation is not positive, or the table has no row.
+    The standard deviation is `std_m` in a file without that column, and in empty cells of it. Optional values are NaN
+    in empty cells, and in a file without the first column of the group. Cells may be missing at the end of a row.
+    `what` names the rows in messages. ValueError if a value is missing, a standard deviation is not positive, or the
+    table has no row.
     """
-    content = read_small(file, limits.MAX_WHOLE_BYTES)
-    table = TextTable([content], str(file))
-    columns = (*names, *(("std_m",) if "std_m" in table.fields else ()))
-    values = table.parse(table.places(columns), []).values
-    unknown = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    if len(unknown):
-        raise ValueError(f"{file}, row {unknown[0] + 1}: {','.join(columns)} must all be numbers; leave the row out")
-    if len(values) > limits.MAX_FIXES:
-        raise ValueError(f"{file}: {len(values)} {what}, more than {limits.MAX_FIXES}; leave out some")
-    if not len(values):
-        raise ValueError(f"{file}: no {what} below the line {','.join(columns)}; write one in each line")
-    if len(columns) == len(names):
-        if not 0 < std_m < math.inf:
-            raise ValueError(f"std_m must be a positive number, got {std_m:g}")
-        values = np.column_stack([values, np.full(len(values), std_m)])
-    wrong = np.flatnonzero(~(values[:, -1] > 0))
-    if len(wrong):
-        raise ValueError(f"{file}, row {wrong[0] + 1}: std_m is {values[wrong[0], -1]:g}; write a positive number")
-    for group in optional:
-        more = np.full((len(values), len(group)), np.nan)
-        if group[0] in table.fields:
-            own = TextTable([content], str(file))
-            known = own.parse(own.places(group), []).values[: len(more)]  # lacks a last line that is cut off
-            more[: len(known)] = known
-        values = np.column_stack([values, more])
-    return values.tolist()
+    table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
+    table.places(names)
+    if not 0 < std_m < math.inf:
+        raise ValueError(f"std_m must be a positive number, got {std_m:g}")
+    known = [group for group in (("std_m",), *optional) if group[0] in table.fields]
+    place = {name: i for i, name in enumerate(table.fields)}
+    table.places(tuple(name for group in known for name in group))
+    found: list[_Row] = []
+    for line, cells in table.numbered_rows():
+        if len(found) == limits.MAX_FIXES:
+            raise ValueError(f"{file}: more than {limits.MAX_FIXES} {what}; leave out some")
+
+        def value(name: str, line: int = line, cells: list[str] = cells) -> float:
+            cell = cells[place[name]] if name in place and place[name] < len(cells) else ""
+            number = to_number(cell)
+            if number is None:
+                raise ValueError(
+                    f"{file}, line {line}, column {name}: {cell.strip()[:60]!r} is not a number; use '.' as decimal "
+                    "point, and leave unknown values empty"
+                )
+            return number
+
+        values = [value(name) for name in names]
+        if not all(map(math.isfinite, values)):
+            raise ValueError(f"{file}, line {line}: {','.join(names)} must all be numbers; leave the row out")
+        own_m = value("std_m")
+        own_m = std_m if math.isnan(own_m) else own_m
+        if not 0 < own_m < math.inf:
+            raise ValueError(f"{file}, line {line}: std_m is {own_m:g}; write a positive number")
+        more = [value(name) if group in known else math.nan for group in optional for name in group]
+        found.append(_Row(line, [*values, own_m, *more], cells))
+    if not found:
+        raise ValueError(f"{file}: no {what} below the line {','.join(table.fields)[:160]}; write one in each line")
+    return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from functools import lru_cache
 from itertools import islice
@@ -13,7 +14,9 @@ from pdr_filter.data.io.detection import BINARIES, detect, detect_file
 from pdr_filter.data.io.files.archive import IN_PLACE, Members, open_members, zips_among
 from pdr_filter.data.io.tables.any_table import TEXTS, sensors_of
 from pdr_filter.data.io.tables.column_mapping import mapping_beside
+from pdr_filter.data.io.tables.cut_files import in_time, is_numbered
 from pdr_filter.data.io.tables.json_tables import SUFFIXES
+from pdr_filter.data.io.tables.text_sheets import text_sheet
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
 
@@ -21,19 +24,50 @@ _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", *BINARIES, *IN_PLACE}
 # Files whose names say that the folder around them is one recording.
 _MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "metadata.yaml", "raw data.csv"}
+_PERSON = re.compile(r"([A-Za-z]+\d*)(?=[-_ .])")
+_DATE = re.compile(r"\d{4}-?\d\d-?\d\d")  # in the names of exports
+_NO_PERSON = re.compile(
+    r"(rec(ord(ing)?)?|walk(ing)?|run(ning)?|stairs|trial|test|session|take|sensors?|log|data|export|file|new|my"
+    r"|untitled|track|way|upstairs|downstairs|standing|stationary|elevator|escalator|texting|pocket|swinging|calling|bag"
+    r"|hand|jog(ging)?|sit(ting)?|iphone|phone|android|samsung|pixel)\d*"
+)
 _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 
 
-def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
-    """Return the absolute paths of all recordings that the given paths stand for, each once and in order.
+def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[Path]:
+    """Return the paths of all recordings that the given paths stand for, in order.
 
-    A folder stands for all recordings in it (`recordings_in`), or for itself if there is none.
+    A folder, or a file with several recordings, stands for its recordings (`recordings_in`), and for itself if there
+    is none. A path that does not exist stays.
     """
+    given = [paths] if isinstance(paths, str | Path) else paths
     found: list[Path] = []
-    for path in [paths] if isinstance(paths, str | Path) else paths:
-        path = Path(path)
-        found += (recordings_in(path) or [path]) if path.is_dir() else [path]
-    return list(dict.fromkeys(str(path.resolve()) for path in found))
+    for path in map(Path, given):
+        found += (recordings_in(path) if path.exists() else []) or [path]
+    return found
+
+
+def absolute_recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
+    """Return the absolute paths of `recordings_of`, each once."""
+    return list(dict.fromkeys(str(path.resolve()) for path in recordings_of(paths)))
+
+
+def person_in_name(path: Path) -> str:
+    """Return the person that the name of a recording's file begins with, such as anna in `anna_walk1-2024-05-01.zip`.
+
+    It is empty unless the files of its kind in the folder begin with different names, of which one is there again or
+    all have the date of an export, and for words that are no names of people.
+    """
+    try:
+        names = [entry.name for entry in path.parent.iterdir() if entry.suffix.lower() == path.suffix.lower()]
+    except OSError:
+        return ""
+    people = [_PERSON.match(name) for name in names[: limits.MAX_MEMBERS]]
+    found = [match[1].lower() for match in people if match is not None]
+    own = _PERSON.match(path.name)
+    is_study = len(found) == len(names) and len(set(found)) > 1
+    is_study = is_study and (len(set(found)) < len(found) or all(map(_DATE.search, names)))
+    return own[1] if own is not None and is_study and not any(map(_NO_PERSON.fullmatch, found)) else ""
 
 
 def recordings_in(folder: str | Path) -> list[Path]:
@@ -59,7 +93,7 @@ def recordings_in(folder: str | Path) -> list[Path]:
     found = [folder / trial for trial in trials]
     for path in inside:
         if path.is_dir() and not path.is_symlink():
-            found += recordings_in(path)
+            found += [] if trials and quantity_of_file(path.name)[0] else recordings_in(path)
         elif (
             path.is_file() and (path.suffix.lower() in _FILES or _is_known(path)) and trial_of(path.name) not in trials
         ):
@@ -86,10 +120,6 @@ def only_recording_in(path: Path) -> Path:
     if not parts:
         return path
     listed = ", ".join(parts[:3])
-    if all(quantity_of_file(PurePosixPath(part).parent.name)[0] for part in parts):
-        raise RecordingError(
-            f"{path}: several files of a sensor in its folder ({listed}); make a folder of each recording instead"
-        )
     raise RecordingError(
         f"{path}: holds {len(parts)} recordings ({listed}{', ...' if parts[3:] else ''}); read one, such as "
         f"{path / parts[0]}, or each that pdr_filter.data.io.folders.recordings_in lists"
@@ -139,15 +169,16 @@ def recordings_among(members: Members, names: Iterable[str]) -> list[str]:
                 whole.append(name)
             else:
                 of_sensors[name] = {ACCELERATION} if has_force else sensors & set(VECTORS)
-        found += _of_one_sensor(folder, of_sensors, not whole)
+        found += _of_one_sensor(members, folder, of_sensors, not whole)
         found += whole
     return found
 
 
-def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -> list[str]:
+def _of_one_sensor(members: Members, folder: str, of_sensors: dict[str, set[str]], is_all: bool) -> list[str]:
     """Return the recordings in a folder, for its files of one sensor each, which `of_sensors` has by name.
 
-    These are the trials, if two or more have an acceleration and a gyroscope; else the folder, if it has an
+    These are the trials, if two or more have an acceleration and a gyroscope, unless their files continue each other in
+    time as those of each hour do; else the folder, if it has an
     acceleration and another sensor, or one acceleration file alone (`is_all`: no file is a recording by itself); else
     each file with an acceleration that includes gravity.
     """
@@ -158,6 +189,11 @@ def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -
         trial for trial, sensors in trials.items() if trial and RATE in sensors and sensors & {ACCELERATION, LINEAR}
     ]
     if len(whole) > 1:
+        forces = [name for name, sensors in of_sensors.items() if sensors & {ACCELERATION, LINEAR}]
+        tables = [text_sheet(members, name) for name in forces if is_numbered(name)]
+        sheets = [table for table in tables if table is not None]
+        if len(sheets) == len(forces) and in_time(sheets) is not None:
+            return [folder]
         return [str(PurePosixPath(folder) / trial) for trial in whole]
     kinds = set[str]().union(*of_sensors.values())
     force_of = ACCELERATION if ACCELERATION in kinds else LINEAR

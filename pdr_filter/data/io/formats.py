@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from pdr_filter.data.io.apps.get_sensor_data import read_get_sensor_data
@@ -13,6 +13,7 @@ from pdr_filter.data.io.apps.sensor_logger import read_sensor_logger
 from pdr_filter.data.io.detection import detect
 from pdr_filter.data.io.files.own_format import read_recording
 from pdr_filter.data.io.folders import only_recording_in
+from pdr_filter.data.io.joined import joined
 from pdr_filter.data.io.tables.any_table import read_any_table, read_generic_csv
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
@@ -47,14 +48,15 @@ def known_format(format: str) -> str:
     return name
 
 
-def read(path: str | Path, format: str | None = None, platform: str | None = None) -> Recording:
+def read(path: str | Path | Iterable[str | Path], format: str | None = None, platform: str | None = None) -> Recording:
     """Read a recording from a file or folder of any supported app.
 
     Parameters
     ----------
-    path : str or Path
+    path : str or Path, or iterable of them
         File or folder. A folder or zip file with exactly one recording stands for that recording. A path may continue
-        inside a zip file or a log with several recordings, such as "export.zip/walk_2".
+        inside a zip file or a log with several recordings, such as "export.zip/walk_2". Several paths are the parts of
+        one recording that was cut in time. They are joined by their Unix times.
     format : str, optional
         Name of a format in `pdr_filter.data.io.formats.FORMATS`. By default the format is detected from the content,
         not from the file name.
@@ -97,6 +99,8 @@ def read(path: str | Path, format: str | None = None, platform: str | None = Non
         ...
     pdr_filter.values.errors.RecordingError: walk_2.zip: no such file or folder; check the path
     """
+    if not isinstance(path, str | Path):
+        return joined([read(part, format, platform) for part in path])
     path = Path(path)
     if platform is not None and platform not in PLATFORMS:
         raise ValueError(f"platform is {platform!r}; give one of {', '.join(PLATFORMS)}")

@@ -99,6 +99,12 @@ class TextTable:
                 )
         return tuple(self.fields.index(name) for name in names)
 
+    def numbered_rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Yield the line and the cells of each row that is not empty, with the header in line 1."""
+        text = decode(b"".join(chain([self.first_rows], self._rest)), self.where, 2)
+        for line, cells, _ in _rows(text, self.separator, self.where, 2):
+            yield line, cells
+
     def parse(
         self,
         places: Sequence[int],

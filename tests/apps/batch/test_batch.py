@@ -65,6 +65,16 @@ def test_rows_are_those_of_one_by_one_to_the_last_bit(walks: Path, tmp_path: Pat
     assert rows[-1].n_steps > 30
 
 
+def test_a_row_has_the_person_and_the_steps_that_the_phone_counted(tmp_path: Path) -> None:
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    for person, n_steps in (("anna", 7), ("ben", 9), ("anna", 8)):
+        meta = {"name": "walk", "phone": {"n_steps": n_steps}}
+        replace(walk, meta=meta).save(tmp_path / f"{person}_walk{n_steps}-2024-05-01_10-11-12.zip")
+    rows = batch.track(tmp_path, out=tmp_path / "tracks.csv")
+    assert [(row.subject, row.phone_n_steps) for row in rows] == [("anna", 7), ("anna", 8), ("ben", 9)]
+    assert batch.read_table(tmp_path / "tracks.csv") == rows
+
+
 def test_one_process_and_two_give_the_same_table(walks: Path, tmp_path: Path) -> None:
     options = {"recipe": "martinelli2018", "weighting": "hc"}
     one = batch.track(walks, **options, out=tmp_path / "one.csv")
@@ -372,7 +382,11 @@ def tracked(walks: Path) -> pdr.Track:
 
 def check_written(track: pdr.Track, folder: Path) -> tuple[batch.Row, list[str]]:
     """Write the row of a track, check that it is read back from one line, and return it with its cells."""
-    row = rows_table.row_of(batch.Task(str(folder / "a, b.zip")), track)
+    row = rows_table.row_of(
+        batch.Task(str(folder / "a, b.zip")),
+        track,
+        pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)]),
+    )
     cells = rows_table._cells(row, CONTEXTS)
     text = rows_table._header(CONTEXTS) + rows_table._line(cells)
     assert len(text.splitlines()) == 2

@@ -41,6 +41,15 @@ def test_a_table_is_no_wider_than_the_terminal_and_breaks_no_word(
     assert all(f"{name} {s:.0f} s" in table for name, s in TRACK.context_seconds().items() if s >= 0.5)
 
 
+def test_the_steps_of_the_phone_are_a_column_if_one_recording_has_them(capsys: pytest.CaptureFixture[str]) -> None:
+    console.print_tracks([TRACK, TRACK], [None, 4321])
+    shown = printed(capsys).partition("±: one")[0]
+    assert "phone" in shown
+    assert shown.count("4321") == 1
+    console.print_tracks([TRACK], [None])
+    assert "phone" not in printed(capsys).partition("±: one")[0]
+
+
 def test_each_part_of_a_table_begins_with_what_tells_its_rows_apart(
     terminal: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

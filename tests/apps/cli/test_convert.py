@@ -66,3 +66,14 @@ def test_the_platform_sets_the_sign_and_an_unknown_sign_is_reported(tmp_path: Pa
         out = tmp_path / f"{platform}.zip"
         succeed("convert", table, "--platform", platform, "--out", out)
         assert np.sign(read(out).accelerometer.values[:, 2]).mean() == sign
+
+
+def test_files_that_were_cut_in_time_are_joined_in_any_order(tmp_path: Path) -> None:
+    halves = TIME_S[:150], TIME_S[150:]
+    for name, part_s in zip("ab", halves, strict=True):
+        rows = "".join(f"{1_700_000_000_000 + round(1000 * t)},0.0,0.1,0.99\n" for t in part_s.tolist())
+        (tmp_path / f"{name}.csv").write_text(f"timestamp,gFx,gFy,gFz\n{rows}")
+    succeed("convert", tmp_path / "b.csv", tmp_path / "a.csv", "--out", tmp_path / "joined.zip")
+    np.testing.assert_allclose(read(tmp_path / "joined.zip").accelerometer.time_s, TIME_S, atol=1e-6)
+    assert (tmp_path / "joined.toml").read_text().startswith('time = { column = "timestamp", unit = "ms" }')
+    assert "begins 3.0 s before the end" in refusal("convert", tmp_path / "a.csv", tmp_path / "a.csv")

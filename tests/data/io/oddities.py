@@ -5,13 +5,14 @@ The table of docs/formats.md is made from these by tests/benchmarks/app_files.py
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from app_files import axes, table_text, wall_clock, write_folder
-from table_cases import FORCE, GRAVITY, RATE, TIME_S
+from app_files import axes, core_motion_text, table_text, wall_clock, write_folder
+from table_cases import FORCE, GRAVITY, RATE, TIME_S, WALK
 
 import pdr_filter as pdr
 from pdr_filter.data.io.describe import reading_report
@@ -142,6 +143,73 @@ def in_g(name: str) -> str:
     return table_text({"timestamp": TIME_S} | axes(name, FORCE / STANDARD_GRAVITY_MPS2), ";")
 
 
+def with_marks(header: str, row: str) -> str:
+    """Rows in a layout of their own."""
+    values = zip(TIME_S.tolist(), FORCE.tolist(), RATE.tolist(), strict=True)
+    return header + "".join(row.format(t=t, f=f, w=w) for t, f, w in values)
+
+
+def hourly() -> dict[str, str]:
+    """A file for each hour in the folder of each sensor."""
+    ms, half = 1_664_625_600_000 + np.round(1000 * (TIME_S - TIME_S[N // 2])).astype(np.int64), N // 2
+    return {
+        f"{sensor}/2022-10-01 {hour}_00_00.csv": table_text({"timestamp": ms[part]} | axes("%", values[part]))
+        for sensor, values in (("accelerometer", FORCE), ("gyro", RATE))
+        for hour, part in (("11", slice(half)), ("12", slice(half, None)))
+    }
+
+
+def json_packets(n: int = 4) -> dict[str, str]:
+    """Samples of a packet have one time."""
+    packets: list[dict[str, object]] = []
+    for begin in range(0, N, n):
+        at_ms = round(1000 * TIME_S[min(begin + n, N) - 1]) + 1000
+        for name, values in (("Acc", FORCE), ("Gyro", RATE)):
+            samples = [dict(zip("xyz", row, strict=True)) for row in values[begin : begin + n].tolist()]
+            packets.append({name: {"Timestamp": at_ms, f"Array{name}": samples}})
+    return {"log.json": json.dumps({"Samples": packets})}
+
+
+def message_types() -> str:
+    """The sensor of each row in a column, uncalibrated values and their biases, and two times."""
+    lines = [
+        "MessageType,utcTimeMillis,elapsedRealtimeNanos,MeasurementX,MeasurementY,MeasurementZ,BiasX,BiasY,BiasZ\n"
+    ]
+    for t, force, rate in zip(TIME_S.tolist(), FORCE.tolist(), RATE.tolist(), strict=True):
+        for name, values, bias in (("UncalAccel", force, (0.0, 0.0, 0.0)), ("UncalGyro", rate, (0.01, -0.02, 0.03))):
+            numbers = [*(v + b for v, b in zip(values, bias, strict=True)), *bias]
+            lines.append(f"{name},{1_663_164_669_190 + round(1000 * t)},{65_972_054_923_181 + round(1e9 * t)},")
+            lines.append(",".join(map(repr, numbers)) + "\n")
+    return "".join(lines)
+
+
+def counts() -> str:
+    force = axes("Ac%", np.round(8192 * FORCE / STANDARD_GRAVITY_MPS2))
+    return table_text({"millis": np.round(1000 * TIME_S)} | force | axes("Gy%", np.round(16.4 * np.degrees(RATE))))
+
+
+def core_motion_names() -> str:
+    """Apple's signs and angles, under names that no app is known by."""
+    walk = core_motion_text(WALK).replace("attitude.", "attitude_").replace("userAcceleration.", "user_acc_")
+    rows = walk.replace("rotationRate.", "rotation_rate_").replace("gravity.", "gravity_").splitlines()
+    times = ["timestamp", *(repr(t) for t in TIME_S.tolist())]
+    names, *values = ([time, *row.split(",")[1:]] for time, row in zip(times, rows, strict=True))
+    names = [f"{name}(G)" if "acc" in name or "grav" in name else name for name in names]
+    return "".join(",".join(row) + "\n" for row in (names, *values))
+
+
+def wrist() -> dict[str, str]:
+    ns: Columns = {"time": [str(1_700_000_000_000_000_000 + round(t * 1e9)) for t in TIME_S.tolist()]}
+    parts = axes("gravity%", -GRAVITY) | axes("acceleration%", GRAVITY - FORCE)
+    in_g = {name: values / STANDARD_GRAVITY_MPS2 for name, values in parts.items()}
+    columns = {"seconds_elapsed": TIME_S} | in_g | axes("rotationRate%", RATE)
+    return {
+        "WristMotion.csv": table_text(
+            ns | {f"{k[:-1]}{k[-1].upper()}" if k[-1] in "xyz" else k: v for k, v in columns.items()}
+        )
+    }
+
+
 MAPPING = """[time]
 column = "timestamp"
 [accelerometer]
@@ -264,6 +332,75 @@ ODDITIES = (
         "names in front of their numbers",
         "",
         is_refused=True,
+    ),
+    Oddity(
+        "other columns before the time, without names: the number of a subject, a label, a second clock",
+        "the time is the column that increases by nearly equal amounts",
+        lambda: {"acc_1600.txt": with_marks("", "1600,A,{t:.4f},{f[0]},{f[1]},{f[2]};\n")},
+        "clock: column 3 (s)",
+        "accelerometer",
+        path="acc_1600.txt",
+        time_s=1e-4,
+    ),
+    Oddity(
+        "a mark at the end of each line, brackets, slashes or blanks between numbers: `0.1,(0.2 / 9.8 / 0.3);`",
+        "read as columns; three numbers below one name are its axes",
+        lambda: with_marks("time,acc,gyro\n", "{t},({f[0]} / {f[1]} / {f[2]}),({w[0]} / {w[1]} / {w[2]});\n"),
+        "acc x, acc y, acc z",
+    ),
+    Oddity(
+        "times between the samples in place of times",
+        "summed",
+        lambda: table_text({**columns("dt (s)"), "dt (s)": np.diff(TIME_S, prepend=TIME_S[0])}),
+        "the times between the samples",
+    ),
+    Oddity(
+        "times in units of 100 ns since 1601 or the year 1, as of Windows and .NET",
+        "recognised; `100ns` in a TOML file",
+        lambda: table_text(
+            {**columns(), "time": [str(132_702_448_095_356_149 + round(1e7 * t)) for t in TIME_S.tolist()]}
+        ),
+        "clock: column time (100ns)",
+    ),
+    Oddity(
+        "acceleration in counts of the sensor",
+        "refused with a mapping whose `counts_per_unit` gravity shows",
+        counts,
+        "are counts of the sensor",
+        "",
+        is_refused=True,
+    ),
+    Oddity(
+        "rows with `MessageType`, uncalibrated values and their biases",
+        "a table for each sensor; biases are subtracted",
+        message_types,
+        "MeasurementX, MeasurementY, MeasurementZ of UncalAccel",
+    ),
+    Oddity(
+        "Core Motion under other names",
+        "the phone's attitude shows the sign",
+        core_motion_names,
+        "sign: Apple's, as the phone's attitude shows",
+    ),
+    Oddity(
+        "gravity and acceleration of a watch apart, in g",
+        "added, with Apple's sign",
+        wrist,
+        "sign: Apple's, whose gravity is in g",
+    ),
+    Oddity(
+        "JSON with packets of samples that share one time",
+        "spread, as packs are",
+        json_packets,
+        "with one time each",
+        time_s=2e-3,
+    ),
+    Oddity(
+        "a file for each hour in the folder of each sensor",
+        "files that continue each other within 5 s are one recording",
+        hourly,
+        "continue each other in time",
+        time_s=1e-3,
     ),
     Oddity(
         "columns that nobody knows",

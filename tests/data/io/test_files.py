@@ -16,6 +16,7 @@ from test_writers import small_track
 
 from pdr_filter.apps.report.html import write_report
 from pdr_filter.data.io.files import track_writers as writers
+from pdr_filter.data.io.folders import person_in_name
 from pdr_filter.sensing.device import Device
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
@@ -190,3 +191,22 @@ def test_a_new_file_has_the_permissions_of_any_other(tmp_path: Path) -> None:
 def test_a_device_is_written_to_and_not_replaced() -> None:
     write_text("/dev/null", "x")
     assert Path("/dev/null").is_char_device()
+
+
+@pytest.mark.parametrize(
+    ("names", "people"),
+    [
+        ("anna_1.zip ben_1.zip anna_2.zip", "anna ben anna"),
+        ("Anna-2024-05-01_10-11-12.zip Ben-2024-05-01_10-11-12.zip", "Anna Ben"),
+        ("s01_walk.zip s02_walk.zip s01_run.zip", "s01 s02 s01"),
+        ("anna_1.zip ben_1.zip", " "),  # walks of one person may have such names, too
+        ("anna_1.zip anna_2.zip", " "),
+        ("walk_1.zip run_1.zip walk_2.zip", "  "),
+        ("walk1_a.zip walk2_a.zip walk1_b.zip", "  "),
+        ("anna_1.zip 2024-05-01.zip anna_2.zip", "  "),
+    ],
+)
+def test_people_are_known_by_file_names_of_a_study(tmp_path: Path, names: str, people: str) -> None:
+    for name in names.split():
+        write_text(tmp_path / name, "")
+    assert [person_in_name(tmp_path / name) for name in names.split()] == people.split(" ")

@@ -183,7 +183,7 @@ def test_a_line_that_is_no_sample_is_refused_with_what_to_do(tmp_path: Path, lin
 def test_an_accelerometer_under_unknown_names_is_asked_for_by_those_names(tmp_path: Path) -> None:
     message = refusal(write_columns(tmp_path, {"t": TIME_S}, axes("f%", FORCE), axes("w%", RATE)))
     assert "no accelerometer (sensors seen: gyroscope)" in message
-    assert "among fx, fy, fz, say so: pdr-filter convert FILE --map MAP.toml" in message
+    assert "among fx, fy, fz, give a mapping" in message
 
 
 def test_of_several_tables_that_without_a_time_is_named(tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.apps.cli.app import app
+from pdr_filter.apps.cli.options import fixes_of
 from pdr_filter.data.io.fix_files import anchors_of_file, fixes_of_file, ranges_of_file
 
 ANCHORS = {"door": (-8.0, -6.0), "window": (45.0, -5.0, 1.5), "stairs": (5.0, 50.0)}
@@ -58,10 +61,53 @@ def test_named_anchors_without_their_file_are_refused_with_the_option_that_is_mi
         ranges_of_file(tmp_path / "ranges.csv")
 
 
-def test_a_last_line_that_is_cut_off_is_left_out(tmp_path: Path) -> None:
+@pytest.mark.parametrize("end", ["", "\n"])
+def test_a_last_line_that_is_cut_off_is_refused_with_its_number(tmp_path: Path, end: str) -> None:
     anchors = anchors_file(tmp_path / "anchors.geojson", ANCHORS)
-    (tmp_path / "ranges.csv").write_text("time_s,anchor,range_m\n1.5,window,7.25\n2.5,do")
-    assert len(ranges_of_file(tmp_path / "ranges.csv", anchors)) == 1
+    (tmp_path / "ranges.csv").write_text(f"time_s,anchor,range_m\n1.5,window,7.25\n2.5,do{end}")
+    with pytest.raises(ValueError, match=r"line 3: time_s,range_m must all be numbers"):
+        ranges_of_file(tmp_path / "ranges.csv", anchors)
+
+
+@pytest.mark.parametrize("row", ["5,6,7", "5,6,7,", "5,6,7\n", "5,6,7,\n"])
+def test_a_fix_without_its_standard_deviation_has_the_given_one(tmp_path: Path, row: str) -> None:
+    (tmp_path / "fixes.csv").write_text(f"time_s,east_m,north_m,std_m\n1,2,3,0.5\n{row}", encoding="utf-8")
+    stds_m = [np.sqrt(fix.cov_m2[0, 0]) for fix in fixes_of_file(tmp_path / "fixes.csv", 4.0)]
+    np.testing.assert_allclose(stds_m, [0.5, 4.0])
+
+
+@pytest.mark.parametrize("names", ["latitude_deg,longitude_deg", "lat,lon", "Latitude,Longitude (deg)"])
+def test_fixes_in_degrees_are_metres_from_the_origin(tmp_path: Path, names: str) -> None:
+    path = tmp_path / "fixes.csv"
+    path.write_text(f"time_s,{names},std_m\n5,10.0001,20,2\n9,10,19.9999,2\n", encoding="utf-8")
+    origin = pdr.Origin(10.0, 20.0)
+    first, second = fixes_of_file(path, origin=origin)
+    np.testing.assert_allclose(first.position_m, origin.east_north_m(10.0001, 20.0), atol=1e-9)
+    np.testing.assert_allclose(second.position_m, origin.east_north_m(10.0, 19.9999), atol=1e-9)
+    with pytest.raises(ValueError, match=r"positions are in degrees.*--origin 10\.000100,20\.000000"):
+        fixes_of_file(path)
+    path.write_text(f"time_s,{names}\n\n5,100,20\n", encoding="utf-8")
+    with pytest.raises(ValueError, match=r"fixes\.csv, line 3: position must be \(latitude, longitude\)"):
+        fixes_of_file(path, origin=origin)
+
+
+def test_anchors_on_both_sides_of_180_degrees_are_near_each_other(tmp_path: Path) -> None:
+    path = anchors_file(tmp_path / "a.geojson", {"a": (179.9999, -16.8), "b": (-179.9999, -16.8)})
+    found = anchors_of_file(path, origin=(-16.8, 179.9999))
+    np.testing.assert_allclose([found["a"], found["b"]], [[0.0, 0.0], [21.32, 0.0]], atol=0.05)
+
+
+def test_the_command_line_places_fixes_in_degrees_by_an_origin_or_the_first_location(tmp_path: Path) -> None:
+    (tmp_path / "fixes.csv").write_text("time_s,latitude_deg,longitude_deg\n5,10.0001,20\n")
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
+    located = replace(walk, location=pdr.Samples([0.0, 1.0], [[10.0, 20.0, 0.0, 5.0]] * 2))
+    given: tuple[dict[str, Any], ...] = ({"origin": (10.0, 20.0)}, {}, {"gnss": "filter"})
+    for recording, where in zip((walk, located, located), given, strict=True):
+        (fix,) = fixes_of(tmp_path / "fixes.csv", 2.0, recording, where)
+        np.testing.assert_allclose(fix.position_m, [0.0, 11.06], atol=0.01)
+        assert (where.get("origin") is None) == (where.get("gnss") == "filter")  # its origin is the first location
+    with pytest.raises(ValueError, match="positions are in degrees"):
+        fixes_of(tmp_path / "fixes.csv", 2.0, walk, {})
 
 
 def test_anchors_in_degrees_become_metres_from_the_origin(tmp_path: Path) -> None:
@@ -82,12 +128,12 @@ def test_one_anchor_is_in_degrees_if_it_is_near_the_origin(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ("time_s,range_m,anchor\n1,3,door\n2,3\n", "row 2: .*no anchor ''"),
-        ("time_s,range_m,anchor\n1,3,door\n\n2,3,roof\n", "row 2: .*no anchor 'roof'"),
-        ("time_s,anchor,range_m\n1,door,3\n2,door\n", "line 3: only 2 fields"),
-        ("time_s,anchor,range_m\n1,roof,3\n", "row 1: .*no anchor 'roof' .*door"),
+        ("time_s,range_m,anchor\n1,3,door\n2,3\n", "line 3: .*no anchor ''"),
+        ("time_s,range_m,anchor\n1,3,door\n\n2,3,roof\n", "line 4: .*no anchor 'roof'"),
+        ("time_s,anchor,range_m\n1,door,3\n2,door\n", "line 3: time_s,range_m must all be numbers"),
+        ("time_s,anchor,range_m\n1,roof,3\n", "line 2: .*no anchor 'roof' .*door"),
         ("time_s,range_m\n1,3\n", "no column anchor"),
-        ("time_s,anchor,range_m\n1,door,-3\n", "row 1: range_m must be a distance"),
+        ("time_s,anchor,range_m\n1,door,-3\n", "line 2: range_m must be a distance"),
         ("time_s,anchor,range_m\n1,door,x\n", "x"),
         ("time_s,anchor,range_m\n", "no ranges"),
         ("", "no column 'time_s'"),

@@ -135,7 +135,10 @@ REFUSALS: dict[str, tuple[Callable[[Path], Path], str]] = {
         lambda f: write_text(f / "walk.csv", table_text({"time": TIME_S[:4]} | axes("acc_%", FORCE[:4]))),
         "accelerometer ... only 4 samples ... record for longer",
     ),
-    "no times": (lambda f: walk_csv(f, "time"), "walk.csv ... no column of times (columns: acc_x ... rate_hz = ..."),
+    "no times": (
+        lambda f: walk_csv(f, "time"),
+        "walk.csv ... no column of times (columns: acc_x ... rate_hz = 50 in place of column",
+    ),
     "text among numbers": (
         lambda f: walk_csv(f, acc_y=["far", *map(str, FORCE[1:, 1].tolist())]),
         "column acc_y ... 'far' is not a number ... use '.' as decimal point",
@@ -156,23 +159,23 @@ ARGUMENTS: dict[str, tuple[Callable[[Path], object], str]] = {
     ),
     "fixes": (
         lambda f: fixes_of_file(write_text(f / "fixes.csv", "time_s,east_m,north_m,std_m\n1,2,3,-4\n")),
-        "fixes.csv, row 1 ... std_m is -4 ... write a positive number",
+        "fixes.csv, line 2 ... std_m is -4 ... write a positive number",
     ),
     "a storey between two storeys": (
         lambda f: fixes_of_file(write_text(f / "fixes.csv", "time_s,east_m,north_m,floor\n1,2,3,0.5\n")),
-        "fixes.csv, row 1 ... floor is 0.5 ... write the number of the storey",
+        "fixes.csv, line 2 ... floor is 0.5 ... write the number of the storey",
     ),
     "a storey beyond all buildings": (
         lambda f: fixes_of_file(write_text(f / "fixes.csv", "time_s,east_m,north_m,floor\n1,2,3,1e29\n")),
-        "fixes.csv, row 1 ... floor is 1e+29 ... write the number of the storey",
+        "fixes.csv, line 2 ... floor is 1e+29 ... write the number of the storey",
     ),
     "loop closures": (
         lambda f: loop_closures_of_file(write_text(f / "loops.csv", "first_s,second_s\n7,5\n")),
-        "loops.csv, row 1 ... 7 and 5 ... exchange the two",
+        "loops.csv, line 2 ... 7 and 5 ... exchange the two",
     ),
     "a loop closure without duration": (
         lambda f: loop_closures_of_file(write_text(f / "loops.csv", "first_s,second_s\n7,7\n")),
-        "loops.csv, row 1 ... 7 and 7 ... correct one of them",
+        "loops.csv, line 2 ... 7 and 7 ... correct one of them",
     ),
 }
 

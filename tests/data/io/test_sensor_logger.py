@@ -381,3 +381,23 @@ def test_json_larger_than_a_block_loses_no_object_where_it_is_cut(
     monkeypatch.setattr(limits, "BLOCK_BYTES", 10_007)
     found = read(tmp_path / "w.json")
     assert_same_bits(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("counts", "n_steps"), [([0, 4, 31], 31), ([3, 9, 31], 31), ([9000, 9004, 9031], 31), ([], None)]
+)
+def test_steps_and_headings_of_the_phone_are_reported(tmp_path: Path, counts: list[int], n_steps: int | None) -> None:
+    rows = "".join(f"{T0_NS + 10**9 * k},{k}.0,{count}\n" for k, count in enumerate(counts))
+    compass = "".join(f"{T0_NS + 10**9 * k},{k}.0,{heading}\n" for k, heading in enumerate((359.6, 20.0, 91.2)))
+    files = sensor_logger_files(WALK) | {
+        "Pedometer.csv": f"time,seconds_elapsed,steps\n{rows}",
+        "Compass.csv": f"time,seconds_elapsed,magneticBearing\n{compass}",
+    }
+    recording = read(write_zip(tmp_path / "walk.zip", files))
+    assert recording.phone_steps == n_steps
+    assert recording.meta["phone"]["heading_deg"] == [359.6, 91.2]
+    lines = reading_report(recording).lines()
+    assert ("steps counted by the phone: 31" in lines) == (n_steps == 31)
+    assert "heading by the phone: 360 degrees at the start, 91 at the end" in lines
+    again = read(recording.save(tmp_path / "own.zip"))
+    assert again.meta["phone"] == recording.meta["phone"]

@@ -20,6 +20,7 @@ from app_files import (
     refusal,
     table_text,
     write_folder,
+    write_text,
     write_zip,
     xlsx_files,
 )
@@ -305,3 +306,26 @@ def test_the_library_for_large_tables_has_the_same_bits_and_refuses_the_same(
         return found.whole.tolist(), found.values.tobytes(), notes
 
     assert parsed(1) == parsed(10**9)
+
+
+def test_the_biases_of_uncalibrated_sensors_are_subtracted_each_from_its_own(tmp_path: Path) -> None:
+    offsets = {"acc": np.array([0.1, -0.2, 0.3]), "gyro": np.array([0.01, 0.02, -0.03])}
+    columns: dict[str, np.ndarray | list[str]] = {"time": TIME_S}
+    for name, values in (("acc", FORCE), ("gyro", RATE)):
+        columns |= axes(f"{name}_uncal_%", values + offsets[name])
+        columns |= axes(f"{name}_bias_%", np.tile(offsets[name], (len(TIME_S), 1)))
+    found = read_guessed(write_text(tmp_path / "walk.csv", table_text(columns)))
+    assert_same_streams(found.recording, WALK, BOTH, time_s=1e-6, rtol=1e-9)
+    (tmp_path / "map.toml").write_text(found.guess.mapping.toml(), encoding="utf-8")
+    again = read_mapped(tmp_path / "walk.csv", read_mapping(tmp_path / "map.toml"))
+    assert_same_streams(again, WALK, BOTH, time_s=1e-6, rtol=1e-9)
+
+
+def test_a_column_of_the_phones_own_steps_and_heading_is_reported_and_changes_nothing(tmp_path: Path) -> None:
+    columns = columns_of("time", "acc%", "gyro%")
+    plain = read(write_text(tmp_path / "plain.csv", table_text(columns)))
+    own = {"stepCount": np.floor(TIME_S), "locationTrueHeading(°)": np.full(len(TIME_S), 12.0)}
+    found = read(write_text(tmp_path / "own.csv", table_text(columns | own)))
+    assert found.meta["phone"] == {"n_steps": int(TIME_S[-1]), "heading_deg": [12.0, 12.0]}
+    assert "phone" not in plain.meta
+    np.testing.assert_array_equal(found.accelerometer.values, plain.accelerometer.values)

@@ -7,27 +7,28 @@ from io import BytesIO
 from pathlib import Path
 from zipfile import ZipFile
 
+import numpy as np
 import pytest
 from app_files import (
-    a_walk,
     assert_same_streams,
-    on_one_clock,
+    axes,
     phyphox_files,
     phyphox_sheets,
     refusal,
     sensor_logger_files,
+    table_text,
     write_folder,
     write_mat,
     write_zip,
     xlsx_files,
 )
+from table_cases import FORCE, RATE, TIME_S, WALK
 
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
 from pdr_filter.values import limits
 from pdr_filter.values.recording import Recording
 
-WALK = on_one_clock(a_walk(50.0))
 FILES = phyphox_files(WALK)
 
 
@@ -77,12 +78,58 @@ def test_a_folder_for_each_sensor_is_one_recording(tmp_path: Path, name: str) ->
     assert_walk(read(write_zip(tmp_path / "around.zip", files, folder="a/")))
 
 
-def test_several_walks_in_folders_of_sensors_are_refused_with_what_to_do(tmp_path: Path) -> None:
-    for walk in ("a", "b"):
-        write_folder(tmp_path / "walks", in_folders(f"{walk}.csv"))
-    message = refusal(tmp_path / "walks")
-    assert "several files of a sensor in its folder (Accelerometer/a.csv, Accelerometer/b.csv" in message
-    assert "make a folder of each recording" in message
+def test_several_walks_in_folders_of_sensors_are_as_many_recordings(tmp_path: Path) -> None:
+    files = in_folders("a.csv") | in_folders("b.csv")
+    for path in (write_folder(tmp_path / "walks", files), write_zip(tmp_path / "walks.zip", files)):
+        assert recordings_in(path) == [path / walk for walk in ("a", "b")]
+        for recording in recordings_in(path):
+            assert_walk(read(recording))
+        assert "holds 2 recordings (a, b)" in refusal(path)
+
+
+def hourly(names: tuple[str, str], gap_s: float = 0.0) -> dict[str, str]:
+    """Files of accelerometer and gyroscope in folders, cut in the middle of the walk."""
+    cut_s = float(np.median(TIME_S))
+    late = np.where(cut_s <= TIME_S, gap_s, 0.0)
+    ms = 1_664_625_543_000 + np.round(1000 * (TIME_S + late)).astype(np.int64)
+    parts = dict(zip(names, (cut_s > TIME_S, cut_s <= TIME_S), strict=True))
+    return {
+        f"{sensor}/{name}.csv": table_text({"timestamp": ms[part]} | axes("%", values[part]))
+        for sensor, values in (("accelerometer", FORCE), ("gyro", RATE))
+        for name, part in parts.items()
+    }
+
+
+HOURS = ("2022-10-01 11_00_00+00_00", "2022-10-01 12_00_00+00_00")
+
+
+@pytest.mark.parametrize("names", [HOURS, ("1", "2"), ("20221001T110000Z", "20221001T120000Z")])
+@pytest.mark.parametrize("packed", [True, False])
+def test_files_of_each_hour_in_folders_of_sensors_are_one_walk(
+    tmp_path: Path, names: tuple[str, str], packed: bool
+) -> None:
+    files = hourly(names)
+    path = write_zip(tmp_path / "walk.zip", files) if packed else write_folder(tmp_path / "walk", files)
+    assert recordings_in(path) == [path]
+    recording = read(path)
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-3, rtol=1e-9)
+    assert recording.epoch_s == pytest.approx(1_664_625_543.0, abs=1e-3)
+
+
+def test_one_sensor_of_a_recording_is_refused_with_the_folder_to_give(tmp_path: Path) -> None:
+    path = write_folder(tmp_path / "hours", hourly(HOURS))
+    assert f"give its folder {path}" in refusal(path / "gyro" / f"{HOURS[0]}.csv")
+    path = write_folder(tmp_path / "walk", FILES)
+    assert f"give its folder {path}" in refusal(path / "Gyroscope.csv")
+
+
+@pytest.mark.parametrize(("names", "gap_s"), [(HOURS, 60.0), (("walk1", "walk2"), 0.0)])
+def test_files_that_do_not_continue_each_other_or_are_named_as_walks_are_two(
+    tmp_path: Path, names: tuple[str, str], gap_s: float
+) -> None:
+    path = write_folder(tmp_path / "walk", hourly(names, gap_s))
+    assert len(recordings_in(path)) == 2
+    assert all(read(part).gyroscope is not None for part in recordings_in(path))
 
 
 def test_walks_with_a_folder_for_each_sensor_are_as_many(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import json
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -343,3 +344,51 @@ def test_a_track_that_climbs_has_its_heights_as_third_coordinate_and_a_level_one
     assert up["properties"]["height"] == "metres above the start of the walk"
     assert up["properties"]["floor"] == [0, 0, 0, 1]
     assert "height" not in flat["properties"]
+
+
+EDGE = (-16.8, 179.99999)  # one metre west of 180 degrees
+
+
+def parts_of_line(track: pdr.Track, folder: Path) -> dict[str, list[np.ndarray]]:
+    """Longitude and latitude of each part of the line in each format."""
+    (feature,) = json.loads(track.to_geojson(folder / "t.geojson").read_text())["features"]
+    assert feature["geometry"]["type"] == "MultiLineString"
+    gpx = ElementTree.parse(track.to_gpx(folder / "t.gpx")).getroot()
+    kml = ElementTree.parse(track.to_kml(folder / "t.kml")).getroot()
+    lines = kml.findall("k:Document/k:Placemark/k:MultiGeometry/k:LineString/k:coordinates", KML)
+    return {
+        "geojson": [np.array(part)[:, :2] for part in feature["geometry"]["coordinates"]],
+        "gpx": [
+            np.array([[float(point.get(key)) for key in ("lon", "lat")] for point in segment])
+            for segment in gpx.findall("g:trk/g:trkseg", GPX)
+        ],
+        "kml": [np.array([vertex.split(",") for vertex in line.text.split()], dtype=float) for line in lines],
+    }
+
+
+@pytest.mark.parametrize("origin", [EDGE, (EDGE[0], 180.0), (EDGE[0], -180.0)])
+def test_a_line_over_180_degrees_is_cut_there_in_every_format(tmp_path: Path, origin: tuple[float, float]) -> None:
+    """RFC 7946, 3.1.9: east of the start, then west of it, and east again."""
+    easts = [3.0, -3.0, 2.0]
+    track = replace(small_track(), position_m=np.column_stack([easts, [1.0, 2.0, 3.0]])).placed(origin)
+    for name, parts in parts_of_line(track, tmp_path).items():
+        assert len(parts) >= 3, name
+        for part in parts:
+            assert np.abs(np.diff(part[:, 0])).max() < 1e-3
+        for before, after in pairwise(parts):  # each part begins where the one before ends, on the other side
+            assert before[-1, 0] == -after[0, 0]
+            assert abs(before[-1, 0]) == 180
+            assert before[-1, 1] == pytest.approx(after[0, 1], abs=1e-9)
+        along = np.concatenate([np.unwrap(part[:, 0], period=360) % 360 for part in parts])
+        assert np.ptp(along) == pytest.approx(6.0 / (111_320 * np.cos(np.radians(origin[0]))), rel=0.01)
+
+
+def test_each_part_of_a_cut_line_has_its_times_and_storeys(tmp_path: Path) -> None:
+    track = replace(small_track(), position_m=np.array([[3.0, 1.0], [4.0, 2.0], [5.0, 3.0]])).placed(EDGE)
+    (feature,) = json.loads(track.to_geojson(tmp_path / "t.geojson").read_text())["features"]
+    times = feature["properties"]["coordTimes"]
+    assert [len(part) for part in times] == [len(part) for part in feature["geometry"]["coordinates"]]
+    assert times[0][0] == 1.0
+    assert times[1][1:] == [1.5, 2.0, 2.5]
+    assert times[0][-1] == times[1][0]
+    assert 1.0 < times[0][-1] < 1.5

@@ -69,6 +69,8 @@ class _Export:
     metadata: dict[str, str] = field(default_factory=dict[str, str])
     annotations: list[tuple[int, str]] = field(default_factory=list[tuple[int, str]])
     notes: list[str] = field(default_factory=list[str])
+    step_counts: FloatArray | None = None  # of the phone's own counter
+    heading_deg: FloatArray | None = None  # of its compass
 
     def about(self, key: str) -> str:
         """Return a value of the metadata without surrounding spaces, or an empty string if it does not exist."""
@@ -95,6 +97,7 @@ def is_without_seconds_elapsed(members: Members) -> bool:
 def looks_like_export(head: bytes) -> bool:
     """Return True if a file begins like an export in one file: JSON, pushed messages, or a database."""
     is_json = head.lstrip()[:1] == b"[" and b'"sensor"' in head[:4096]
+    is_json = is_json and (b'"seconds_elapsed"' in head or b'"Metadata"' in head)
     return is_json or is_push(head) or head.startswith(SQLITE)
 
 
@@ -165,6 +168,7 @@ def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recordi
     parsed.clock = f"unix nanoseconds of the phone; time zero is {zero_ns} ns"
     if zero_ns > limits.MAX_ELAPSED_S * 1e9:
         parsed.meta["epoch_ns"] = zero_ns
+    parsed.set_phone(export.step_counts, export.heading_deg)
     if export.annotations:
         parsed.meta["annotations"] = [
             {"time_s": (time_ns - zero_ns) * 1e-9, "text": text[: limits.MAX_TEXT_CHARS]}
@@ -274,6 +278,8 @@ def _read_tables(members: Members) -> _Export:
     if len(metadata) >= 2:
         export.metadata = dict(zip([name.strip() for name in metadata[0]], metadata[1], strict=False))
     export.annotations = _annotations(annotations)
+    export.step_counts = _column(members, tables, "Pedometer", "steps")
+    export.heading_deg = _column(members, tables, "Compass", "magneticBearing")
     begun_ns: int | None = None  # first time, in tables that keep all digits
     rounded: list[str] = []
     for sensor, columns in COLUMNS.items():
@@ -303,6 +309,15 @@ def _read_tables(members: Members) -> _Export:
         rows = export.sensors[sensor]
         export.sensors[sensor] = NumberTable(rows.whole + (begun_ns or 0), rows.values)
     return export
+
+
+def _column(members: Members, names: Sequence[str], sensor: str, column: str) -> FloatArray | None:
+    """Return a column of a table that only describes the walk, or None if it cannot be read."""
+    with contextlib.suppress(RecordingError):
+        if name := _member(names, sensor, members):
+            table = TextTable(members.blocks(name), members.where(name))
+            return table.parse(table.places((column,)), []).values[:, 0]
+    return None
 
 
 def _member(names: Sequence[str], sensor: str, members: Members) -> str:

@@ -52,8 +52,8 @@ class Members:
 
     Nothing is unpacked to disk. Text in UTF-16 with a byte order mark becomes UTF-8. `inside` selects one recording of
     several: a folder or file of a zip file, a session of a log, or the trial `walk1` among files such as
-    `walk1_acc.csv`. If each sensor has a folder with one file, such as `Accelerometer/data.csv`, that is
-    `Accelerometer.csv` here.
+    `walk1_acc.csv`. If each sensor has a folder, a file such as `Accelerometer/data.csv` is `Accelerometer.csv` here,
+    and one of several such as `Accelerometer/walk1.csv` is `walk1_Accelerometer.csv`.
     """
 
     def __init__(
@@ -73,13 +73,15 @@ class Members:
         name = path.stem if is_gzip and path.suffix.lower() == ".gz" else path.name
         self._files = _files_below(path) if self._folder else {name: path}
         names = list(self._files if archive is None else self._infos)  # with forward slashes
+        flat = _without_sensor_folders(names)
         if inside and self.is_container:
-            of_trial = [name for name in names if str(PurePosixPath(name).parent / trial_of(name)) == inside]
-            names = [name for name in names if name == inside or name.startswith(f"{inside}/")] or of_trial
+            of_trial = [name for name in names if _path_of_trial(flat.get(name, name)) == inside]
+            named = [name for name in names if name == inside or name.startswith(f"{inside}/")]
+            names = named or of_trial
             self.is_container = names != [inside]
             if not names:
                 raise RecordingError(f"{path}: nothing in it is called {inside}; look into it for the names")
-        flat = _without_sensor_folders(names)
+            flat = _without_sensor_folders(named) if named else flat
         self._files = {flat.get(name, name): file for name, file in self._files.items()}
         self._infos = {flat.get(name, name): info for name, info in self._infos.items()}
         self.names = tuple(sorted(flat.get(name, name) for name in names))
@@ -326,7 +328,8 @@ def _files_below(path: Path) -> dict[str, Path]:
 def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
     """Return new names for files of sensors that each have a folder of their own, by their old names.
 
-    `Accelerometer/data.csv` becomes `Accelerometer.csv` if it is the only table in its folder.
+    `Accelerometer/data.csv` becomes `Accelerometer.csv` if it is the only table in its folder, else
+    `data_Accelerometer.csv`.
     """
     by_folder: dict[PurePosixPath, list[PurePosixPath]] = {}
     for name in map(PurePosixPath, names):
@@ -335,11 +338,19 @@ def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for parent in {folder.parent for folder in by_folder}:
         folders = {folder: files for folder, files in by_folder.items() if folder.parent == parent}
-        alone = {folder: files[0] for folder, files in folders.items() if len(files) == 1}
-        if _are_of_sensors(folder.name for folder in alone):
-            flat = {str(file): str(parent / f"{folder.name}{file.suffix}") for folder, file in alone.items()}
+        if _are_of_sensors(folder.name for folder in folders):
+            flat = {
+                str(file): str(parent / f"{f'{file.stem}_' if len(files) > 1 else ''}{folder.name}{file.suffix}")
+                for folder, files in folders.items()
+                for file in files
+            }
             found |= {name: to for name, to in flat.items() if to not in names}
     return found
+
+
+def _path_of_trial(name: str) -> str:
+    """Return the path of the trial of a file: `export/walk1` for `export/walk1_acc.csv`."""
+    return str(PurePosixPath(name).parent / trial_of(name))
 
 
 def _are_of_sensors(folders: Iterable[str]) -> bool:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -123,7 +123,8 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
     and longitude in degrees of the point with east and north zero, if the track has none. Properties for each vertex
     are `coordTimes` (seconds of the recording), `covariance_m2` ([ee, en, nn]) and, with a third coordinate, `floor`
     (null where unknown). The third coordinate is the altitude if the origin has one, else the height above the start in
-    m, if it changes; the property `height` says which.
+    m, if it changes; the property `height` says which. A track over 180 degrees of longitude is a MultiLineString that
+    is cut there.
     """
     placed = track if origin is None else track.placed(origin)
     return _write_geojson(placed, path, track.name, placed.about_frame)
@@ -175,12 +176,66 @@ def _write_geojson(track: TrackRows, path: str | Path, name: str, about: str, fr
     return write_text(path, json.dumps(geojson_line(vertices, properties), allow_nan=False) + "\n")
 
 
+# Properties of a line with a value for each vertex.
+_OF_VERTICES = ("coordTimes", "covariance_m2", "floor")
+
+
 def geojson_line(vertices: list[list[float]], properties: dict[str, Any]) -> dict[str, Any]:
-    """Return a FeatureCollection with one line of vertices, or a point if there is one vertex only."""
-    line = {"type": "LineString", "coordinates": vertices}
-    geometry = line if len(vertices) > 1 else {"type": "Point", "coordinates": vertices[0]}
+    """Return a FeatureCollection with one line of vertices, or a point if there is one vertex only.
+
+    A line over 180 degrees of longitude is cut there (RFC 7946, 3.1.9). Its properties of vertices are then lists of
+    lists, as its coordinates are.
+    """
+    geometry: dict[str, Any] = {"type": "LineString", "coordinates": vertices}
+    if len(vertices) == 1:
+        geometry = {"type": "Point", "coordinates": vertices[0]}
+    pieces = _pieces(np.array(vertices)[:, 0])
+    if len(pieces) > 1:
+        lines = [piece.vertices(vertices) for piece in pieces]
+        geometry = {"type": "MultiLineString", "coordinates": lines}
+        known = [name for name in _OF_VERTICES if name in properties]
+        properties = properties | {name: [piece.at(properties[name]) for piece in pieces] for name in known}
     feature = {"type": "Feature", "geometry": geometry, "properties": properties}
     return {"type": "FeatureCollection", "features": [feature]}
+
+
+class _Piece(NamedTuple):
+    """Part of a line on one side of 180 degrees of longitude."""
+
+    vertex: FloatArray  # index of its vertices in the line; a fraction for one that was inserted at 180 degrees
+    longitude_deg: FloatArray
+
+    def at(self, values: Sequence[Any]) -> list[Any]:
+        """Return values of the line at the vertices of this part. Storeys and unknown values are not interpolated."""
+        whole = self.vertex.astype(int)
+        if any(value is None or isinstance(value, int) for value in values):
+            return [values[k] for k in whole]
+        array = np.array(values, dtype=float)
+        after = array[np.minimum(whole + 1, len(array) - 1)]
+        fraction = (self.vertex - whole).reshape(-1, *[1] * (array.ndim - 1))
+        return np.round((1 - fraction) * array[whole] + fraction * after, 9).tolist()
+
+    def vertices(self, vertices: Sequence[Sequence[float]]) -> list[list[float]]:
+        """Return the vertices of this part, whose line has the given ones."""
+        rows = zip(np.round(self.longitude_deg, 9).tolist(), self.at(vertices), strict=True)
+        return [[longitude_deg, *row[1:]] for longitude_deg, row in rows]
+
+
+def _pieces(longitude_deg: FloatArray) -> list[_Piece]:
+    """Return the parts of a line, which is cut where it crosses 180 degrees of longitude: one for most lines."""
+    along_deg = np.unwrap(longitude_deg, period=360)
+    world = np.floor((along_deg + 180) / 360)
+    last = np.flatnonzero(np.diff(world))
+    edge_deg = 360 * np.maximum(world[last], world[last + 1]) - 180
+    cuts = last + (edge_deg - along_deg[last]) / (along_deg[last + 1] - along_deg[last])
+    every = np.arange(len(along_deg), dtype=float)
+    ends = np.concatenate([[0.0], cuts, every[-1:]])
+    found: list[_Piece] = []
+    for first, begin, end in zip([0, *(last + 1)], ends[:-1], ends[1:], strict=True):
+        index = np.unique(np.concatenate([[begin], every[(every > begin) & (every < end)], [end]]))
+        if len(index) > 1 or len(every) == 1:
+            found.append(_Piece(index, np.interp(index, every, along_deg) - 360 * world[first]))
+    return found
 
 
 def write_gpx(
@@ -205,15 +260,17 @@ def write_gpx(
     line = ElementTree.SubElement(root, "trk")
     _add(line, "name", track.name)
     _add(line, "desc", _description_with_notes(placed))
-    segment = ElementTree.SubElement(line, "trkseg")
     start_m = None if placed.origin is None else placed.origin.height_m
-    heights_m = np.concatenate([[0.0], track.height_m])
-    for (lon, lat), time_s, height_m in zip(_vertices(placed), times_s, heights_m, strict=True):
-        point = ElementTree.SubElement(segment, "trkpt", lat=f"{lat:.9f}", lon=f"{lon:.9f}")
-        if start_m is not None:
-            _add(point, "ele", f"{start_m + height_m:.2f}")
-        at = datetime.fromtimestamp(0, UTC) + timedelta(seconds=epoch_s + float(time_s))
-        _add(point, "time", at.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z")
+    vertices = _vertices(placed)
+    rows = np.column_stack([times_s, np.concatenate([[0.0], track.height_m])]).tolist()
+    for piece in _pieces(np.array(vertices)[:, 0]):
+        segment = ElementTree.SubElement(line, "trkseg")
+        for (lon, lat), (time_s, height_m) in zip(piece.vertices(vertices), piece.at(rows), strict=True):
+            point = ElementTree.SubElement(segment, "trkpt", lat=f"{lat:.9f}", lon=f"{lon:.9f}")
+            if start_m is not None:
+                _add(point, "ele", f"{start_m + height_m:.2f}")
+            at = datetime.fromtimestamp(0, UTC) + timedelta(seconds=epoch_s + time_s)
+            _add(point, "time", at.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z")
     return _write_xml(path, root)
 
 
@@ -234,7 +291,10 @@ def write_kml(track: TrackRows, path: str | Path, origin: Origin | tuple[float, 
     if track.n_steps:
         way = _placemark(document, track.name, _description(placed))
         _add(way, "styleUrl", "#way")
-        _add_geometry(way, "LineString", vertices)
+        pieces = _pieces(np.array(vertices)[:, 0])
+        parent = ElementTree.SubElement(way, "MultiGeometry") if len(pieces) > 1 else way
+        for piece in pieces:
+            _add_geometry(parent, "LineString", piece.vertices(vertices))
     _add_geometry(_placemark(document, "start", "Where the walk begins."), "Point", vertices[:1])
     if track.n_steps:
         end = _placemark(document, "end", f"After {track.distance_m:.1f} m, {track.how_sure}.")

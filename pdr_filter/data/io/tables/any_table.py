@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -13,15 +14,20 @@ from pdr_filter.data.io.column_names import (
     LINEAR,
     SENSOR_CODES,
     VECTORS,
+    is_heading,
+    is_step_count,
     letters,
     quantity_of_file,
+    trial_of,
     words_of,
 )
 from pdr_filter.data.io.files.archive import Members, open_members
 from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
 from pdr_filter.data.io.tables.column_groups import groups_of
-from pdr_filter.data.io.tables.column_guess import Guess, columns_by_content, guess
+from pdr_filter.data.io.tables.column_guess import Guess, NoAccelerometerError, guess
 from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
+from pdr_filter.data.io.tables.column_template import asked_mapping
+from pdr_filter.data.io.tables.cut_files import with_cut_files_joined
 from pdr_filter.data.io.tables.json_tables import SUFFIXES, is_json, json_fields, json_sheets
 from pdr_filter.data.io.tables.matlab import is_matlab, matlab_sheets
 from pdr_filter.data.io.tables.phyphox_experiment import read_experiment
@@ -30,12 +36,14 @@ from pdr_filter.data.io.tables.spreadsheet import is_spreadsheet, spreadsheet_sh
 from pdr_filter.data.io.tables.table_streams import fill_streams
 from pdr_filter.data.io.tables.text_sheets import TextRows, by_text, text_sheet, text_sheets
 from pdr_filter.data.io.text_table import UNKNOWN
-from pdr_filter.values import limits
+from pdr_filter.values import FloatArray, limits
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
-_TYPES = ("type", "name", "sensor", "sensortype", "event", "eventtype", "kind")  # that say of which sensor a row is
+# Columns that say of which sensor a row is.
+_TYPES = ("type", "name", "sensor", "sensortype", "messagetype", "event", "eventtype", "kind")
+_LINES_LOOKED_AT = 40
 _NAMED_VALUE = re.compile(r"(?m)(?:^|[\s,;])([A-Za-z]+ ?[:=] ?[-+.]?\d)")
 _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename", "sensorid")  # that say whose a row is
 
@@ -68,7 +76,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         if not groups:
             raise RecordingError(f"{where}: {_nothing(sheets, path)}")
         for i, sheet in enumerate(sheets):
-            used = {place for group in groups if group.sheet == i for place in (*group.places, group.time)}
+            used = {place for group in groups if group.sheet == i for place in (*group.places, *group.bias, group.time)}
             sheets[i] = sheet.using(used, parsed.notes)
         shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
         dialect = dialect_of(shown)
@@ -79,13 +87,20 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
                     f"{where}: its metadata say {said}, and platform is {platform}; leave platform out"
                 )
             platform = platform or said or None
-        found = guess(sheets, groups, dialect, platform, where)
+        try:
+            found = guess(sheets, groups, dialect, platform, where)
+        except NoAccelerometerError as error:
+            if (folder := _folder_of_recording(members)) is None:
+                raise
+            problem = str(error).partition("; ")[0]
+            raise RecordingError(f"{problem}; this is one sensor of a recording: give its folder {folder}") from None
         parsed.instead = dialect.instead
         fill_streams(parsed, found.mapping, sheets)
         parsed.source = found.source
+        parsed.set_phone(_by_phone(sheets, is_step_count), _by_phone(sheets, is_heading))
         read_experiment(members, parsed)
     parsed.found += found.evidence
-    used = {name for stream in found.mapping.streams for name in (*stream.columns, stream.time)}
+    used = {name for stream in found.mapping.streams for name in (*stream.columns, *stream.bias, stream.time)}
     beside = [name for s in sheets if not used.isdisjoint(s.fields) for name in s.fields if name not in used]
     if beside:
         parsed.found.append(f"columns not used: {', '.join(dict.fromkeys(beside))[:300]}")
@@ -116,7 +131,7 @@ def read_mapped(path: Path, mapping: Mapping) -> Recording:
         if decimal := mapping.decimal:
             texts = {s: replace(s.parse, decimal=decimal) for s in sheets if isinstance(s.parse, TextRows)}
             sheets = [replace(s, parse=texts.get(s, s.parse)) for s in sheets]
-        names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
+        names = {name for stream in mapping.streams for name in (stream.time, *stream.columns, *stream.bias)}
         used = [{i for i, name in enumerate(sheet.fields) if name in names} for sheet in sheets]
         sheets = [sheet.using(places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
         fill_streams(parsed, mapping, sheets)
@@ -145,10 +160,12 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
         whole = [sheet for name in texts if name not in of_json for sheet in text_sheets(members, name, separator)]
         for sheet in whole:
             _check_one_device(sheet)
-        found = [part for sheet in whole for part in _by_sensor(sheet)]
+        found = with_cut_files_joined([part for sheet in whole for part in _by_sensor(sheet)], notes)
         for name in of_json:
             if not members.is_container or sensors_of(members, name):
                 found += json_sheets(members, name, notes)
+        for name in of_json if not found else ():
+            found += json_sheets(members, name, notes)
         for name in members.names if not found else ():
             if name.lower().endswith(".mat") and is_matlab(members.head(name, 128)):
                 found += matlab_sheets(members, name)
@@ -165,9 +182,11 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
 
 def _named_values(head: bytes) -> str:
     """Return the reason why lines such as `ACC: 12, 0.1, 0.2, 9.8` or `x=0.1` cannot be read, or "" for other lines."""
-    found = _NAMED_VALUE.search(head.decode("utf-8", "replace"))
-    if found is None:
+    lines = [line for line in head.decode("utf-8", "replace").splitlines()[:_LINES_LOOKED_AT] if line.strip()]
+    named = [found for line in lines if (found := _NAMED_VALUE.search(line)) is not None]
+    if 2 * len(named) <= len(lines):  # a few such lines above the table are comments
         return ""
+    found = named[0]
     return (
         f"its lines have names in front of their numbers ({found[1]!r}); write the names once, in a line above, and "
         "the sensor of each line in a column of its own, as in sensor,time,x,y,z"
@@ -185,6 +204,31 @@ def _check_one_device(sheet: Sheet) -> None:
                 f"{sheet.where}: column {name!r} has {len(values)} values ({', '.join(values)[:100]}), so the rows are "
                 "of several devices, and a recording is of one; write the rows of each into a file of its own"
             )
+
+
+def _by_phone(sheets: Sequence[Sheet], is_named: Callable[[str], bool]) -> FloatArray | None:
+    """Return the first column of numbers whose name fits, such as that of a step counter, or None."""
+    for sheet in sheets:
+        for i, name in enumerate(sheet.fields):
+            if i not in sheet.texts and i not in sheet.dates and is_named(name):
+                with suppress(RecordingError):
+                    return sheet.parse([i], None, []).values[:, 0]
+    return None
+
+
+def _folder_of_recording(members: Members) -> Path | None:
+    """Return the folder of a file that was given alone if other files in it have an accelerometer, or None."""
+    if members.is_container or members.inside:
+        return None
+    path = members.path
+    is_sensor = quantity_of_file(path.parent.name)[0] and not trial_of(path.parent.name)
+    up = path.parent.parent if is_sensor else path.parent
+    with suppress(RecordingError, OSError):
+        beside = Members(up)
+        others = [name for name in beside.names if not path.as_posix().endswith(f"/{name}") and _is_text(name, beside)]
+        if any(ACCELERATION in sensors_of(beside, name) for name in others[: limits.MAX_FILES_LOOKED_AT]):
+            return up
+    return None
 
 
 def _by_sensor(sheet: Sheet) -> Sequence[Sheet]:
@@ -209,18 +253,14 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
     sheet = sheets[0]
     if all(name.startswith("column ") for name in sheet.fields):
         head = next(sheet.parse.blocks(), b"")[:4096] if isinstance(sheet.parse, TextRows) else b""
-        numbers = "its first line has numbers; write a line with the names of the columns above it"
-        return _named_values(head) or numbers
-    time, time_unit, force, unit = columns_by_content(sheet)
-    time, *force = [name.replace('"', "'") for name in (time, *force)]
-    return (
-        f"no column that is known to be of a sensor. Columns seen: {', '.join(sheet.fields[:30])[:300]}. Say which is "
-        "what in a file like this, where ? stands for what the values do not show, with your columns, unit of time (s, "
-        "ms, us, ns, date), unit (m/s2 or g) and sign (-1 if a phone lying face up reads negative on z), and give it "
-        f"with pdr-filter convert {path.name} --map MAP.toml:\n"
-        f'time = {{ column = "{time}", unit = "{time_unit}" }}\n'
-        f'accelerometer = {{ columns = ["{force[0]}", "{force[1]}", "{force[2]}"], unit = "{unit}", sign = 1 }}\n'
-    )
+        numbers = "its first line has numbers; write a line with the names of the columns above it, or a mapping"
+        if sheet.rate_hz:
+            numbers = (
+                f"its rows follow the time of the start and the rate of {sheet.rate_hz:g} Hz; a mapping gives a unit"
+            )
+        return _named_values(head) or f"{numbers}. {asked_mapping(sheets, (), path.name)}"
+    seen = ", ".join(dict.fromkeys(name for sheet in sheets for name in sheet.fields[:30]))[:300]
+    return f"no column that is known to be of a sensor. Columns seen: {seen}. {asked_mapping(sheets, (), path.name)}"
 
 
 def sensors_of(members: Members, name: str) -> set[str]:

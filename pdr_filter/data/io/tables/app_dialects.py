@@ -97,6 +97,7 @@ DIALECTS = (
         "TotalAcceleration, or Gravity beside Accelerometer, in Sensor Logger",
         sign=None,
     ),
+    Dialect("an Android logger", r"\belapsedRealtime(Nanos|Millis)\b", units={}),
     Dialect("senslogs", r"\brecord\.properties\b", "accelerometer.txt in senslogs"),
 )
 

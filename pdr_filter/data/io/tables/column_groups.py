@@ -16,6 +16,7 @@ from pdr_filter.data.io.column_names import (
     UNITS,
     VECTORS,
     Column,
+    bias_of,
     column_of,
     column_of_nanoseconds,
     has_time_unit,
@@ -24,11 +25,14 @@ from pdr_filter.data.io.column_names import (
     quantity_of_file,
     time_unit_of,
 )
+from pdr_filter.data.io.tables.column_values import clocks_in
 from pdr_filter.data.io.tables.sheet import Sheet
+from pdr_filter.data.io.tables.text_sheets import first_rows
 from pdr_filter.values.errors import RecordingError
 
 _AXES = ("x", "y", "z")
 _ANGLES = ("roll", "pitch", "yaw")
+_NUMBERED = re.compile(r"(?i)(double_)?v(al(ue)?s?)?[\W_]*[0-3]\W*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,7 @@ class Group:
     unit: str  # as in `UNITS`, as the names of the columns state, or empty
     name: str  # names of the columns, for messages
     preference: int = 1  # 2 if the names state calibrated values, 0 for uncalibrated ones
+    bias: tuple[int, ...] = ()  # columns of the biases of uncalibrated values
 
 
 def groups_of(sheet: Sheet, at: int) -> list[Group]:
@@ -55,19 +60,29 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
     if is_named:
         columns = _named_columns(sheet)
     else:
-        times = times or _numbers(sheet)[:1]
-        columns = _without_names(sheet, times)
+        rows = first_rows(sheet)
+        clocks = [] if times or sheet.rate_hz else clocks_in(rows) or _numbers(sheet)[:1]
+        columns = _without_names(sheet, times or clocks)
+        times = times or clocks[:1]
     columns = [column for column in columns if column.place not in times]
+
+    biases = {bias: i for i, name in enumerate(sheet.fields) if is_named and (bias := bias_of(name)) is not None}
+    vectors = _vectors(sheet, columns, times)
 
     def group(quantity: str, places: Sequence[int], unit: str, preference: int = 1) -> Group:
         time = _time_of(sheet, quantity, places, times)
         name = ", ".join(sheet.fields[place] for place in places if place >= 0)
         name += f" of {sheet.name}" if quantity_of_file(sheet.name)[0] else ""
         time_unit = "" if time is None else time_unit_of(sheet.fields[time])
-        return Group(at, quantity, tuple(places), time, time_unit, unit, name, preference)
+        bias: tuple[int, ...] = ()
+        for key in (quantity, "") if len(vectors) == 1 else (quantity,):
+            if not preference and all((key, axis) in biases for axis in _AXES):
+                bias = tuple(biases[key, axis] for axis in _AXES)
+                break
+        return Group(at, quantity, tuple(places), time, time_unit, unit, name, preference, bias)
 
     groups: list[Group] = []
-    for quantity, axes, preference in _vectors(sheet, columns, times):
+    for quantity, axes, preference in vectors:
         groups.append(group(quantity, [axis.place for axis in axes], _unit(sheet, quantity, axes), preference))
     angles = [column for name in _ANGLES for column in columns if column.quantity == ANGLES and column.axis == name]
     if len(angles) == len(_ANGLES):
@@ -95,7 +110,7 @@ def _times(sheet: Sheet, is_named: bool) -> list[int]:
 def _named_columns(sheet: Sheet) -> list[Column]:
     """Return the columns of a table with column names. Three such as value1, value2, value3 are x, y and z."""
     columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
-    numbered = [i for i, name in enumerate(sheet.fields) if re.fullmatch(r"(?i)v(al(ue)?s?)?[\W_]*[0-3]\W*", name)]
+    numbered = [i for i, name in enumerate(sheet.fields) if _NUMBERED.fullmatch(name)]
     if len(numbered) == len(_AXES):
         for i, axis in zip(numbered, _AXES, strict=True):
             columns[i] = Column(i, sheet.fields[i], "", axis)
@@ -108,14 +123,19 @@ def _numbers(sheet: Sheet) -> list[int]:
 
 
 def _without_names(sheet: Sheet, times: Sequence[int]) -> list[Column]:
-    """Return the columns of a table without column names: those after the time, for the sensor of the file name."""
+    """Return the columns of a table without column names: those after the times, for the sensor of the file name.
+
+    They are those before the times if none are behind them.
+    """
     quantity, _ = quantity_of_file(sheet.name)
     axes = _AXES if quantity in VECTORS else ("",)
-    after = [i for i in _numbers(sheet) if i > times[0]][: len(axes)] if times else []
-    if not quantity or len(after) < len(axes):
+    others = [i for i in _numbers(sheet) if i not in times]
+    after = [i for i in others if not times or i > max(times)][: len(axes)]
+    places = after if len(after) == len(axes) else others[-len(axes) :]
+    if not quantity or len(places) < len(axes):
         return []
     bare = "" if quantity in VECTORS else quantity
-    return [Column(i, sheet.fields[i], bare, axis) for i, axis in zip(after, axes, strict=True)]
+    return [Column(i, sheet.fields[i], bare, axis) for i, axis in zip(places, axes, strict=True)]
 
 
 def _unit(sheet: Sheet, quantity: str, axes: Sequence[Column]) -> str:

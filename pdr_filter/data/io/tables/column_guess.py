@@ -6,12 +6,14 @@ Notes and evidence report each guess.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import PurePath
 
 import numpy as np
 
+from pdr_filter.data.io.checks import up_cosine
 from pdr_filter.data.io.column_names import (
     ACCELERATION,
     ANGLES,
@@ -29,16 +31,16 @@ from pdr_filter.data.io.describe import median_norm
 from pdr_filter.data.io.tables.app_dialects import Dialect
 from pdr_filter.data.io.tables.column_groups import Group
 from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
-from pdr_filter.data.io.tables.column_values import constant_part, turning
+from pdr_filter.data.io.tables.column_template import G_OF_GRAVITY, NOT_SHOWN, asked_mapping
+from pdr_filter.data.io.tables.column_values import constant_part, time_unit_of_values, turning
 from pdr_filter.data.io.tables.sheet import Sheet
-from pdr_filter.data.io.tables.table_streams import is_new_position
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, interpolated_rows, limits
+from pdr_filter.data.io.tables.table_streams import is_new_position, quaternion_of
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, interpolated_rows, limits
 from pdr_filter.values.errors import RecordingError
 
 # Share of the constant part in the norm of an acceleration: gravity outweighs the motion of walking.
 _GRAVITY_SHARE = 0.6
-_G_OF_GRAVITY = (0.8, 1.25)
-_LEAST_GRAVITY_MPS2 = limits.SPECIFIC_FORCE_RANGE_MPS2[0]
+_LEAST_GRAVITY_MPS2, _MOST_GRAVITY_MPS2 = limits.SPECIFIC_FORCE_RANGE_MPS2
 # A gyroscope in deg/s that is taken for one in rad/s makes gravity turn 57 times too little.
 _DEGREES_BELOW = 0.13  # the geometric mean of 1 and pi/180
 # An angular rate turns gravity as far as it says, in rad/s or deg/s, within this factor; where gravity hardly turns,
@@ -55,10 +57,10 @@ _BY_SIZE = {
     FIELD: (limits.MAGNETIC_FIELD_RANGE_UT, ("ut", "gauss", "mt", "t")),
     "barometer": (limits.PRESSURE_RANGE_HPA, ("hpa", "pa", "kpa")),
 }
-# Unix time from 2004 to 2039. Nanoseconds since a phone was started 20 minutes ago are as large as milliseconds of
-# that, but would then come less often than any sensor.
-_EPOCH_S = (1.1e9, 2.2e9)
-_SLOWEST_HZ = 0.1
+
+
+class NoAccelerometerError(RecordingError):
+    """Error for tables without an acceleration that includes gravity."""
 
 
 @dataclass
@@ -101,10 +103,22 @@ def guess(
     is in g with an unknown sign, or if a table has neither times nor a known rate.
     """
     result = Guess(Mapping(()), source=f"table of {dialect.app}" if dialect.app else "table")
+    asked = partial(asked_mapping, sheets, groups, _file_of(where))
     rate_hz = _rate_of_rows(sheets, groups, dialect, where)
     streams = [_stream(group, sheets[group.sheet], dialect, rate_hz) for group in groups]
+    # The unit of an accelerometer's times is that of slower sensors, whose times do not show it.
+    units = [s.time_unit for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
+    usual = next(filter(None, units), "s")
+    streams = [s if s.time_unit else replace(s, time_unit=usual, time_s=s.time_s * TIME_UNITS[usual]) for s in streams]
     streams = [s for s in streams if len(s.values)]
-    forces = _forces(streams, dialect, result, where)
+    for s in streams:
+        if s.group.quantity == ACCELERATION and not s.is_unit_declared and s.constant > _MOST_GRAVITY_MPS2:
+            raise RecordingError(
+                f"{where}: {s.group.name} are counts of the sensor, or in an unknown unit: their constant part is "
+                f"{s.constant:.4g}, and gravity is 9.8 m/s2 or 1 g; a mapping gives their scale. "
+                f"{asked()}"
+            )
+    forces = _forces(streams, dialect, result, where, asked)
     is_linear = len(forces) == 1 and not _has_gravity(forces[0])
     time_s, force = forces[0].time_s, _force(forces)
     if is_linear:  # without gravity nothing shows how the phone turns
@@ -127,7 +141,12 @@ def guess(
     left_out = sorted({s.sheet.name for s in streams} - {s.sheet.name for s in chosen})
     if left_out:
         result.notes.append(f"left out: {', '.join(left_out)[:200]}")
-    sign = _sign(dialect, platform, forces, result, where)
+    cosine = math.nan
+    for s in chosen if not is_linear else ():
+        if s.group.quantity == ANGLES:
+            attitude = quaternion_of(*(s.values * s.factor).T)
+            cosine = up_cosine(Samples(time_s, force), Samples(s.time_s, attitude))
+    sign = _sign(dialect, platform, forces, cosine, result, where)
     many = len(sheets) > 1
     result.mapping = Mapping(
         tuple(
@@ -136,6 +155,7 @@ def guess(
                 columns=tuple(s.sheet.fields[p] if p >= 0 else "" for p in s.group.places),
                 unit=_NAMES.get(s.unit, s.unit),
                 sign=sign if s in forces else 1,
+                bias=tuple(s.sheet.fields[p] for p in s.group.bias),
                 time="" if s.group.time is None else s.sheet.fields[s.group.time],
                 time_unit="date" if s.group.time in s.sheet.dates else s.time_unit,
                 file=s.sheet.name if many else "",
@@ -148,33 +168,6 @@ def guess(
     return result
 
 
-def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
-    """Guess the columns of time and accelerometer from the values of a table.
-
-    Returns the names of time, its unit, the three axes and their unit, "?" for a column that the values do not show.
-    """
-    numbers = [i for i in range(len(sheet.fields)) if i not in sheet.dates and i not in sheet.texts]
-    time, time_unit = next(((sheet.fields[i], "date") for i in sheet.dates), ("?", "s"))
-    with suppress(RecordingError):
-        values = sheet.parse(numbers, None, []).values
-        increasing = [k for k in range(len(numbers)) if len(values) > 1 and (np.diff(values[:, k]) > 0).all()]
-        per_tick = {k: (len(values) - 1) / np.ptp(values[:, k]) for k in increasing}
-        # A count of the rows increases, too.
-        for k in sorted(increasing, key=lambda k: per_tick[k] == 1.0)[:1]:
-            time, time_unit = sheet.fields[numbers[k]], _time_unit(values[:, k])
-            at_s = values[:, k] * TIME_UNITS[time_unit]
-            triples = [range(i, i + 3) for i in range(len(numbers) - 2) if k not in range(i, i + 3)]
-            # Axes have names of one length; with another column in place of an axis, less of gravity is constant.
-            lengths = {triple: len({len(sheet.fields[numbers[i]]) for i in triple}) for triple in triples}
-            for unit, gravity in (("m/s2", STANDARD_GRAVITY_MPS2), ("g", 1.0)):
-                parts = {triple: constant_part(at_s, values[:, [*triple]]) / gravity for triple in triples}
-                low, high = _G_OF_GRAVITY
-                if fitting := [triple for triple, part in parts.items() if low <= part <= high]:
-                    best = max(fitting, key=lambda triple: (-lengths[triple], parts[triple]))
-                    return time, time_unit, [sheet.fields[numbers[i]] for i in best], unit
-    return time, time_unit, ["?"] * 3, "m/s2"
-
-
 def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dialect, where: str) -> float:
     """Return the sampling rate in Hz of tables without a column of times, or zero if all tables have one.
 
@@ -182,27 +175,36 @@ def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dia
     """
     if all(group.time is not None for group in groups):
         return 0.0
-    if period_ms := dialect.period_of(sheets[groups[0].sheet].about):
+    first = sheets[groups[0].sheet]
+    if period_ms := dialect.period_of(first.about):
         return 1000 / period_ms
+    if first.rate_hz:
+        return first.rate_hz
     sheet = next(sheets[group.sheet] for group in groups if group.time is None)
     names = ", ".join(sheet.fields)[:200]
     app = f"this looks like {dialect.app}, but there is" if dialect.app else "there is"
     raise RecordingError(
-        f"{sheet.where}: {app} no column of times (columns: {names}); export it with times, or give column or rate: "
-        'pdr-filter convert FILE --map MAP.toml with "[time]" and \'column = "..."\' or "rate_hz = ..." in it'
+        f"{sheet.where}: {app} no column of times (columns: {names}); export it with times, or give column or rate. "
+        f"{asked_mapping(sheets, groups, _file_of(where))}"
     )
 
 
+def _file_of(where: str) -> str:
+    """Return the name of the file that messages call `where`."""
+    return PurePath(where.partition(": ")[0]).name
+
+
 def _stream(group: Group, sheet: Sheet, dialect: Dialect, rate_hz: float) -> _Stream:
-    ticks, values = sheet.stream(group.places, group.time)
+    """Return the values of a sensor at its times, in s if the unit of the times is known."""
+    ticks, values = sheet.stream(group.places, group.time, group.bias)
     declared = group.unit or dialect.units.get(group.quantity, "")
     is_time_declared = bool(group.time is None or group.time_unit or group.time in sheet.dates)
     if group.time is None:
         unit, time_s = "s", ticks.astype(np.float64) / rate_hz
     else:
-        is_date = group.time in sheet.dates
-        unit = "ns" if is_date else group.time_unit or _time_unit(np.asarray(ticks, dtype=np.float64))
-        time_s = ticks.astype(np.float64) * TIME_UNITS[unit]
+        unit = "ns" if group.time in sheet.dates else group.time_unit
+        unit = unit or time_unit_of_values(ticks.astype(np.float64))
+        time_s = ticks.astype(np.float64) * TIME_UNITS.get(unit, 1.0)
     known = np.isfinite(time_s)
     if group.quantity == "location":
         known &= is_new_position(values)
@@ -213,23 +215,9 @@ def _stream(group: Group, sheet: Sheet, dialect: Dialect, rate_hz: float) -> _St
     return _Stream(group, sheet, unit, time_s, values, bool(declared), declared, is_time_declared, constant)
 
 
-def _time_unit(ticks: FloatArray) -> str:
-    """Return the unit of times whose header states none.
-
-    Times since 1970 show it by their size, others by the usual sampling rates of phones. It is "s" if none fits.
-    """
-    ticks = ticks[~np.isnan(ticks)]
-    median = float(np.median(ticks)) if len(ticks) else 0.0
-    span = float(ticks.max() - ticks.min()) if len(ticks) else 0.0
-    per_tick = (len(ticks) - 1) / span if span > 0 else 0.0
-    for unit, s in TIME_UNITS.items():
-        if _EPOCH_S[0] < median * s < _EPOCH_S[1] and per_tick >= _SLOWEST_HZ * s:
-            return unit
-    low, high = limits.RATE_RANGE_HZ
-    return next((unit for unit, s in TIME_UNITS.items() if low <= per_tick / s <= high), "s")
-
-
-def _forces(streams: Sequence[_Stream], dialect: Dialect, result: Guess, where: str) -> list[_Stream]:
+def _forces(
+    streams: Sequence[_Stream], dialect: Dialect, result: Guess, where: str, asked: Callable[[], str]
+) -> list[_Stream]:
     """Return the streams that give the specific force: the accelerometer, or linear acceleration and gravity.
 
     Without them it is the linear acceleration alone. RecordingError if there is none, or if its unit is unknown.
@@ -243,8 +231,10 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect, result: Guess, where: 
         left = [name for sheet, fields in sheets.items() for p, name in enumerate(fields) if (sheet, p) not in used]
         rest = [name for name in left if column_of(0, name).unit in ("", *UNITS[ACCELERATION])]
         is_there = ", ".join(rest)[:200]
-        remedy = f", or if it is among {is_there}, say so: pdr-filter convert FILE --map MAP.toml" if rest[2:] else ""
-        raise RecordingError(
+        mapping = asked() if rest[2:] else ""
+        is_shown = mapping and NOT_SHOWN not in mapping
+        remedy = f", or if it is among {is_there}, give a mapping. {mapping}" if is_shown else ""
+        raise NoAccelerometerError(
             f"{where}: {app} has no accelerometer (sensors seen: {others}); record it and export again{remedy}"
         )
     if all(math.isnan(s.constant) for s in found):
@@ -269,8 +259,10 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect, result: Guess, where: 
     linear = [s for s in (*of[LINEAR], *of[ACCELERATION]) if not _has_gravity(s) or not s.unit]
     if of[GRAVITY] and linear:
         gravity = max(of[GRAVITY], key=lambda s: len(s.values))
+        if not gravity.group.unit and G_OF_GRAVITY[0] <= gravity.constant <= G_OF_GRAVITY[1]:
+            gravity = replace(gravity, unit="g")  # as from a watch, in an app that writes m/s2 of a phone
         best = max(linear, key=lambda s: (s.group.quantity == LINEAR, len(s.values)))
-        if not best.is_unit_declared:
+        if not best.group.unit:
             best = replace(best, unit=gravity.unit)
         best = replace(best, group=replace(best.group, quantity=LINEAR))
         result.evidence.append(
@@ -286,8 +278,8 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect, result: Guess, where: 
     app = f"this looks like {dialect.app or 'a table'}"
     instead = dialect.instead if dialect.app else "the accelerometer itself"
     if not linear and seen.group.quantity == GRAVITY:
-        raise RecordingError(f"{where}: {app} of gravity alone ({seen.group.name}); export {instead} instead")
-    raise RecordingError(
+        raise NoAccelerometerError(f"{where}: {app} of gravity alone ({seen.group.name}); export {instead} instead")
+    raise NoAccelerometerError(
         f"{where}: {app}, whose acceleration ({seen.group.name}) lacks gravity: the constant part of it is "
         f"{seen.constant:.2g}, and gravity is 9.8 m/s2 or 1 g; export {instead} instead"
     )
@@ -299,7 +291,7 @@ def _with_force_unit(s: _Stream) -> _Stream:
         return s
     constant = s.constant
     share = constant / max(median_norm(s.values), 1e-12)
-    if _G_OF_GRAVITY[0] <= constant <= _G_OF_GRAVITY[1] and share > _GRAVITY_SHARE:
+    if G_OF_GRAVITY[0] <= constant <= G_OF_GRAVITY[1] and share > _GRAVITY_SHARE:
         return replace(s, unit="g")
     is_mps2 = constant >= _LEAST_GRAVITY_MPS2 or s.group.quantity == LINEAR
     return replace(s, unit="m/s2" if is_mps2 else "")
@@ -310,7 +302,7 @@ def _has_gravity(s: _Stream) -> bool:
 
     It is also True if the header states m/s2 for values in g, which the checks of every reader refuse later.
     """
-    low, high = _G_OF_GRAVITY
+    low, high = G_OF_GRAVITY
     if s.constant * s.factor >= _LEAST_GRAVITY_MPS2:
         return True
     is_near_1 = s.is_unit_declared and low <= s.constant <= high
@@ -389,10 +381,13 @@ def _is_of_earth(s: _Stream) -> bool:
     return s.group.quantity != FIELD or low <= median_norm(s.values) * s.factor <= high
 
 
-def _sign(dialect: Dialect, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:
-    """Return the factor 1 or -1 that gives acceleration and gravity Android's sign, by the app or the platform.
+def _sign(
+    dialect: Dialect, platform: str | None, forces: Sequence[_Stream], cosine: float, result: Guess, where: str
+) -> int:
+    """Return the factor 1 or -1 that gives acceleration and gravity Android's sign, by app, platform or attitude.
 
-    Without both it is 1, with a note. RecordingError if both decide, or if values in g have an unknown sign.
+    `cosine` is that between the acceleration and up in the phone's own attitude, NaN if unknown. Without all three the
+    factor is 1, with a note. RecordingError if both app and platform decide, or if values in g have an unknown sign.
     """
     if dialect.sign is not None:
         if platform is not None:
@@ -404,6 +399,12 @@ def _sign(dialect: Dialect, platform: str | None, forces: Sequence[_Stream], res
     if platform is not None:
         result.evidence.append(f"sign: that of {platform}, as given or as the metadata say")
         return -1 if platform == "ios" else 1
+    if abs(cosine) > limits.UP_COSINE_DOUBTFUL:
+        result.evidence.append(f"sign: {'Android' if cosine > 0 else 'Apple'}'s, as the phone's attitude shows")
+        return 1 if cosine > 0 else -1
+    if dialect.units.get(GRAVITY) == "m/s2" and len(forces) > 1 and forces[1].unit == "g":
+        result.evidence.append("sign: Apple's, whose gravity is in g; that of Android is in m/s2")
+        return -1
     if not dialect.app and forces[0].unit in ("g", "mg"):
         raise RecordingError(
             f"{where}: acceleration in g, and nothing shows its sign, which is Apple's or Android's: a phone lying "

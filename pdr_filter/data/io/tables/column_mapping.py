@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -34,6 +36,8 @@ class StreamMap:
     columns: tuple[str, ...]  # an empty name is a value that is not known
     unit: str
     sign: int = 1
+    counts_per_unit: float = 1.0  # numbers of the sensor for one unit; NaN in a template, if not known
+    bias: tuple[str, ...] = ()  # columns that are subtracted
     time: str = ""  # column; empty if rows come at a fixed rate
     time_unit: str = "s"
     file: str = ""  # name without suffix, of one of several tables
@@ -42,7 +46,7 @@ class StreamMap:
     def factor(self) -> float:
         """Factor from the unit and sign of the column to the unit and sign in `Recording`."""
         quantity = ACCELERATION if self.stream == "accelerometer" else self.stream
-        return UNITS.get(quantity, {}).get(normal_unit(self.unit), 1.0) * self.sign
+        return UNITS.get(quantity, {}).get(normal_unit(self.unit), 1.0) * self.sign / self.counts_per_unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,22 +61,35 @@ class Mapping:
 
     def toml(self) -> str:
         """Return the mapping as the text of a TOML file."""
-        lines: list[str] = []
-        if self.separator or self.decimal:
-            given = {"separator": self.separator, "decimal": self.decimal}
-            lines += ["[file]", *(f"{key} = {_quoted(value)}" for key, value in given.items() if value)]
-        if self.rate_hz:
-            lines += ["[time]", f"rate_hz = {self.rate_hz:g}"]
-        for stream in self.streams:
-            lines += [f"[{stream.stream}]"]
-            if stream.file:
-                lines += [f"file = {_quoted(stream.file)}"]
-            lines += [f"columns = [{', '.join(map(_quoted, stream.columns))}]"]
-            lines += [f"unit = {_quoted(stream.unit)}"] if stream.unit else []
-            lines += [f"sign = {stream.sign}"] if stream.stream in _SIGNED or stream.sign != 1 else []
-            if stream.time:
-                lines += [f"time = {_quoted(stream.time)}", f"time_unit = {_quoted(stream.time_unit)}"]
-        return "\n".join(lines) + "\n"
+        times = {(stream.time, stream.time_unit) for stream in self.streams}
+        time, unit = times.pop() if len(times) == 1 else ("", "")
+        shared = {"column": time, "unit": unit if time else "", "rate_hz": self.rate_hz}
+        tables: dict[str, dict[str, Any]] = {
+            "file": {"separator": self.separator, "decimal": self.decimal},
+            "time": shared,
+        }
+        for s in self.streams:
+            is_signed = s.stream in _SIGNED or s.sign != 1
+            own_time = {} if time else {"time": s.time, "time_unit": s.time_unit if s.time else ""}
+            tables[s.stream] = {
+                **{"file": s.file, "columns": s.columns, "unit": s.unit, "bias": s.bias},
+                **{"counts_per_unit": s.counts_per_unit if s.counts_per_unit != 1 else 0},
+                **{"sign": s.sign if is_signed else 0, **own_time},
+            }
+        return "".join(
+            f"{name} = {{ {', '.join(f'{key} = {_toml(value)}' for key, value in known.items())} }}\n"
+            for name, table in tables.items()
+            if (known := {key: value for key, value in table.items() if value})
+        )
+
+
+def _toml(value: str | float | Sequence[str]) -> str:
+    """Return a text, a number or a list of texts as a value of a TOML file."""
+    if isinstance(value, str):
+        return _quoted(value)
+    if isinstance(value, int | float):
+        return '"?"' if math.isnan(value) else f"{value:.10g}"
+    return f"[{', '.join(map(_quoted, value))}]"
 
 
 def mapping_beside(path: Path) -> Path:
@@ -102,7 +119,7 @@ def read_mapping(path: Path) -> Mapping:
     time = _table(path, content, "time", {"column", "unit", "rate_hz"})
     rate_hz: Any = time.get("rate_hz")
     is_rate = isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool) and 0.1 < rate_hz < 1e6
-    known = {"columns", "unit", "sign", "time", "time_unit", "file"}
+    known = {"columns", "unit", "counts_per_unit", "bias", "sign", "time", "time_unit", "file"}
     streams = tuple(
         _stream(path, name, _table(path, content, name, known), time, is_rate) for name in STREAMS if name in content
     )
@@ -122,12 +139,20 @@ def _table(path: Path, content: dict[str, Any], key: str, known: set[str]) -> di
 def _stream(path: Path, name: str, settings: dict[str, Any], time: dict[str, Any], is_rate: bool) -> StreamMap:
     n, units = STREAMS[name]
     columns: Any = settings.get("columns")
-    if not isinstance(columns, list) or len(cast("list[Any]", columns)) != n:
-        raise RecordingError(f"{path}: [{name}] columns is {columns!r}; write {n} names, as in columns = [...]")
+    bias: Any = settings.get("bias", [])
+    for key, found, lengths in (("columns", columns, (n,)), ("bias", bias, (0, n))):
+        if not isinstance(found, list) or len(cast("list[Any]", found)) not in lengths:
+            raise RecordingError(f"{path}: [{name}] {key} is {found!r}; write {n} names, as in {key} = [...]")
     unit = str(settings.get("unit", units[0]))
     if unit not in units:
         remedy = f"write one of {', '.join(filter(None, units))}" if any(units) else "leave it out"
         raise RecordingError(f"{path}: [{name}] unit is {unit!r}; {remedy}")
+    counts: Any = settings.get("counts_per_unit", 1)
+    if isinstance(counts, bool) or not isinstance(counts, int | float) or not 1e-9 < counts < 1e9:
+        raise RecordingError(
+            f"{path}: [{name}] counts_per_unit is {counts!r}; write the positive number by which the values are "
+            f"divided to get {unit or 'the unit'}"
+        )
     sign: Any = settings.get("sign", 1)
     if sign not in (1, -1):
         raise RecordingError(f"{path}: [{name}] sign is {sign!r}; write 1 or -1")
@@ -139,8 +164,10 @@ def _stream(path: Path, name: str, settings: dict[str, Any], time: dict[str, Any
         raise RecordingError(f"{path}: [time] rate_hz is {time['rate_hz']!r}; write a number over 0.1 and below 1e6")
     if not time_column and not is_rate:
         raise RecordingError(f"{path}: [time] names no time; write column = ... or rate_hz = ...")
-    names = tuple(str(column) for column in cast("list[Any]", columns))
-    return StreamMap(name, names, unit, sign, time_column, time_unit, str(settings.get("file", "")))
+    names, biases = (tuple(map(str, cast("list[Any]", found))) for found in (columns, bias))
+    return StreamMap(
+        name, names, unit, sign, float(counts), biases, time_column, time_unit, str(settings.get("file", ""))
+    )
 
 
 def _quoted(text: str) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, interpolated_rows
+from pdr_filter.data.io.column_names import TIME_UNITS, since_1970
+from pdr_filter.values import FloatArray, interpolated_rows, limits
 
 # Walking turns the phone by some ten degrees within a step and back; over this time gravity stays and steps cancel.
 WINDOW_S = 2.0
@@ -16,6 +17,12 @@ TURN_S = 2.0
 LEAST_TURN_RAD = 0.03
 LEAST_CORRELATION = 0.4
 LEAST_S = 10.0
+_SLOWEST_HZ = 0.1  # of times since 1970; other numbers of their size come less often
+# Increments of a clock are this near to their median, except for some after a loss or within a pack of samples.
+_NEAR = (0.4, 2.5)
+_NEAR_SHARE = 0.8
+_LEAST_FALLS = 0.05
+_TICKS_LOOKED_AT = 1000
 
 
 def constant_part(time_s: FloatArray, values: FloatArray) -> float:
@@ -64,6 +71,57 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
     correlation = float((turned * expected).sum(axis=1).mean()) / (angle_rad * expected_rad)
     # Both have noise: the ratio of their sizes is pulled to neither side, as a regression would be.
     return np.sign(correlation) * angle_rad / expected_rad if abs(correlation) > LEAST_CORRELATION else None
+
+
+def time_unit_of_values(ticks: FloatArray) -> str:
+    """Return the unit of times whose header states none, or an empty string if none fits.
+
+    Times since 1970 show it by their size, others by the usual sampling rates of phones.
+    """
+    ticks = ticks[~np.isnan(ticks)]
+    median = float(np.median(ticks)) if len(ticks) else 0.0
+    span = float(ticks.max() - ticks.min()) if len(ticks) else 0.0
+    per_tick = (len(ticks) - 1) / span if span > 0 else 0.0
+    for unit, s in TIME_UNITS.items():
+        if since_1970(median, unit) is not None and per_tick >= _SLOWEST_HZ * s:
+            return unit
+    low, high = limits.RATE_RANGE_HZ
+    return next((unit for unit, s in TIME_UNITS.items() if low <= per_tick / s <= high), "")
+
+
+def clocks_in(columns: FloatArray) -> list[int]:
+    """Return the indices of those columns (N, d) that increase by nearly equal amounts, the best clock first.
+
+    A column with the unit of a usual sampling rate is better than others, and a count of the rows is the last.
+    """
+    found: dict[int, tuple[bool, bool]] = {}
+    for i, column in enumerate(columns.T):
+        steps = np.diff(column[np.isfinite(column)])
+        rises = steps[steps > 0]
+        if len(rises) < 2 or (steps < 0).any() or len(rises) < len(columns) / 10:
+            continue
+        low, high = np.median(rises) * np.array(_NEAR)
+        if np.mean((rises >= low) & (rises <= high)) >= _NEAR_SHARE:
+            found[i] = bool((steps == 1).all()), not time_unit_of_values(column)
+    return sorted(found, key=lambda i: found[i])
+
+
+def are_differences(ticks: FloatArray) -> bool:
+    """Return True for the times between samples, in place of the times of the samples.
+
+    They go up and down, or are constant, near one value that is the period of a usual sampling rate. Rounded times of
+    samples never go down.
+    """
+    found = ticks[1:_TICKS_LOOKED_AT]  # the first one may be zero
+    found = found[np.isfinite(found)]
+    if len(found) < limits.MIN_SAMPLES or not found.min() > 0:
+        return False
+    steps = np.diff(found)
+    if (steps < 0).mean() < _LEAST_FALLS and steps.any():
+        return False
+    low, high = np.median(found) * np.array(_NEAR)
+    is_near = np.mean((found >= low) & (found <= high)) >= _NEAR_SHARE
+    return bool(is_near) and time_unit_of_values(np.cumsum(found)) != ""
 
 
 def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

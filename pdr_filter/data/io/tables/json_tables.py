@@ -17,7 +17,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.data.io.column_names import VECTORS, quantity_of_file
+from pdr_filter.data.io.column_names import VECTORS, column_of, is_time, quantity_of_file
 from pdr_filter.data.io.files.archive import Members
 from pdr_filter.data.io.tables.dates import is_date, nanoseconds_of, without_midnights
 from pdr_filter.data.io.tables.sheet import Sheet
@@ -30,10 +30,11 @@ SUFFIXES = (".json", ".jsonl", ".ndjson")
 _BETWEEN = re.compile(r"[\s,\[\]\x1e]*")
 _BEGIN = re.compile(rb"\s*(\{|\[\s*([\[{\]\"\d.-]|null|$))")  # brackets around a word are TOML or a settings section
 _SENSOR = ("sensor", "sensorType", "type", "name")  # keys whose value says of which sensor a row is
-_PLAIN = ("values", "value", "data", "payload", "fields")  # keys that do not name their content
+_PLAIN = ("values", "value", "data", "payload", "fields", "samples")  # keys that do not name their content
 _AXES = ("x", "y", "z")
 ROWS_AT_ONCE = 10_000  # limit of the rows that are in memory as Python objects
 _MAX_DEPTH = 5
+_NUMBERS = (float, int, str, bool)
 _WHOLE = re.compile(r"[0-9]{1,19}(,[0-9]{1,19})*+")
 
 Row = dict[str, Any]
@@ -123,34 +124,83 @@ def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = No
     notes.append(f"{words}; the rest was left out")
 
 
-def _rows_of(item: Row, name: str = "", depth: int = 0) -> Iterator[tuple[str, list[Row] | dict[str, list[Any]]]]:
+def _rows_of(
+    item: Row, name: str = "", depth: int = 0, times: Row | None = None
+) -> Iterator[tuple[str, list[Row] | dict[str, list[Any]]]]:
     """Yield the name and the rows or columns of the tables in a JSON object.
 
-    The name is the sensor that a row names, else the key, or `name` for keys such as "data". An object that is a row
-    itself is a table of one row. Nested objects are searched, too.
+    The name is the sensor that a row or the object names, else the key, or `name` for keys such as "data". An object
+    that is a row itself is a table of one row. Nested objects are searched, too, and so are packets: objects with the
+    time of several samples, which then all have this time. `times` are those of the objects around this one.
     """
+    if _is_plain(item):
+        yield _sensor_of(item) or name, [_flat(item)]
+        return
     lists = {key: cast("list[Any]", value) for key, value in item.items() if isinstance(value, list)}
-    tables = {key: [cast("Row", row) for row in rows if isinstance(row, dict)] for key, rows in lists.items()}
-    tables = {key: rows for key, rows in tables.items() if rows}
-    columns = {key: rows for key, rows in lists.items() if key not in tables and len(rows) >= limits.MIN_SAMPLES}
+    tables = {key: rows for key, values in lists.items() if (rows := _as_rows(values))}
+    columns = {key: rows for key, rows in lists.items() if key not in tables and _is_column(key, rows)}
+    name = _sensor_of(item) or name
+    times = {**(times or {}), **{key: v for key, v in item.items() if is_time(key) and not isinstance(v, list | dict)}}
     for key, rows in tables.items():
         by_sensor: dict[str, list[Row]] = {}
+        is_packed = depth < _MAX_DEPTH and _is_packet(rows[0])
         for row in rows:
-            by_sensor.setdefault(_sensor_of(row) or (name if key in _PLAIN else key), []).append(_flat(row))
-        yield from by_sensor.items()
+            if is_packed:
+                yield from _rows_of(row, name if key in _PLAIN else key, depth + 1, times)
+            else:
+                by_sensor.setdefault(_sensor_of(row) or (name if key in _PLAIN else key), []).append(_flat(row))
+        for sensor, found in by_sensor.items():
+            yield sensor, _with_times(found, times)
     if columns:
-        yield name, columns
+        n = max(map(len, columns.values()))
+        yield name, columns if any(map(is_time, columns)) else {key: [t] * n for key, t in times.items()} | columns
     inner = {key: cast("Row", value) for key, value in item.items() if isinstance(value, dict)}
-    if not tables and not columns and not any(map(_holds_columns, inner.values())):
-        yield _sensor_of(item) or name, [_flat(item)]
+    if not tables and not columns and not _is_packet(item):
+        yield name, [_flat(item)]
     elif depth < _MAX_DEPTH:
         for key, value in inner.items():
-            if _holds_columns(value):
-                yield from _rows_of(value, name if key in _PLAIN else key, depth + 1)
+            if _holds_samples(value):
+                yield from _rows_of(value, name if key in _PLAIN else key, depth + 1, times)
 
 
-def _holds_columns(item: Row) -> bool:
-    return any(isinstance(v, list) and len(cast("list[Any]", v)) >= limits.MIN_SAMPLES for v in item.values())
+def _is_plain(item: Row) -> bool:
+    """Return True if an object, and those in it, have no list: most rows of large files."""
+    for value in item.values():
+        if isinstance(value, list):
+            return False
+        if isinstance(value, dict) and not all(type(inner) in _NUMBERS for inner in cast("Row", value).values()):
+            return False
+    return True
+
+
+def _as_rows(values: list[Any]) -> list[Row]:
+    """Return the objects in a list, or its lists of three values as x, y and z. Empty for another list."""
+    if values and isinstance(values[0], list):
+        vectors = [cast("list[Any]", value) for value in values if isinstance(value, list)]
+        return [dict(zip(_AXES, vector, strict=True)) for vector in vectors if len(vector) == len(_AXES)]
+    return [cast("Row", row) for row in values if isinstance(row, dict)]
+
+
+def _is_column(key: str, values: list[Any]) -> bool:
+    """Return True for a list that holds the values of a column. Short ones are a packet of one axis."""
+    return len(values) >= limits.MIN_SAMPLES or (len(values) > 1 and column_of(0, key).axis != "")
+
+
+def _holds_samples(item: Row) -> bool:
+    """Return True if an object has a list of samples, or an object with one."""
+    lists = ((key, cast("list[Any]", value)) for key, value in item.items() if isinstance(value, list))
+    return any(_is_column(key, values) or (values and isinstance(values[0], dict | list)) for key, values in lists)
+
+
+def _is_packet(item: Row) -> bool:
+    """Return True if the samples of an object are in a list inside it, and not its own values."""
+    inner = [cast("Row", value) for value in item.values() if isinstance(value, dict)]
+    return any(map(_holds_samples, (item, *inner))) and not any(column_of(0, name).axis for name in _flat(item))
+
+
+def _with_times(samples: list[Row], times: Row) -> list[Row]:
+    """Return samples with the times of their packet, unless they have a time of their own."""
+    return samples if not times or any(map(is_time, samples[0])) else [{**times, **sample} for sample in samples]
 
 
 def _sensor_of(row: Row) -> str:
@@ -167,14 +217,19 @@ def _flat(item: Row, before: str = "", depth: int = 0) -> Row:
     found: Row = {}
     for key, value in item.items():
         name = before if key in _PLAIN else f"{before}.{key}" if before else key
-        if isinstance(value, list) and len(cast("list[Any]", value)) == len(_AXES):
-            value = dict(zip(_AXES, cast("list[Any]", value), strict=True))
+        if isinstance(value, list) and _is_vector(key, values := cast("list[Any]", value)):
+            value = dict(zip(_AXES, values, strict=True))
         if isinstance(value, dict):
             if depth < _MAX_DEPTH:
                 found |= _flat(cast("Row", value), name, depth + 1)
         elif not isinstance(value, list):
             found[name or key] = value
     return found
+
+
+def _is_vector(key: str, values: list[Any]) -> bool:
+    """Return True for a list of three numbers, unless they are three samples of one axis."""
+    return len(values) == len(_AXES) and not isinstance(values[0], list | dict) and not column_of(0, key).axis
 
 
 class _Columns:
@@ -186,6 +241,10 @@ class _Columns:
         self._parts: list[tuple[int, dict[str, _Column]]] = []  # number of rows, and columns
 
     def add(self, rows: list[Row] | dict[str, list[Any]]) -> None:
+        if isinstance(rows, dict) and len({*map(len, rows.values())}) == 1:  # many small packets are kept together
+            n = len(next(iter(rows.values())))
+            if n < ROWS_AT_ONCE:
+                rows = [dict(zip(rows, values, strict=True)) for values in zip(*rows.values(), strict=True)]
         if isinstance(rows, dict):
             n = max(map(len, rows.values()))
             self._keep({key: [*column, *[None] * (n - len(column))] for key, column in rows.items()}, n)
@@ -199,13 +258,15 @@ class _Columns:
         self._keep_rows()
         columns: dict[str, FloatArray | IntArray] = {}
         places: dict[str, list[int]] = {"": [], "date": [], "exact": []}
-        for i, field in enumerate(dict.fromkeys(key for _, part in self._parts for key in part)):
+        for field in dict.fromkeys(key for _, part in self._parts for key in part):
             known = [part.get(field, (np.full(n, np.nan), "")) for n, part in self._parts]
             kinds = {kind for _, kind in known}
             kind = kinds.pop() if len(kinds) == 1 else ""
             column: Any = np.concatenate([column for column, _ in known]).astype(np.int64 if kind else float)
+            if is_time(field) and len(column) > 1 and (column == column[0]).all():
+                continue  # that of the start or of the whole file
             columns[field] = without_midnights(column) if kind == "date" else column
-            places[kind].append(i)
+            places[kind].append(len(columns) - 1)
         if not columns:
             return None
         return Sheet.of_columns(name, self._where, columns, {*places["date"]}, {*places["exact"]})

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.data.io.column_names import column_of_nanoseconds
+from pdr_filter.data.io.tables.column_values import are_differences
 from pdr_filter.data.io.text_table import NumberTable, finite
 from pdr_filter.values import FloatArray, IntArray
 
@@ -32,6 +33,7 @@ class Sheet:
     dates: frozenset[int] = frozenset()  # columns of dates and clock times, parsed as whole nanoseconds
     exact: frozenset[int] = frozenset()  # columns of whole numbers that a float would round
     texts: Mapping[int, str] = field(default_factory=dict[int, str])  # texts of the first row by column
+    rate_hz: float = 0.0  # of the rows, if the file states it above them
     used: Set[int] = frozenset()  # columns that are parsed together
     notes: list[str] = field(default_factory=list[str])
     _parsed: dict[int | None, NumberTable] = field(default_factory=dict[int | None, NumberTable], init=False)
@@ -61,9 +63,12 @@ class Sheet:
         beside = {place for p in used if (place := column_of_nanoseconds(self.fields, p)) is not None}
         return replace(self, used=(used | beside) - self.dates, notes=notes)
 
-    def stream(self, places: Sequence[int], time: int | None) -> tuple[IntArray | FloatArray, FloatArray]:
+    def stream(
+        self, places: Sequence[int], time: int | None, bias: Sequence[int] = ()
+    ) -> tuple[IntArray | FloatArray, FloatArray]:
         """Return the times (N,) and the values (N, d) of those rows that have a value in one of the given columns.
 
+        The columns of `bias`, one for each value, are subtracted where they have a value.
         A place that the table does not have (-1) gives NaN. Times are integers if a float would lose digits, and row
         numbers if `time` is None. The table is parsed once for each column of integer times.
         """
@@ -74,11 +79,17 @@ class Sheet:
         table = self._parsed[exact]
         unknown = np.full(len(table), np.nan)
         values = np.array([table.values[:, numbers.index(p)] if p in numbers else unknown for p in places]).T
+        if bias:
+            values = values - np.nan_to_num(table.values[:, [numbers.index(p) for p in bias]])
         if time is None:
             ticks = np.arange(len(values))
         elif (nanoseconds := column_of_nanoseconds(self.fields, time)) is not None:
             ticks = table.values[:, [numbers.index(time), numbers.index(nanoseconds)]] @ [1.0, 1e-9]
         else:
             ticks = table.whole if exact is not None else table.values[:, numbers.index(time)]
+            if exact is None and are_differences(table.values[:, numbers.index(time)]):
+                ticks = np.nancumsum(table.values[:, numbers.index(time)], dtype=np.float64)
+                words = f"column {self.fields[time]!r} has the times between the samples, which are summed"
+                self.notes.append(words)
         known = ~np.isnan(values).all(axis=1)
         return (ticks, values) if known.all() else (ticks[known], values[known])

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
-from pdr_filter.data.io.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS
+from pdr_filter.data.io.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS, since_1970
 from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.values import BoolArray, FloatArray, IntArray, interpolated_near, limits
@@ -46,7 +46,9 @@ def fill_streams(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> N
     if first is not None and len(first.ticks):
         if any(_has_whole_ticks(stream) for stream in found.values()):
             zero = _Zero(first.ticks[0].item(), first.unit_s)
-        if _has_whole_ticks(first) and (epoch_s := float(first.ticks[0]) * first.unit_s) > 1e9:
+        unit = next((unit for unit, unit_s in TIME_UNITS.items() if unit_s == first.unit_s), "")
+        epoch_s = since_1970(float(first.ticks[0]), unit) if unit else None
+        if epoch_s is not None:
             parsed.meta["epoch_s"] = epoch_s
     for name, stream in streams.items():
         parsed.streams[name] = (_seconds(stream, zero), stream.values)
@@ -70,7 +72,10 @@ def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Mapp
     """Return a stream of a mapping in the units and with the signs of `Recording`, without repeated locations."""
     sheet = _sheet_of(stream, mapping, sheets)
     time = _place(stream.time, sheet, mapping) if stream.time else None
-    ticks, values = sheet.stream([_place(name, sheet, mapping) if name else -1 for name in stream.columns], time)
+    places, bias = (
+        [_place(name, sheet, mapping) if name else -1 for name in names] for names in (stream.columns, stream.bias)
+    )
+    ticks, values = sheet.stream(places, time, bias)
     if stream.stream == "location":
         is_new = is_new_position(values)
         ticks, values = ticks[is_new], values[is_new]

@@ -8,25 +8,33 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import count, islice, pairwise
 
 import numpy as np
 
-from pdr_filter.data.io.column_names import column_of, is_time, is_unit
+from pdr_filter.data.io.column_names import column_of, is_time, is_unit, since_1970
 from pdr_filter.data.io.files.archive import Members
 from pdr_filter.data.io.tables.dates import as_nanoseconds, column_nanoseconds, is_date, without_midnights
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.text_table import Layout, NumberTable, concatenated, header_fields, parse_blocks
-from pdr_filter.values import limits
+from pdr_filter.values import FloatArray, limits
 from pdr_filter.values.errors import RecordingError
 
-_SEPARATORS = (",", ";", "\t", "|", " ")
+_SEPARATORS = (",", ";", "\t", "|", "/", " ")
+# A field with several numbers, in brackets or with another mark between them, and a number with a mark at the line end.
+_PACKED = re.compile(
+    r"[\[({]?\s*(?=[^\s]*\.)[+-]?\d*\.?\d+(?:[eE][+-]?\d+)?(?:\s*[\s,;|/]\s*[+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)+\s*[\])}]?;?"
+    r"|[+-]?\d*\.?\d+(?:[eE][+-]?\d+)?;"
+)
+_AXES = ("x", "y", "z")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|None|#?N/?A|-?inf|-?Infinity")
 _WHOLE = re.compile(r"[+-]?\d+")
 _LINES_TRIED = 40  # the first line of numbers among them begins the table
 _LINES_COMPARED = 8
+_ROWS_LOOKED_AT = 200  # for columns of times
 # Some apps and spreadsheets write a header in the code page of the phone; numbers are the same in all of them. The
 # first in which most names are known is taken. charset-normalizer takes half of such headers for another language.
 _CODE_PAGES = ("latin-1", "cp1251", "gbk", "shift_jis", "big5", "euc_kr")
@@ -46,6 +54,7 @@ class TextRows:
     decimal: str
     n_before: int  # lines before the first row
     blocks: Callable[[], Iterator[bytes]] = field(repr=False)
+    marks: str = ""  # characters beside the separator that separate or enclose numbers
     only: tuple[int, str] | None = None  # a column and its text in the selected rows
 
     def __call__(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
@@ -88,6 +97,10 @@ class TextRows:
             rows = block[at:]
             if left or not rows:
                 continue
+            if b"#" in rows:
+                rows = re.sub(rb"(?m)^#.*", b"", rows)  # comments between rows
+            if self.marks:
+                rows = _without_marks(rows, self.separator, self.marks)
             rows = re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows)) if self.separator == " " else rows
             if self.only is not None:
                 column, text = self.only
@@ -122,6 +135,21 @@ def by_text(sheet: Sheet, column: int) -> list[Sheet]:
     if not isinstance(rows := sheet.parse, TextRows):
         return []
     return [replace(sheet, name=name, parse=replace(rows, only=(column, name))) for name in rows.texts_of(column)]
+
+
+def first_rows(sheet: Sheet) -> FloatArray:
+    """Return the first rows of a table (N, d), with NaN in columns of text or dates, and no rows for a damaged one."""
+    numbers = [i for i in range(len(sheet.fields)) if i not in sheet.texts and i not in sheet.dates]
+    parse = sheet.parse
+    if isinstance(parse, TextRows):
+        head = next(parse.blocks(), b"")[: limits.HEAD_BYTES].split(b"\n", parse.n_before + _ROWS_LOOKED_AT)[:-1]
+        parse = replace(parse, blocks=lambda: iter([b"\n".join([*head, b""])]))
+    found = np.full((0, len(sheet.fields)), np.nan)
+    with suppress(RecordingError):
+        values = parse(numbers, None, []).values[:_ROWS_LOOKED_AT]
+        found = np.full((len(values), len(sheet.fields)), np.nan)
+        found[:, numbers] = values
+    return found
 
 
 def text_sheets(members: Members, member: str, separator: str | None = None) -> list[Sheet]:
@@ -180,24 +208,72 @@ def text_sheet(
     found = max(layouts, key=lambda f: f.score, default=None)
     if found is None:
         return None
-    named, row = found.header, found.row
+    named, row, marks = _unpacked(found)
     if len(row) > limits.MAX_COLUMNS:
         raise RecordingError(f"{members.where(member)}: {len(row)} columns, over {limits.MAX_COLUMNS}; export fewer")
     before = [line for i, line in enumerate(lines[: found.first]) if i != found.at_header and line.strip()]
     stem = member.rpartition("/")[2].rpartition(".")[0] or member
     where, fields = members.where(member), unlike(named or [""] * len(row))
+    start_and_rate = [] if named else [{*_split(line, found.separator)} for line in lines[found.first :][:2]]
+    rate_hz = _rate_in(start_and_rate)
+    n_before = found.first + (2 if rate_hz else 0)
     dates = frozenset(i for i, text in enumerate(row) if is_date(text))
     blocks = blocks or (lambda: members.blocks(member))
     return Sheet(
         name=stem,
         where=where,
         fields=fields,
-        parse=TextRows(where, fields, dates, found.separator, found.decimal, found.first, blocks),
+        parse=TextRows(where, fields, dates, found.separator, found.decimal, n_before, blocks, marks),
         about="\n".join(before),
         dates=dates,
         exact=frozenset(i for i, text in enumerate(row) if text.isdecimal() and int(text[:40]) > LARGEST_FLOAT_WHOLE),
         texts={i: text for i, text in enumerate(row) if text and not _is_value(text)},
+        rate_hz=rate_hz,
     )
+
+
+def _unpacked(found: _Found) -> tuple[list[str], list[str], str]:
+    """Return header and first row of a table with one number in each field, and the marks to remove for that.
+
+    A name above three numbers in one field is that of three axes, unless it has as many parts as they have.
+    """
+    packed = [text for text in found.row if _PACKED.fullmatch(text) and not _is_value(text)]
+    marks = "".join({c for text in packed for c in text if not (c.isalnum() or c in ".+-")} - {found.separator})
+    if not marks:
+        return found.header, found.row, ""
+    header: list[str] = []
+    row: list[str] = []
+    split = re.compile(f"[{re.escape(marks + found.separator)}]+")
+    for name, text in zip(found.header or [""] * len(found.row), found.row, strict=True):
+        numbers = [part for part in split.split(text) if part] if text in packed else [text]
+        names = [part for part in split.split(name) if part]
+        if len(names) != len(numbers):
+            names = [f"{name} {axis}".strip() for axis in _AXES] if len(numbers) == len(_AXES) and name else [name]
+            names = (names + [""] * len(numbers))[: len(numbers)]
+        header += names if found.header else []
+        row += numbers
+    return header, row, marks
+
+
+def _without_marks(rows: bytes, separator: str, marks: str) -> bytes:
+    """Return rows in which marks between numbers are the separator, and marks around them and at line ends are gone."""
+    rows = re.sub(rb'[\[\](){}"]', b"", rows)
+    kept, mark = re.escape(marks.strip("[](){}").encode()), re.escape(separator.encode())
+    rows = re.sub(mark + rb"[ \t]+", separator.encode(), rows)
+    rows = re.sub(rb"(?m)[%b]+$" % kept, b"", rows) if kept else rows
+    return re.sub(rb"[ \t]*[%b]+[ \t]*" % kept, separator.encode(), rows) if kept else rows
+
+
+def _rate_in(rows: Sequence[set[str]]) -> float:
+    """Return the sampling rate in Hz if two rows are the time of the start and the rate, else zero.
+
+    Each is there once for each column, as Empatica writes them.
+    """
+    with suppress(ValueError):
+        start_s, rate_hz = (float(text) for row in rows for text in row)
+        low, high = limits.RATE_RANGE_HZ
+        return rate_hz if since_1970(start_s, "s") is not None and low <= rate_hz <= high else 0.0
+    return 0.0
 
 
 def unlike(names: Sequence[str]) -> tuple[str, ...]:
@@ -257,7 +333,7 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
             continue
         rows = [r for r in split[first : first + _LINES_COMPARED] if len(r) == n]
         values = [text for r in rows for text in r if text]
-        share = sum(map(_is_value, values)) / max(len(values), 1)
+        share = sum(_is_value(text) or 0.9 * bool(_PACKED.fullmatch(text)) for text in values) / max(len(values), 1)
         has_comma = any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in values)
         at = next((i for i in range(first - 1, -1, -1) if any(split[i])), None)
         header = split[at] if at is not None else []
@@ -273,6 +349,8 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
         elif at and header and len(split[at - 1]) == len(header) and len({*header}) < len(header):
             header = [f"{above} {name}".strip() for above, name in zip(_merged(split[at - 1]), header, strict=True)]
         header = (header + [""] * n)[:n] if header else []
+        if not header and any(map(_PACKED.fullmatch, values)):
+            share -= 0.1  # of two marks in a row, that of the header separates the columns
         at_header = None if at is None else places[at]
         return _Found(separator, "," if has_comma else ".", places[first], row, at_header, header, (round(share, 2), n))
     return None
@@ -297,5 +375,5 @@ def _is_value(text: str) -> bool:
 def _is_row(row: list[str]) -> bool:
     """Return True if at least two fields of a line, and most of those that are not empty, are numbers or dates."""
     known = [text for text in row if text]
-    n_values = sum(map(_is_value, known))
+    n_values = sum(1 if _is_value(text) else 2 if _PACKED.fullmatch(text) else 0 for text in known)
     return n_values >= 2 and 2 * n_values > len(known)

@@ -1,0 +1,74 @@
+"""Files of one sensor that were cut in time, such as one for each hour, joined to one table."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from pdr_filter.data.io.column_names import TIME_UNITS, quantity_of_file, trial_of
+from pdr_filter.data.io.tables.column_groups import groups_of
+from pdr_filter.data.io.tables.column_values import time_unit_of_values
+from pdr_filter.data.io.tables.sheet import Sheet
+from pdr_filter.data.io.text_table import NumberTable, concatenated
+from pdr_filter.values.errors import RecordingError
+
+# An app that begins a new file loses a few samples at most. A person who ends a recording and begins the next one
+# takes longer.
+_LONGEST_CUT_S = 5.0
+_SHORTEST_CUT_S = -1.0  # sensors of one phone end and begin at other samples
+_WORD = re.compile(r"[A-Za-z]{2,}")
+
+
+def with_cut_files_joined(sheets: Sequence[Sheet], notes: list[str] | None) -> list[Sheet]:
+    """Return the tables, in which files of one sensor that continue each other in time are one table.
+
+    `notes` gets a sentence for each joined table.
+    """
+    groups: dict[object, list[Sheet]] = {}
+    for i, sheet in enumerate(sheets):
+        quantity = quantity_of_file(sheet.name)
+        groups.setdefault((quantity, sheet.fields) if is_numbered(sheet.name) and quantity[0] else i, []).append(sheet)
+    found: list[Sheet] = []
+    for parts in groups.values():
+        ordered = in_time(parts) if len(parts) > 1 else None
+        found += parts if ordered is None else [_joined(ordered)]
+        if ordered is not None and notes is not None:
+            sensor, _ = quantity_of_file(ordered[0].name)
+            notes.append(f"{sensor}: {len(ordered)} files that continue each other in time are joined")
+    return found
+
+
+def is_numbered(name: str) -> bool:
+    """Return True if the name of a file has only dates or numbers beside that of its sensor, no word for a walk."""
+    return _WORD.search(trial_of(name)) is None
+
+
+def in_time(sheets: Sequence[Sheet]) -> list[Sheet] | None:
+    """Return tables in the order of their times if each continues the one before, otherwise None."""
+    spans: list[tuple[float, float, int]] = []
+    with suppress(RecordingError):
+        for i, sheet in enumerate(sheets):
+            time = next((group.time for group in groups_of(sheet, 0)), None)
+            if time is None:
+                return None
+            ticks = sheet.using({time}, []).stream([time], time)[0].astype(np.float64)
+            unit = "ns" if time in sheet.dates else time_unit_of_values(ticks) or "s"
+            spans.append((float(np.nanmin(ticks)) * TIME_UNITS[unit], float(np.nanmax(ticks)) * TIME_UNITS[unit], i))
+        spans.sort()
+        if all(_SHORTEST_CUT_S < after[0] - before[1] < _LONGEST_CUT_S for before, after in pairwise(spans)):
+            return [sheets[i] for _, _, i in spans]
+    return None
+
+
+def _joined(sheets: Sequence[Sheet]) -> Sheet:
+    """Return one table with the rows of all."""
+
+    def parse(numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
+        return concatenated([sheet.parse(numbers, whole, notes) for sheet in sheets])
+
+    return replace(sheets[0], parse=parse)
