@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -36,10 +37,14 @@ def data_dir() -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is slow."""
+    """Mark what is slow, and begin with the files that have most of it: no worker is left with a long one at the end."""
+    n_tests, n_slow = Counter[Path](), Counter[Path]()
     for item in items:
+        n_tests[item.path] += 1
         if item.nodeid.partition("[")[0] in SLOW:
             item.add_marker(pytest.mark.slow)
+            n_slow[item.path] += 1
+    items.sort(key=lambda item: (n_slow[item.path], n_tests[item.path]), reverse=True)
 
 
 def pytest_collection_finish() -> None:
