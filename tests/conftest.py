@@ -37,7 +37,7 @@ def data_dir() -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is slow, and begin with the files that have most of it: no worker is left with a long one at the end."""
+    """Mark what is slow, and begin with the files that have most of it, so that no worker ends with a long one."""
     n_tests, n_slow = Counter[Path](), Counter[Path]()
     for item in items:
         n_tests[item.path] += 1
