@@ -39,7 +39,7 @@ def server() -> Iterator[Server]:
 def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, tmp_path: Path) -> None:
     bodies = own_messages(walk, "phone")
     bodies, more = bodies[:-8], bodies[-8:-1]
-    with Browser(tmp_path) as browser:
+    with Browser() as browser:
         browser.open(server.address)
         assert browser.value("!document.getElementById('empty').hidden")
         assert f"{server.address}/data" in browser.value("document.getElementById('address').textContent")
@@ -106,7 +106,7 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         browser.settle()
 
     uuids = ("8b5937fb-2160-4825-ba40-4bc646f93839", "0ba5f3e8-a340-4c40-b9ea-95d7ed4d1132")
-    with Server() as server, Browser(tmp_path) as browser:
+    with Server() as server, Browser() as browser:
         browser.open(server.address)
         for message in sensor_logger_messages(walk, *uuids)[:100]:
             server.post(message)
@@ -188,7 +188,7 @@ def test_everything_can_be_seen_and_read(
 ) -> None:
     for body in own_messages(walk, f"wide {width}")[:100]:
         server.post(body)
-    with Browser(tmp_path) as browser:
+    with Browser() as browser:
         browser.open(server.address, width, 900, "dark" if dark else "light")
         browser.until(f"{SESSION}?.path.length > 20")
         browser.until("document.querySelectorAll('canvas').length === 3")
@@ -236,7 +236,7 @@ def test_tiles_of_the_place_lie_below_the_path_if_somebody_names_a_source(
     with (
         tiles_of_one_colour(asked) as source,
         Server(*(("--tiles", source) if named else ())) as server,
-        Browser(tmp_path) as browser,
+        Browser() as browser,
     ):
         browser.open(server.address)
         for body in bodies[:100]:
@@ -264,7 +264,7 @@ def test_tiles_of_the_place_lie_below_the_path_if_somebody_names_a_source(
 
 def test_a_browser_that_has_motion_sends_it(server: Server, tmp_path: Path) -> None:
     """Events as Chromium on Android gives them: m/s2, degrees per second about z, x and y."""
-    with Browser(tmp_path) as browser:
+    with Browser() as browser:
         browser.open(f"{server.address}/phone")
         browser.click("#start")
         browser.until("document.getElementById('connection').textContent === 'connected'")

@@ -125,7 +125,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
     bad = tmp_path / "notes.zip"
     bad.write_text("no recording")
     folder = tmp_path / "walks"
-    with workbench(folder) as address, Browser(tmp_path) as browser:
+    with workbench(folder) as address, Browser() as browser:
         # drop
         browser.open(address, 1400, 800)
         browser.until("!document.getElementById('empty').hidden")
@@ -245,7 +245,7 @@ def test_every_page_can_be_seen_and_read(tmp_path: Path, width: int, theme: str)
     hall = {"type": "Polygon", "coordinates": [[[0, 0], [30, 0], [30, 20], [0, 20], [0, 0]]]}
     plan = {"type": "FeatureCollection", "features": [{"properties": {"type": "floor"}, "geometry": hall}]}
     (tmp_path / "walks" / "plans" / "Hall.geojson").write_text(json.dumps(plan))
-    with workbench(tmp_path / "walks") as address, Browser(tmp_path) as browser:
+    with workbench(tmp_path / "walks") as address, Browser() as browser:
         browser.open(address, width, 900, theme)
         id = browser.until("[...walks.values()].find(walk => walk.state === 'done')?.id", 60)
         pages: dict[str, str] = {
@@ -284,7 +284,7 @@ def test_a_walk_is_marked_and_a_plan_drawn_with_the_keyboard_alone(tmp_path: Pat
     (tmp_path / "walks" / "plans").mkdir()
     empty: dict[str, Any] = {"type": "FeatureCollection", "features": []}
     (tmp_path / "walks" / "plans" / "Hall.geojson").write_text(json.dumps(empty))
-    with workbench(tmp_path / "walks") as address, Browser(tmp_path) as browser:
+    with workbench(tmp_path / "walks") as address, Browser() as browser:
         browser.open(address)
         id = browser.until("[...walks.values()].find(walk => walk.state === 'done')?.id", 60)
         browser.open(f"{address}walk/{id}")
@@ -318,7 +318,7 @@ def test_a_walk_is_marked_and_a_plan_drawn_with_the_keyboard_alone(tmp_path: Pat
 
 def test_a_browser_that_comes_later_is_told_and_can_make_its_change_again(tmp_path: Path) -> None:
     short_walk().save(tmp_path / "walks" / "walk")
-    with workbench(tmp_path / "walks") as address, Browser(tmp_path) as browser:
+    with workbench(tmp_path / "walks") as address, Browser() as browser:
         browser.open(address)
         id = browser.until("[...walks.values()].find(walk => walk.state === 'done')?.id", 60)
         browser.open(f"{address}walk/{id}")
@@ -341,7 +341,7 @@ def test_a_browser_that_comes_later_is_told_and_can_make_its_change_again(tmp_pa
 
 def test_a_phone_records_into_the_folder(tmp_path: Path) -> None:
     folder = tmp_path / "walks"
-    with workbench(folder, "--host", "0.0.0.0", "--token", "secret") as address, Browser(tmp_path) as browser:
+    with workbench(folder, "--host", "0.0.0.0", "--token", "secret") as address, Browser() as browser:
         browser.open(address)
         browser.until("!document.getElementById('phone-on').hidden")
         assert browser.value("!!document.querySelector('#phone-code svg')")
