@@ -74,7 +74,7 @@ def positions(track: dict[str, Any]) -> np.ndarray:
 def test_a_pushed_walk_gives_the_track_of_its_recording_and_both_can_be_downloaded(
     server: Server, record: Path, walk: Recording, tmp_path: Path
 ) -> None:
-    first, *rest = own_messages(walk, "whole")
+    first, *rest = own_messages(walk, "whole", part_s=1.0)
     assert server.post([json.loads(first)]).json()["samples"] > 0  # an app may send several messages together
     for body in rest:
         assert server.post(body).status_code == 200
@@ -130,7 +130,7 @@ def test_a_page_that_comes_late_is_told_the_contexts_until_then(
 
 
 def test_events_come_while_the_phone_sends(server: Server, walk: Recording) -> None:
-    messages = own_messages(walk, "timed", part_s=0.2)[:100]
+    messages = own_messages(walk, "timed")[:40]
     seen: list[dict[str, Any]] = []
     with connect(server.address.replace("http", "ws") + "/ws") as reader:
         sender = threading.Thread(target=lambda: [server.post(message) for message in messages])
@@ -152,7 +152,7 @@ def test_events_come_while_the_phone_sends(server: Server, walk: Recording) -> N
 
 
 def test_i_am_here_is_taken_and_nonsense_is_not(server: Server, walk: Recording) -> None:
-    for body in own_messages(walk, "fixed")[:40]:
+    for body in own_messages(walk, "fixed", part_s=1.0)[:20]:
         server.post(body)
     track = server.tracks()["fixed"]
     address = f"/sessions/{track['id']}/fix"
@@ -210,7 +210,7 @@ def test_a_reader_who_does_not_read_does_not_hold_up_the_others(server: Server, 
     with socket.create_connection((host, int(port))) as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.sendall(f"GET /events HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
-        for body in own_messages(walk, "slow", part_s=0.2)[:150]:
+        for body in own_messages(walk, "slow")[:60]:
             assert server.post(body).status_code == 200
         assert len(server.tracks()["slow"]["path"]) > 30
         slow.settimeout(5)
@@ -301,19 +301,19 @@ def test_a_certificate_is_kept_for_its_host_and_replaced_for_another_one(tmp_pat
 
 
 def test_a_server_that_is_killed_in_the_middle_of_a_walk_goes_on(walk: Recording, tmp_path: Path) -> None:
-    bodies = own_messages(walk)
+    bodies = own_messages(walk, part_s=1.0)
     with Server("--record", str(tmp_path), "--workers", "2") as server:
-        for body in bodies[:25]:
+        for body in bodies[:12]:
             assert server.post(body).status_code == 200
         (_, busy) = sorted(server.children)
         os.kill(busy, signal.SIGKILL)
         os.kill(min(server.children), signal.SIGKILL)
-        for body in bodies[25:50]:
+        for body in bodies[12:25]:
             assert server.post(body).status_code == 200
         server.kill()
     assert len(pdr.read(next(tmp_path.glob("p-*"))).accelerometer) > 200  # can be read as it was left
     with Server("--record", str(tmp_path)) as server:
-        for body in bodies[49:]:
+        for body in bodies[24:]:
             assert server.post(body).status_code == 200
         track = server.tracks()["p"]
         steps = [json.loads(line) for line in (tmp_path / track["id"] / "steps.jsonl").read_text().splitlines()]
