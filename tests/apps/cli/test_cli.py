@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from dataclasses import replace
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -232,7 +233,7 @@ def test_the_same_seed_simulates_the_same_walk(tmp_path: Path, monkeypatch: pyte
     files = [tmp_path / name for name in ("a.zip", "b.zip", "c.zip")]
     for file, seed in zip(files, (5, 5, 6), strict=True):
         succeed("simulate", "--out", file, "--seed", seed)
-    a, b, c = (file.read_bytes() for file in files)
+    a, b, c = (sha256(file.read_bytes()).hexdigest() for file in files)  # pytest needs hours to compare the bytes
     assert a == b != c
 
 
