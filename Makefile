@@ -13,6 +13,8 @@ FILE ?=
 OUT ?= demo_output
 
 BIN := $(VENV)/bin
+# tests/conftest.py has the order of the files.
+PYTEST := $(BIN)/python -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
 PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
 
 # Without stored bytecode each worker rewrites the assertions of all test files, and each process that a test starts
@@ -27,10 +29,10 @@ demo: $(VENV)/.installed
 	@$(BIN)/pdr-filter demo $(if $(FILE),"$(FILE)") --out "$(OUT)"
 
 test: $(VENV)/.installed-test
-	@$(BIN)/python -m pytest -q -n auto --dist loadfile -m "not slow"
+	@$(PYTEST) -m "not slow"
 
 test-all: $(VENV)/.installed-test
-	@$(BIN)/python -m pytest -q -n auto --dist loadfile
+	@$(PYTEST)
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

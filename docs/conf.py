@@ -16,6 +16,8 @@ from importlib.metadata import files
 from pathlib import Path
 from typing import Any
 
+from jinja2.sandbox import SandboxedEnvironment
+from numpydoc import docscrape_sphinx
 from sphinx.ext.autosummary import autosummary_toc
 
 import pdr_filter
@@ -191,6 +193,13 @@ def reuse_navigation(_app: Any, page: str, _template: str, context: dict[str, An
     context["toctree"] = reused
 
 
+def reused_environment(loader: Any) -> SandboxedEnvironment:
+    """Return the first environment. numpydoc makes one for each docstring, and compiles its template in each."""
+    return environments.setdefault("", SandboxedEnvironment(loader=loader))
+
+
+environments: dict[str, SandboxedEnvironment] = {}
+docscrape_sphinx.SandboxedEnvironment = reused_environment
 navigation: dict[str, str] = {}  # navigation of object pages, by the options of the theme
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import atexit
 import base64
 import json
 import os
 import shutil
 import subprocess
+import tempfile
 import time
+from functools import cache
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -33,16 +36,15 @@ OPTIONS = (
 KEY_CODES = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "+": 187, "-": 189}
 
 
-class Browser:
-    """One page of one browser. Messages are JSON with a zero byte behind, which Chromium reads at 3 and writes at 4."""
+class Chromium:
+    """A browser that runs. Messages are JSON with a zero byte behind, which Chromium reads at 3 and writes at 4."""
 
-    def __init__(self, folder: Path) -> None:
-        self.complaints: list[str] = []
-        self.asked_for: list[str] = []  # addresses
-        self._number, self._session, self._rest = 0, "", b""
+    def __init__(self) -> None:
+        self._number, self._rest = 0, b""
+        self._profile = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         to_browser, self._write = os.pipe()
         self._read, from_browser = os.pipe()
-        program = [BROWSER, *OPTIONS, f"--user-data-dir={folder / 'profile'}", "about:blank"]
+        program = [BROWSER, *OPTIONS, f"--user-data-dir={self._profile.name}", "about:blank"]
         # The shell puts the pipes where Chromium looks for them; sh knows no numbers above nine.
         shell = ["bash", "-c", f'exec "$@" 3<&{to_browser} 4>&{from_browser}', "bash", *program]
         self._process = subprocess.Popen(
@@ -50,44 +52,22 @@ class Browser:
         )
         os.close(to_browser)
         os.close(from_browser)
-        page = self._first_page()
-        self._session = self.ask("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Log", "Network"):
-            self.ask(f"{domain}.enable")
+        atexit.register(self._end)
 
-    def _first_page(self) -> str:
-        end = time.monotonic() + 20
-        while time.monotonic() < end:
-            for target in self.ask("Target.getTargets")["targetInfos"]:
-                if target["type"] == "page":
-                    return target["targetId"]
-        raise TimeoutError("Chromium opened no page")
-
-    def __enter__(self) -> Browser:
-        return self
-
-    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def _end(self) -> None:
         os.close(self._write)
         os.close(self._read)
         self._process.terminate()
         self._process.wait(10)
 
-    def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """The answer to a command; what the page complains about and asks for meanwhile is kept."""
+    def send(self, message: dict[str, Any]) -> int:
+        """Number of the message, which its answer has as `id`."""
         self._number += 1
-        message = {"id": self._number, "method": method, "params": parameters}
-        if self._session:
-            message["sessionId"] = self._session
-        os.write(self._write, json.dumps(message).encode() + b"\0")
-        while True:
-            message = self._next()
-            if message.get("id") == self._number:
-                if "error" in message:
-                    raise RuntimeError(message["error"]["message"])
-                return message["result"]
-            self._heard(message.get("method"), message.get("params", {}))
+        os.write(self._write, json.dumps(message | {"id": self._number}).encode() + b"\0")
+        return self._number
 
-    def _next(self) -> dict[str, Any]:
+    def next(self) -> dict[str, Any]:
+        """What it says next."""
         while b"\0" not in self._rest:
             part = os.read(self._read, 1 << 20)
             if not part:
@@ -95,6 +75,43 @@ class Browser:
             self._rest += part
         text, _, self._rest = self._rest.partition(b"\0")
         return json.loads(text)
+
+
+chromium = cache(Chromium)  # one for each process: it takes a second to start
+
+
+class Browser:
+    """One page, which shares no cookie, storage or file with other pages."""
+
+    def __init__(self) -> None:
+        self.complaints: list[str] = []
+        self.asked_for: list[str] = []  # addresses
+        self._session = ""
+        self._context = self.ask("Target.createBrowserContext")["browserContextId"]
+        page = self.ask("Target.createTarget", url="about:blank", browserContextId=self._context)["targetId"]
+        self._session = self.ask("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.ask(f"{domain}.enable")
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._session = ""
+        self.ask("Target.disposeBrowserContext", browserContextId=self._context)
+
+    def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """The answer to a command; what the page complains about and asks for meanwhile is kept."""
+        of_page = {"sessionId": self._session} if self._session else {}
+        number = chromium().send({"method": method, "params": parameters, **of_page})
+        while True:
+            message = chromium().next()
+            if message.get("id") == number:
+                if "error" in message:
+                    raise RuntimeError(message["error"]["message"])
+                return message["result"]
+            if message.get("sessionId") == self._session:  # nothing of the page before
+                self._heard(message.get("method"), message.get("params", {}))
 
     def _heard(self, what: str | None, content: dict[str, Any]) -> None:
         if what == "Runtime.exceptionThrown":

@@ -67,7 +67,7 @@ def cut(block: ImuBlock, cuts: Sequence[int]) -> list[ImuBlock]:
     return [part_of(block, slice(a, b)) for a, b in pairwise(edges)]
 
 
-def cut_randomly(block: ImuBlock, seed: int, mean_length: int = 40) -> list[ImuBlock]:
+def cut_randomly(block: ImuBlock, seed: int, mean_length: int = 120) -> list[ImuBlock]:
     rng = np.random.default_rng(seed)
     n = len(block.time_s)
     return cut(block, list(rng.integers(0, n + 1, size=max(n // mean_length, 1))))

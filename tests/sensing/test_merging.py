@@ -325,23 +325,27 @@ def test_a_silent_sensor_gives_a_note_and_delays_the_others_by_at_most_wait_s() 
     assert not any("gyroscope: silent" in note for note in online.notes)
 
 
-DEMO = pdr.simulate.demo_walk()
+@pytest.fixture(scope="module")
+def demo() -> pdr.Recording:
+    return pdr.simulate.demo_walk()
 
 
 @pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope", "magnetometer"])
 @pytest.mark.parametrize("is_end", [True, False])
-def test_a_sensor_that_ends_or_begins_half_way_is_named_online_offline_and_in_info(sensor: str, is_end: bool) -> None:
-    stream = DEMO.streams[sensor]
+def test_a_sensor_that_ends_or_begins_half_way_is_named_online_offline_and_in_info(
+    demo: pdr.Recording, sensor: str, is_end: bool
+) -> None:
+    stream = demo.streams[sensor]
     kept = (stream.time_s < 60.0) == is_end
     part = replace(stream, time_s=stream.time_s[kept], values=stream.values[kept])
-    recording = replace(DEMO, **{sensor: part})
+    recording = replace(demo, **{sensor: part})
     at = f"since {part.time_s[-1]:.1f}" if is_end else f"before {part.time_s[0]:.1f}"
     lost = "the track has no steps there" if sensor == "accelerometer" else "the other sensors are used without it"
     (note,) = (note.text for note in absences_in(recording.streams))
     assert note.startswith(f"{sensor}: no samples {at} s") and lost in note
     assert note in describe(recording).notes
     online = pdr.OnlineFilter()
-    for second in range(int(DEMO.duration_s) + 1):
+    for second in range(int(demo.duration_s) + 1):
         streams: dict[Sensor, Samples] = {}
         for name in SENSORS[:3]:
             times_s, values = recording.streams[name].time_s, recording.streams[name].values
@@ -353,12 +357,14 @@ def test_a_sensor_that_ends_or_begins_half_way_is_named_online_offline_and_in_in
     assert note in resumed(online).notes
 
 
-def test_an_accelerometer_that_ends_half_way_is_named_in_the_track_and_a_complete_one_is_not() -> None:
-    kept = DEMO.accelerometer.time_s < 60.0
-    part = replace(DEMO.accelerometer, time_s=DEMO.accelerometer.time_s[kept], values=DEMO.accelerometer.values[kept])
-    track = pdr.track(replace(DEMO, accelerometer=part))
+def test_an_accelerometer_that_ends_half_way_is_named_in_the_track_and_a_complete_one_is_not(
+    demo: pdr.Recording,
+) -> None:
+    kept = demo.accelerometer.time_s < 60.0
+    part = replace(demo.accelerometer, time_s=demo.accelerometer.time_s[kept], values=demo.accelerometer.values[kept])
+    track = pdr.track(replace(demo, accelerometer=part))
     assert any(note.startswith("accelerometer: no samples since 60.0 s") for note in track.notes)
-    assert not any("no samples" in note for note in pdr.track(DEMO).notes)
+    assert not any("no samples" in note for note in pdr.track(demo).notes)
 
 
 def test_small_differences_between_the_ends_of_sensors_are_not_named() -> None:

@@ -104,7 +104,9 @@ def serve() -> None:
     make, arguments = pickle.loads(pieces.get())
     answer = make(*arguments)
     while True:
-        pickle.dump(answer(pickle.loads(pieces.get())), answers)
+        found = answer(pickle.loads(pieces.get()))
+        sys.stdout.flush()  # the process ends without it when its parent does
+        pickle.dump(found, answers)
         answers.flush()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import pytest
 import typer
@@ -11,8 +12,12 @@ import typer
 import pdr_filter as pdr
 from pdr_filter.apps.cli import console
 
-TRACK = pdr.track(pdr.simulate.demo_walk())
 WORDS = {"recording", "steps", "distance", "east", "north", "duration", "contexts", "stationary", "134.7 m"}
+
+
+@cache
+def demo_track() -> pdr.Track:
+    return pdr.track(pdr.simulate.demo_walk())
 
 
 def printed(capsys: pytest.CaptureFixture[str]) -> str:
@@ -34,11 +39,11 @@ def test_a_table_is_no_wider_than_the_terminal_and_breaks_no_word(
     terminal: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], columns: int
 ) -> None:
     terminal.setenv("COLUMNS", str(columns))
-    console.print_tracks([TRACK, replace(TRACK, name="a_walk_in_the_corridor")])
+    console.print_tracks([demo_track(), replace(demo_track(), name="a_walk_in_the_corridor")])
     table = printed(capsys).partition("±: one")[0]
     assert max(map(len, table.splitlines())) <= columns
     assert all(word in table for word in {*WORDS, "a_walk_in_the_corridor"})
-    assert all(f"{name} {s:.0f} s" in table for name, s in TRACK.context_seconds().items() if s >= 0.5)
+    assert all(f"{name} {s:.0f} s" in table for name, s in demo_track().context_seconds().items() if s >= 0.5)
 
 
 def test_the_steps_of_the_phone_are_a_column_if_one_recording_has_them(capsys: pytest.CaptureFixture[str]) -> None:
@@ -68,17 +73,17 @@ def test_a_note_is_broken_between_words_on_a_terminal_and_is_one_line_elsewhere(
 ) -> None:
     note = "the heading is uncertain by more than 0.5 rad in 195 of 195 steps [bold], from 5 to 109 s; " * 3
     terminal.setenv("COLUMNS", "80")
-    console.print_notes([replace(TRACK, notes=(note,))])
+    console.print_notes([replace(demo_track(), notes=(note,))])
     lines = printed(capsys).splitlines()
     assert max(map(len, lines)) <= 80
-    assert " ".join(lines).split() == f"{TRACK.name}: {note}".split()
+    assert " ".join(lines).split() == f"{demo_track().name}: {note}".split()
     terminal.delenv("FORCE_COLOR")
-    console.print_notes([replace(TRACK, notes=(note,))])
+    console.print_notes([replace(demo_track(), notes=(note,))])
     assert len(capsys.readouterr().out.splitlines()) == 1
 
 
 def test_a_note_that_several_recordings_share_stands_once(capsys: pytest.CaptureFixture[str]) -> None:
-    tracks = [replace(TRACK, name=f"walk {i}", notes=("the height is not known",)) for i in range(9)]
+    tracks = [replace(demo_track(), name=f"walk {i}", notes=("the height is not known",)) for i in range(9)]
     tracks[4] = replace(tracks[4], notes=("the height is not known", "2 gaps"))
     console.print_notes(tracks)
     assert capsys.readouterr().out.splitlines() == ["9 of 9 recordings: the height is not known", "walk 4: 2 gaps"]
@@ -88,7 +93,7 @@ def test_a_note_that_differs_between_recordings_only_in_its_numbers_stands_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     notes = [("rest", f"{i} gaps, {0.5 * i} s in all") if i else ("rest",) for i in range(4)]
-    console.print_notes([replace(TRACK, name=f"walk {i}", notes=own) for i, own in enumerate(notes)])
+    console.print_notes([replace(demo_track(), name=f"walk {i}", notes=own) for i, own in enumerate(notes)])
     told = capsys.readouterr().out.splitlines()
     assert told == ["4 of 4 recordings: rest", "3 of 4 recordings, such as walk 1: 1 gaps, 0.5 s in all"]
 

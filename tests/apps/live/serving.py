@@ -162,10 +162,11 @@ def events_of(answer: httpx.Response) -> Iterator[dict[str, Any]]:
 
 def until(condition: Any, timeout_s: float = 20.0) -> Any:
     """What a function returns when it first is true."""
-    end = time.monotonic() + timeout_s
+    end, wait_s = time.monotonic() + timeout_s, 0.02
     while not (value := condition()):
         assert time.monotonic() < end, "never true"
-        time.sleep(0.05)
+        time.sleep(wait_s)
+        wait_s = min(1.5 * wait_s, 0.5)  # a server that is asked all the time does little else
     return value
 
 

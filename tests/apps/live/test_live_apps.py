@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -41,7 +40,7 @@ def with_times(messages: Messages, change: Callable[[int], Any]) -> Messages:
 
 def outage(messages: Messages) -> Messages:
     """Twenty seconds without network: the newest message arrives before those that were kept."""
-    return [*messages[:15], messages[55], *messages[15:55], *messages[56:]]
+    return [*messages[:7], messages[27], *messages[7:27], *messages[28:]]
 
 
 def set_back(messages: Messages) -> Messages:
@@ -81,7 +80,7 @@ def test_whatever_happens_on_the_way_the_recording_has_every_row_and_the_track_i
     server: tuple[Server, Path], walk: Recording, trouble: str
 ) -> None:
     running, record = server
-    for message in TROUBLES[trouble](sensor_logger_messages(walk, trouble)):
+    for message in TROUBLES[trouble](sensor_logger_messages(walk, trouble, part_s=1.0)):
         assert running.post(message).status_code == 200
     track = running.tracks()[trouble]
     check(record, track, walk)
@@ -94,7 +93,7 @@ def test_every_name_reaches_the_worker_of_its_phone(
 ) -> None:
     """In JSON a name may be written with escapes, or be a number."""
     running, record = server
-    messages = sensor_logger_messages(walk, "x")
+    messages = sensor_logger_messages(walk, "x", part_s=1.0)
     for number, message in enumerate(messages):
         body = json.dumps({**message, "deviceId": name}, ensure_ascii=number % 2 == 0).encode()
         assert running.post(body).status_code == 200
@@ -111,8 +110,6 @@ def test_a_server_and_workers_that_are_killed_go_on_with_real_times(walk: Record
             if number in (20, 40):
                 for pid in server.children:
                     os.kill(pid, signal.SIGKILL)
-            if number == 30:
-                time.sleep(2.5)  # until the state is saved
         server.kill()
     (folder,) = tmp_path.glob("iPhone*")
     assert len(pdr.read(folder).accelerometer) == n_rows  # before any server has gone on

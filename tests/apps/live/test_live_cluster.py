@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,8 @@ from pdr_filter.apps.live import cluster as live_cluster
 from pdr_filter.apps.live.cluster import DaskCluster
 from pdr_filter.apps.live.settings import Settings, worker_of
 
-pytest.importorskip("distributed")
+# loaded by the tests alone: it takes a second
+pytestmark = pytest.mark.skipif(not find_spec("distributed"), reason="no Dask on this machine")
 PHONES = ("left", "right", "third", "fourth")
 
 
@@ -62,7 +64,7 @@ def cluster(folder: Path, n_workers: int) -> Iterator[tuple[str, list[subprocess
 def test_with_one_of_two_machines_killed_every_phone_goes_on_and_no_step_is_there_twice(tmp_path: Path) -> None:
     assert {worker_of(name, 2) for name in PHONES} == {0, 1}
     walk = short_walk(30.0)
-    bodies = {name: own_messages(walk, name) for name in PHONES}
+    bodies = {name: own_messages(walk, name, part_s=1.0) for name in PHONES}
     n = len(bodies["left"])
     record = tmp_path / "record"
     with (

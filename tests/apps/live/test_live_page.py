@@ -37,16 +37,16 @@ def server() -> Iterator[Server]:
 
 
 def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, tmp_path: Path) -> None:
-    bodies = own_messages(walk, "phone")
-    bodies, more = bodies[:-8], bodies[-8:-1]
-    with Browser(tmp_path) as browser:
+    bodies = own_messages(walk, "phone", part_s=1.0)
+    bodies, more = bodies[:-4], bodies[-4:-1]
+    with Browser() as browser:
         browser.open(server.address)
         assert browser.value("!document.getElementById('empty').hidden")
         assert f"{server.address}/data" in browser.value("document.getElementById('address').textContent")
-        for body in bodies[:60]:
+        for body in bodies[:30]:
             server.post(body)
         n_steps = browser.until(f"{SESSION}?.path.length > 20 && {SESSION}.path.length")
-        for body in bodies[60:120]:
+        for body in bodies[30:60]:
             server.post(body)
         browser.until(f"{SESSION}.path.length > {n_steps + 40}")
         browser.until("Number(document.getElementById('n_steps').textContent) > 60")
@@ -75,7 +75,7 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
         for key in ("h", "ArrowRight", "Enter"):
             browser.press(key)
         browser.until(f"{SESSION}.fixes.length === 2")
-        for body in bodies[120:]:
+        for body in bodies[60:]:
             server.post(body)
         browser.until(f"{SESSION}.fixes.every(fix => fix.outcome === 'used')")
         assert browser.words("#said").endswith("of the start was used.")
@@ -106,11 +106,11 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         browser.settle()
 
     uuids = ("8b5937fb-2160-4825-ba40-4bc646f93839", "0ba5f3e8-a340-4c40-b9ea-95d7ed4d1132")
-    with Server() as server, Browser(tmp_path) as browser:
+    with Server() as server, Browser() as browser:
         browser.open(server.address)
-        for message in sensor_logger_messages(walk, *uuids)[:100]:
+        for message in sensor_logger_messages(walk, *uuids, part_s=1.0)[:50]:
             server.post(message)
-        for body in own_messages(walk, "ended"):
+        for body in own_messages(walk, "ended", part_s=2.0):
             server.post(body)
         server.post(own_messages(walk, "empty")[0])
         for message in sensor_logger_messages(walk, "unsigned", ios=True)[:8]:
@@ -187,9 +187,9 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
 def test_everything_can_be_seen_and_read(
     server: Server, walk: Recording, tmp_path: Path, width: int, dark: bool
 ) -> None:
-    for body in own_messages(walk, f"wide {width}")[:100]:
+    for body in own_messages(walk, f"wide {width}", part_s=1.0)[:50]:
         server.post(body)
-    with Browser(tmp_path) as browser:
+    with Browser() as browser:
         browser.open(server.address, width, 900, "dark" if dark else "light")
         browser.until(f"{SESSION}?.path.length > 20")
         browser.until("document.querySelectorAll('canvas').length === 3")
@@ -238,15 +238,15 @@ def test_tiles_of_the_place_lie_below_the_path_if_somebody_names_a_source(
     time_s = np.arange(0.0, 60.0)
     latitude, longitude = 51.5, -0.1
     values = np.column_stack([latitude + 1e-5 * time_s, np.full(60, longitude), np.zeros(60), np.full(60, 5.0)])
-    bodies = own_messages(replace(walk, location=Samples(time_s, values)), "outdoors")
+    bodies = own_messages(replace(walk, location=Samples(time_s, values)), "outdoors", part_s=1.0)
     asked: list[str] = []
     with (
         tiles_of_one_colour(asked) as source,
         Server(*(("--tiles", source) if named else ())) as server,
-        Browser(tmp_path) as browser,
+        Browser() as browser,
     ):
         browser.open(server.address)
-        for body in bodies[:100]:
+        for body in bodies[:50]:
             server.post(body)
         browser.until(f"{SESSION}?.origin && {SESSION}.path.length > 20")
         if named:
@@ -271,7 +271,7 @@ def test_tiles_of_the_place_lie_below_the_path_if_somebody_names_a_source(
 
 def test_a_browser_that_has_motion_sends_it(server: Server, tmp_path: Path) -> None:
     """Events as Chromium on Android gives them: m/s2, degrees per second about z, x and y."""
-    with Browser(tmp_path) as browser:
+    with Browser() as browser:
         browser.open(f"{server.address}/phone")
         browser.value("document.getElementById('height').value = 1.62")
         browser.click("#start")

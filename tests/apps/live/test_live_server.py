@@ -73,7 +73,7 @@ def positions(track: dict[str, Any]) -> np.ndarray:
 def test_a_pushed_walk_gives_the_track_of_its_recording_and_both_can_be_downloaded(
     server: Server, record: Path, walk: Recording, tmp_path: Path
 ) -> None:
-    first, *rest = own_messages(walk, "whole")
+    first, *rest = own_messages(walk, "whole", part_s=1.0)
     assert server.post([json.loads(first)]).json()["samples"] > 0  # an app may send several messages together
     for body in rest:
         assert server.post(body).status_code == 200
@@ -151,7 +151,7 @@ def test_person_and_placement_that_a_phone_sends_reach_the_filter_and_the_record
 
 
 def test_events_come_while_the_phone_sends(server: Server, walk: Recording) -> None:
-    messages = own_messages(walk, "timed", part_s=0.2)[:100]
+    messages = own_messages(walk, "timed")[:40]
     seen: list[dict[str, Any]] = []
     with connect(server.address.replace("http", "ws") + "/ws") as reader:
         sender = threading.Thread(target=lambda: [server.post(message) for message in messages])
@@ -173,7 +173,7 @@ def test_events_come_while_the_phone_sends(server: Server, walk: Recording) -> N
 
 
 def test_i_am_here_is_taken_and_nonsense_is_not(server: Server, walk: Recording) -> None:
-    for body in own_messages(walk, "fixed")[:40]:
+    for body in own_messages(walk, "fixed", part_s=1.0)[:20]:
         server.post(body)
     track = server.tracks()["fixed"]
     address = f"/sessions/{track['id']}/fix"
@@ -231,7 +231,7 @@ def test_a_reader_who_does_not_read_does_not_hold_up_the_others(server: Server, 
     with socket.create_connection((host, int(port))) as slow:
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.sendall(f"GET /events HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
-        for body in own_messages(walk, "slow", part_s=0.2)[:150]:
+        for body in own_messages(walk, "slow")[:60]:
             assert server.post(body).status_code == 200
         assert len(server.tracks()["slow"]["path"]) > 30
         slow.settimeout(5)

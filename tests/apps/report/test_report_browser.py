@@ -30,8 +30,8 @@ CHARTS = ["contexts", "speed", "lengths", "heading"]
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Generator[Browser]:
-    with Browser(tmp_path_factory.mktemp("browser")) as driven:
+def browser() -> Generator[Browser]:
+    with Browser() as driven:
         yield driven
 
 

@@ -16,14 +16,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import pytest
 from benches import short_walk
 from browser import BROWSER, Browser
 from PIL import Image, ImageDraw
+from typer.testing import CliRunner
 
 import pdr_filter as pdr
+from pdr_filter.apps.cli.app import app
 from pdr_filter.apps.maps.marks import read_marks
 from pdr_filter.simulate import demo_walk
 
@@ -41,6 +42,7 @@ PNG = """(async () => {
 })()"""
 # Geoman calls Leaflet's `off` with nothing to take off.
 HARMLESS = "wrong listener type: undefined"
+UNBREAKABLE = "walk_" + 55 * "w"  # a name
 
 
 @contextmanager
@@ -62,6 +64,27 @@ def workbench(folder: Path, *options: str) -> Iterator[str]:
         rest = process.stderr.read()
         process.stderr.close()
         assert process.wait(30) in (0, 130, -2), rest
+
+
+@pytest.fixture(scope="module")
+def several(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of a workbench with a walk and a plan for each test: to start one takes seconds."""
+    folder = tmp_path_factory.mktemp("walks")
+    for name in (UNBREAKABLE, "by keyboard", "of two"):
+        short_walk().save(folder / name)
+    (folder / "plans").mkdir()
+    hall = {"type": "Polygon", "coordinates": [[[0, 0], [30, 0], [30, 20], [0, 20], [0, 0]]]}
+    floor = {"properties": {"type": "floor"}, "geometry": hall}
+    for name, features in {"Hall": [floor], "Empty": []}.items():
+        plan = {"type": "FeatureCollection", "features": features}
+        (folder / "plans" / f"{name}.geojson").write_text(json.dumps(plan))
+    with workbench(folder) as address:
+        yield address
+
+
+def id_of(browser: Browser, walk: str) -> str:
+    """Of a walk of the list when it is tracked."""
+    return browser.until(f"[...walks.values()].find(walk => walk.name === '{walk}' && walk.state === 'done')?.id", 60)
 
 
 def drop(browser: Browser, *files: Path) -> None:
@@ -125,7 +148,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
     bad = tmp_path / "notes.zip"
     bad.write_text("no recording")
     folder = tmp_path / "walks"
-    with workbench(folder) as address, Browser(tmp_path) as browser:
+    with workbench(folder) as address, Browser() as browser:
         # drop
         browser.open(address, 1400, 800)
         browser.until("!document.getElementById('empty').hidden")
@@ -231,30 +254,24 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         assert [url for url in browser.asked_for if not url.startswith((address, "data:"))] == []
         assert [words for words in browser.complaints if "422" not in words] == []  # that of gpx
     # the command line has the same path
-    command = [sys.executable, "-m", "pdr_filter", "smooth", str(folder / "my walk"), "--out", str(tmp_path / "out")]
-    subprocess.run(command, check=True, capture_output=True)
+    done = CliRunner().invoke(app, ["smooth", str(folder / "my walk"), "--out", str(tmp_path / "out")])
+    assert done.exit_code == 0, done.stderr
     (table,) = (tmp_path / "out").glob("*.csv")
     assert "time_s" in table.read_text()
 
 
 @pytest.mark.parametrize(("width", "theme"), [(1400, "light"), (390, "dark")])
-def test_every_page_can_be_seen_and_read(tmp_path: Path, width: int, theme: str) -> None:
-    name = "walk_" + 55 * "w"  # nothing in it can be broken
-    short_walk().save(tmp_path / "walks" / name)
-    (tmp_path / "walks" / "plans").mkdir()
-    hall = {"type": "Polygon", "coordinates": [[[0, 0], [30, 0], [30, 20], [0, 20], [0, 0]]]}
-    plan = {"type": "FeatureCollection", "features": [{"properties": {"type": "floor"}, "geometry": hall}]}
-    (tmp_path / "walks" / "plans" / "Hall.geojson").write_text(json.dumps(plan))
-    with workbench(tmp_path / "walks") as address, Browser(tmp_path) as browser:
-        browser.open(address, width, 900, theme)
-        id = browser.until("[...walks.values()].find(walk => walk.state === 'done')?.id", 60)
+def test_every_page_can_be_seen_and_read(several: str, tmp_path: Path, width: int, theme: str) -> None:
+    with Browser() as browser:
+        browser.open(several, width, 900, theme)
+        id = id_of(browser, UNBREAKABLE)
         pages: dict[str, str] = {
             "": "byId('more').textContent",
             f"walk/{id}": f"report() && {READY}",
             "plan/Hall": "plan?.features.length",
         }
         for page, ready in pages.items():
-            browser.open(address + page, width, 900, theme)
+            browser.open(several + page, width, 900, theme)
             browser.until(ready, 60)
             browser.settle()
             if page.startswith("walk"):  # the map must be visible without scrolling
@@ -279,15 +296,11 @@ def test_every_page_can_be_seen_and_read(tmp_path: Path, width: int, theme: str)
             assert browser.complaints == []
 
 
-def test_a_walk_is_marked_and_a_plan_drawn_with_the_keyboard_alone(tmp_path: Path) -> None:
-    short_walk().save(tmp_path / "walks" / "walk")
-    (tmp_path / "walks" / "plans").mkdir()
-    empty: dict[str, Any] = {"type": "FeatureCollection", "features": []}
-    (tmp_path / "walks" / "plans" / "Hall.geojson").write_text(json.dumps(empty))
-    with workbench(tmp_path / "walks") as address, Browser(tmp_path) as browser:
-        browser.open(address)
-        id = browser.until("[...walks.values()].find(walk => walk.state === 'done')?.id", 60)
-        browser.open(f"{address}walk/{id}")
+def test_a_walk_is_marked_and_a_plan_drawn_with_the_keyboard_alone(several: str) -> None:
+    with Browser() as browser:
+        browser.open(several)
+        id = id_of(browser, "by keyboard")
+        browser.open(f"{several}walk/{id}")
         browser.until(f"report() && {READY}", 60)
         browser.value("document.getElementById('direction').click()")
         browser.press("Enter")  # the step that is shown
@@ -304,7 +317,7 @@ def test_a_walk_is_marked_and_a_plan_drawn_with_the_keyboard_alone(tmp_path: Pat
         browser.value("document.getElementById('here').click()")
         browser.press("Escape")
         assert browser.words("#said") == "Cancelled."
-        browser.open(f"{address}plan/Hall")
+        browser.open(f"{several}plan/Empty")
         browser.until("plan !== null")
         browser.value("document.querySelector('[data-kind=wall]').click()")
         for key in ("Enter", "ArrowRight"):
@@ -316,12 +329,11 @@ def test_a_walk_is_marked_and_a_plan_drawn_with_the_keyboard_alone(tmp_path: Pat
         assert browser.value("plan.features[0].properties.type") == "wall"
 
 
-def test_a_browser_that_comes_later_is_told_and_can_make_its_change_again(tmp_path: Path) -> None:
-    short_walk().save(tmp_path / "walks" / "walk")
-    with workbench(tmp_path / "walks") as address, Browser(tmp_path) as browser:
-        browser.open(address)
-        id = browser.until("[...walks.values()].find(walk => walk.state === 'done')?.id", 60)
-        browser.open(f"{address}walk/{id}")
+def test_a_browser_that_comes_later_is_told_and_can_make_its_change_again(several: str) -> None:
+    with Browser() as browser:
+        browser.open(several)
+        id = id_of(browser, "of two")
+        browser.open(f"{several}walk/{id}")
         browser.until(f"report() && {READY}", 60)
         # The other browser changes the walk, and this one does not know it yet.
         browser.value("state.version = 'old'")
@@ -341,7 +353,7 @@ def test_a_browser_that_comes_later_is_told_and_can_make_its_change_again(tmp_pa
 
 def test_a_phone_records_into_the_folder(tmp_path: Path) -> None:
     folder = tmp_path / "walks"
-    with workbench(folder, "--host", "0.0.0.0", "--token", "secret") as address, Browser(tmp_path) as browser:
+    with workbench(folder, "--host", "0.0.0.0", "--token", "secret") as address, Browser() as browser:
         browser.open(address)
         browser.until("!document.getElementById('phone-on').hidden")
         assert browser.value("!!document.querySelector('#phone-code svg')")

@@ -22,7 +22,7 @@ def walk() -> Recording:
 def positions(walk: Recording, axes: FloatArray) -> list[pdr.PositionFix]:
     """Position fixes with errors of 3 m along each axis, whose true positions are transformed by a matrix (2, 2)."""
     truth, rng = walk.truth.position, np.random.default_rng(0)
-    times_s = np.arange(3.0, truth.time_s[-1] - 1.0, 5.0)
+    times_s = np.arange(3.0, truth.time_s[-1] - 1.0, 7.0)
     places = true_position_m(walk, times_s)
     places = (places + rng.normal(0.0, 3.0, places.shape)) @ axes.T
     return [pdr.PositionFix(t, p, 9.0 * np.eye(2)) for t, p in zip(times_s.tolist(), places, strict=True)]

@@ -65,6 +65,13 @@ def learnt(first: Recording) -> pdr.Person:
     return person
 
 
+@pytest.fixture(scope="module")
+def learnt_by_smoothing(first: Recording) -> pdr.Person:
+    person = pdr.smooth(first).track.person
+    assert person is not None
+    return person
+
+
 # Person whose steps are a tenth longer than those of the default for an unknown height.
 NUMBER = 8
 
@@ -150,16 +157,19 @@ def test_locations_of_a_walk_around_a_building_teach_no_step_length() -> None:
     assert pdr.smooth(walk).track.person is None
 
 
-def test_locations_closer_together_than_the_walk_bias_the_step_length_within_its_uncertainty(first: Recording) -> None:
+def test_locations_closer_together_than_the_walk_bias_the_step_length_within_its_uncertainty(
+    first: Recording, learnt: pdr.Person, learnt_by_smoothing: pdr.Person
+) -> None:
     shrunk = located(first, shrinkage_m=5.0)
-    for estimate in (pdr.track, lambda walk: pdr.smooth(walk).track):
-        unbiased, person = estimate(first).person, estimate(shrunk).person
+    for unbiased, track in ((learnt, pdr.track(shrunk)), (learnt_by_smoothing, pdr.smooth(shrunk).track)):
+        person = track.person
         assert np.log(unbiased.step_length_m / person.step_length_m) < person.std
 
 
-def test_smoothing_learns_the_same_from_a_walk_with_and_without_earlier_walks(first: Recording) -> None:
-    alone = pdr.smooth(first).track.person
-    assert alone is not None
+def test_smoothing_learns_the_same_from_a_walk_with_and_without_earlier_walks(
+    first: Recording, learnt_by_smoothing: pdr.Person
+) -> None:
+    alone = learnt_by_smoothing
     earlier = pdr.Person((Session(1.1 * alone.step_length_m, 0.02, 30),))
     both = pdr.smooth(first, person=earlier).track.person
     assert both is not None and len(both.sessions) == 2

@@ -240,7 +240,7 @@ def test_a_shift_moves_all_fixes_of_its_source_alone() -> None:
 
 
 def test_a_rest_reveals_late_fixes_that_lie_outside_the_samples() -> None:
-    rested = simulate([Leg("walking", distance_m=100.0), Leg("stationary", duration_s=20.0)])
+    rested = simulate([Leg("walking", distance_m=60.0), Leg("stationary", duration_s=20.0)])
     track = pdr.track(rested)
     for seed in range(3):
         at_s = np.arange(1.0, rested.duration_s - 0.5)

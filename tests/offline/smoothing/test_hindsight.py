@@ -26,7 +26,7 @@ def fixes_of(walk: pdr.Recording, seed: int = 0, std_m: float = 2.0) -> list[Pos
 def test_with_fixes_the_smoothed_track_has_smaller_errors_and_covariances_than_the_filter() -> None:
     walks = [
         simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=40.0, turn_rad=1.5)], seed=s)
-        for s in range(6)
+        for s in range(3)
     ]
     squares = {"filter": 0.0, "smoother": 0.0}
     for seed, walk in enumerate(walks):

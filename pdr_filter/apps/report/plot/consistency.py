@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from scipy.stats import chi2
 
 from pdr_filter.apps.report.palette import BLUE, FAINT, INK
 from pdr_filter.apps.report.plot.figures import add_grid, given_or_new
@@ -94,6 +93,8 @@ def nees(nees: FloatArray, ax: Axes | None = None, dof: int = 2) -> Axes:
     >>> ax.get_xlabel()
     'normalised squared error'
     """
+    from scipy.stats import chi2  # imported here: it takes as long to load as all else that a picture of a track needs
+
     axes = given_or_new(ax)
     finite = nees[np.isfinite(nees)]
     if not len(finite):

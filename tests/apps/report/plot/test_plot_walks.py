@@ -42,7 +42,7 @@ def test_any_number_of_steps_and_windows_can_be_drawn(tmp_path: Path, n_steps: i
 def test_drawing_opens_no_window_and_leaves_no_figure_behind() -> None:
     code = (
         "import sys, pdr_filter as pdr\n"
-        "walk = pdr.simulate.demo_walk()\n"
+        "walk = pdr.simulate.simulate([pdr.simulate.Leg('walking', distance_m=15.0)])\n"
         "pdr.track(walk).plot()\n"
         "assert 'matplotlib.pyplot' not in sys.modules, 'pyplot keeps every figure until it is closed'\n"
     )
