@@ -58,6 +58,21 @@ def storeys_of(plan: FloorPlan | None, floors: Iterable[int]) -> list[Storey]:
     return [s for s in plan.storeys if len(plan.storeys) == 1 or s.floor in seen] if plan is not None else []
 
 
+def shown_context_prob(track: TrackRows) -> FloatArray:
+    """Return the probabilities of the contexts in each window, and a last column of moving without steps, (W, C + 1).
+
+    In windows without a step, the last column has the probability of all contexts with steps, so that charts agree
+    with the seconds of each context.
+    """
+    windows = track.windows
+    prob = np.column_stack([windows.context_prob, np.zeros(len(windows))])
+    with_steps = np.setdiff1d(np.arange(len(windows.contexts)), windows.standing_index)
+    cells = np.ix_(track.moves_without_steps, with_steps)
+    prob[track.moves_without_steps, -1] = prob[cells].sum(axis=1)
+    prob[cells] = 0.0
+    return prob
+
+
 def round_up(value: float) -> float:
     """Return the next value of the series ... 0.5, 1, 2, 5, 10, 20, 50 ... that is not below a value.
 

@@ -14,7 +14,14 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.report import palette
-from pdr_filter.apps.report.geometry import ellipse_axes, ellipse_rows, places_at, storeys_of, window_starts
+from pdr_filter.apps.report.geometry import (
+    ellipse_axes,
+    ellipse_rows,
+    places_at,
+    shown_context_prob,
+    storeys_of,
+    window_starts,
+)
 from pdr_filter.tracking.trust_report import FARTHEST_M
 from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, interpolated_rows, rigid_fit
 from pdr_filter.values.recording import Recording
@@ -58,6 +65,7 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         "prob": _percent(track.context_prob[shown]),
         "contexts": list(track.contexts),
         "context_colours": list(palette.context_colours(track.contexts).values()),
+        "without_steps_colour": palette.WITHOUT_STEPS,
         "groups": _groups(track, shown),
         "windows": _windows(track, _MAX_WINDOWS // n_tracks),
         "plan": _plan(plan, track),
@@ -138,10 +146,13 @@ def _with_ellipse(track: TrackRows, shown: IntArray, major_m: FloatArray) -> lis
 
 
 def _windows(track: TrackRows, most: int) -> dict[str, Any]:
-    """Return start, end and context probabilities (per cent) of the windows, at most `most` by averaging."""
+    """Return start, end and probabilities (per cent) of the windows, at most `most` by averaging.
+
+    The last probability is that of moving without steps.
+    """
     windows = track.windows
     start_s, _ = window_starts(windows, track.start_time_s)
-    end_s, prob = windows.time_s, windows.context_prob
+    end_s, prob = windows.time_s, shown_context_prob(track)
     if len(windows) > most:
         # windows are grouped by time instead of index, so that gaps stay visible
         middle_s = 0.5 * (start_s + end_s) - track.start_time_s

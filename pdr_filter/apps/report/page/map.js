@@ -52,6 +52,15 @@ class WayMap extends PlaneMap {
       if (track.anchors && !this.hidden.has("anchors")) track.anchors.east.forEach((east, k) => add(east, track.anchors.north[k]));
       if (track.truth && !this.hidden.has("truth")) track.truth.east.forEach((east, k) => add(east, track.truth.north[k]));
     }
+    // Locations as well, but none that is farther outside than the tracks are large: it is an error.
+    const near = values => {
+      const low = Math.min(...values), high = Math.max(...values), more = Math.max(high - low, 20);
+      return value => value > low - more && value < high + more;
+    };
+    const isEast = near(easts), isNorth = near(norths);
+    for (const { gps } of this.hidden.has("GPS") ? [] : this.tracks) {
+      gps?.east.forEach((east, k) => { if (isEast(east) && isNorth(gps.north[k])) add(east, gps.north[k]); });
+    }
     this.fit(easts, norths, 4);
     this.isWhole = true;
   }
@@ -112,8 +121,9 @@ class WayMap extends PlaneMap {
 
   drawTruth(truth) {
     const places = this.places(truth);
-    this.still.addLayer(L.polyline(places, { color: this.colour("--truth"), weight: 1.5, dashArray: "5 5" }));
+    // Nothing is known of the way between waypoints: a line would lead through walls.
     if (truth.points) places.forEach(place => this.dot(place, 3, "--truth"));
+    else this.still.addLayer(L.polyline(places, { color: this.colour("--truth"), weight: 1.5, dashArray: "5 5" }));
   }
 
   // Draw all steps in the colour of their group. Steps after the selected step are faint.

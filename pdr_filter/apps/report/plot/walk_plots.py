@@ -22,13 +22,15 @@ from pdr_filter.apps.report.geometry import (
     ellipse_extent,
     ellipse_rows,
     places_at,
+    shown_context_prob,
     storeys_of,
     window_starts,
 )
 from pdr_filter.apps.report.palette import FAINT, INK, context_colours, floor_colours
 from pdr_filter.apps.report.plot.figures import PLAIN_TEXT, add_grid, add_legend, given_or_new, new_figure, save
 from pdr_filter.apps.report.plot.floor_plan_plots import draw_storey
-from pdr_filter.values import FloatArray, TrackRows, Windows, how_many
+from pdr_filter.tracking.trust_report import WITHOUT_STEPS, closure
+from pdr_filter.values import FloatArray, TrackRows, how_many
 
 _SIZE_IN = (8.0, 9.0)
 _MAX_NOTES = 3
@@ -260,10 +262,10 @@ def contexts(track: TrackRows, ax: Axes | None = None) -> Axes:
     windows = track.windows
     unit_s, unit = _time_unit(track)
     if len(windows):
-        edge_s, prob = _step_curve(windows, track.start_time_s)
+        edge_s, prob = _step_curve(track)
         upper = np.cumsum(prob, axis=1)
         lower = upper - prob
-        for i, colour in enumerate(context_colours(windows.contexts).values()):
+        for i, colour in enumerate([*context_colours(windows.contexts).values(), palette.WITHOUT_STEPS]):
             axes.fill_between(edge_s / unit_s, lower[:, i], upper[:, i], color=colour, linewidth=0)
     else:
         axes.text(0.5, 0.5, "no context windows", transform=axes.transAxes, ha="center", va="center", color=FAINT)
@@ -283,11 +285,11 @@ def _time_unit(track: TrackRows) -> tuple[float, str]:
     return (60.0, "min") if track.duration_s > 600 else (1.0, "s")
 
 
-def _step_curve(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArray]:
+def _step_curve(track: TrackRows) -> tuple[FloatArray, FloatArray]:
     """Return times and probabilities of a piecewise constant curve. Rows of NaN mark missing windows."""
-    starts_s, previous_s = window_starts(windows, start_time_s)
-    time_s = np.stack([starts_s, windows.time_s], axis=1).ravel()
-    prob = np.repeat(windows.context_prob, 2, axis=0)
+    starts_s, previous_s = window_starts(track.windows, track.start_time_s)
+    time_s = np.stack([starts_s, track.windows.time_s], axis=1).ravel()
+    prob = np.repeat(shown_context_prob(track), 2, axis=0)
     breaks = 2 * np.flatnonzero(starts_s > previous_s + 0.01)
     return np.insert(time_s, breaks, starts_s[breaks // 2]), np.insert(prob, breaks, np.nan, axis=0)
 
@@ -356,11 +358,12 @@ def _floor_legend(colours: dict[int, str]) -> list[Line2D]:
 
 
 def _context_legend(track: TrackRows) -> list[Patch]:
-    visible = track.windows.context_prob.max(axis=0, initial=0.0) >= _VISIBLE_PROB
-    occurring = {track.contexts[i] for i in (*np.flatnonzero(visible), *track.context_prob.argmax(axis=1))}
+    names = (*track.contexts, WITHOUT_STEPS)
+    visible = shown_context_prob(track).max(axis=0, initial=0.0) >= _VISIBLE_PROB
+    occurring = {names[i] for i in (*np.flatnonzero(visible), *track.context_prob.argmax(axis=1))}
     return [
         Patch(facecolor=colour, edgecolor=INK, linewidth=0.5, label=name)
-        for name, colour in context_colours(track.contexts).items()
+        for name, colour in {**context_colours(track.contexts), WITHOUT_STEPS: palette.WITHOUT_STEPS}.items()
         if name in occurring
     ]
 
@@ -386,7 +389,9 @@ def _write_title(axes: Axes, track: TrackRows) -> None:
     minutes, seconds = divmod(round(track.duration_s), 60)
     duration = f"{minutes} min {seconds} s" if minutes else f"{track.duration_s:.1f} s"
     steps = how_many(track.n_steps, "step")
-    facts = f"{steps}  ·  {track.how_far}  ·  {duration}  ·  weighting {track.weighting}"
+    facts = f"{track.how_far}  ·  {duration}  ·  {steps}"
+    if track.n_steps:
+        facts += f"  ·  end {closure(track)}"
     axes.set_title(facts, loc="left", fontsize=11.5, color=INK, pad=10)
     name = textwrap.shorten(track.name, 60, placeholder="...")
     above: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points"}

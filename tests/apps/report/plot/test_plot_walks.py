@@ -49,10 +49,10 @@ def test_drawing_opens_no_window_and_leaves_no_figure_behind() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_the_title_tells_name_steps_distance_duration_and_weighting() -> None:
+def test_the_title_tells_name_distance_duration_steps_and_closure() -> None:
     track = make_track(200, 100)
     written = texts(plot.track(track))
-    for fact in ("made_up", "200 steps", f"{track.distance_m:.1f} m", "1 min 41 s", "imm"):
+    for fact in ("made_up", "200 steps", f"{track.distance_m:.1f} m", "1 min 41 s", "m from the start"):
         assert fact in written or fact.replace("41", "40") in written, fact
 
 
