@@ -49,6 +49,7 @@ nb_render_markdown_format = "myst"  # CommonMark has no tables, which `evaluate.
 (mathjax,) = (f for f in files("sphinx-mathjax-offline") or () if f.name == "tex-svg-full.js")
 html_static_path = [str(mathjax.locate()), "_static"]
 html_css_files = ["page.css"]
+html_search_scorer = str(Path(__file__).parent / "_static" / "search_order.js")
 mathjax_path = "tex-svg-full.js"
 html_theme = "furo"
 html_title = f"pdr_filter {version}"

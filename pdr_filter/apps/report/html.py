@@ -97,8 +97,8 @@ def html_report(
 ) -> str:
     """Return an HTML report of tracks as text.
 
-    The page shows the path with 95 % ellipses, warnings, contexts, speed and step lengths. It is interactive: the user
-    can move and zoom the path, select a step, and replay the walk.
+    The page shows the path with its 95 % uncertainty, warnings, contexts, speed and step lengths. It is interactive:
+    the user can move and zoom the path, select a step, and replay the walk.
 
     Parameters
     ----------

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.report import palette
 from pdr_filter.apps.report.geometry import (
+    band_rows,
     ellipse_axes,
     ellipse_rows,
     places_at,
@@ -62,6 +63,7 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         "minor": _column(minor_m, 2),
         "angle": _column(angle_rad, 3),
         "ellipses": _with_ellipse(track, shown, major_m),
+        "band": [int(row) for row in band_rows(len(shown)) if math.isfinite(major_m[row])],
         "prob": _percent(track.context_prob[shown]),
         "contexts": list(track.contexts),
         "context_colours": list(palette.context_colours(track.contexts).values()),
@@ -138,10 +140,10 @@ def _ellipses(cov_m2: FloatArray) -> tuple[tuple[FloatArray, FloatArray], FloatA
 
 
 def _with_ellipse(track: TrackRows, shown: IntArray, major_m: FloatArray) -> list[int]:
-    """Return the indices of the steps whose error ellipse is always drawn: at equal distances, and the last."""
+    """Return the indices of the shown steps whose error ellipse is always drawn: at fixes, and the last."""
     if not len(shown):
         return []
-    nearest = np.clip(np.searchsorted(shown, ellipse_rows(track.step_length_m)), 0, len(shown) - 1)
+    nearest = np.clip(np.searchsorted(shown, ellipse_rows(track)), 0, len(shown) - 1)
     return [int(row) for row in np.unique(nearest) if math.isfinite(major_m[row])]
 
 

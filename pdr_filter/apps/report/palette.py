@@ -29,7 +29,7 @@ PLAN_COLOURS = {
     "wall": "#B7B0A2",
     "door": "#9BC29B",
 }
-ELLIPSE_EDGE_ALPHA, ELLIPSE_FILL_ALPHA = 0.6, 0.09
+ELLIPSE_EDGE_ALPHA, BAND_ALPHA = 0.6, 0.2
 
 
 def context_colours(contexts: tuple[str, ...] = CONTEXTS) -> dict[str, str]:

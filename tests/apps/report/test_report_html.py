@@ -127,8 +127,16 @@ def test_ellipses_have_the_axes_and_the_direction_of_the_covariance(track: Track
     assert seen["major"] == pytest.approx([4 * 2.4477] * track.n_steps, abs=0.01)
     assert seen["minor"] == pytest.approx([1 * 2.4477] * track.n_steps, abs=0.01)
     assert np.degrees(seen["angle"]) % 180 == pytest.approx(np.full(track.n_steps, 30.0), abs=0.1)
-    assert 4 <= len(seen["ellipses"]) <= 9
-    assert seen["ellipses"][-1] == track.n_steps - 1
+    assert seen["ellipses"] == [track.n_steps - 1]
+    assert seen["band"] == list(range(track.n_steps))
+
+
+def test_ellipses_are_drawn_at_used_fixes(track: Track) -> None:
+    fixes = [(9.0, "used"), (20.0, "rejected"), (50.0, "used")]
+    at = tuple(FixResult.of(RangeFix(t, np.zeros(2), 6.0, 0.3), t, outcome) for t, outcome in fixes)
+    (seen,) = given(html_report(replace(track, fixes=at)))
+    assert [seen["time"][k] for k in seen["ellipses"][:-1]] == pytest.approx([9.0, 50.0], abs=1.0)
+    assert len(seen["ellipses"]) == 3
 
 
 def test_contexts_fill_their_share_of_the_time(page: str, track: Track) -> None:
@@ -316,7 +324,8 @@ def test_non_finite_numbers_are_omitted(track: Track, value: float) -> None:
     assert seen["number"] == [*range(1, 51), *range(61, track.n_steps + 1)]
     assert seen["speed"][10] is None
     assert seen["major"][-1] is None
-    assert seen["ellipses"][-1] < len(seen["number"]) - 1
+    assert seen["ellipses"] == []
+    assert seen["band"][-1] == len(seen["number"]) - 2
     assert not re.search(r"\bNaN\b|Infinity|e\+\d", Seen(page).scripts[0])
 
 

@@ -18,7 +18,7 @@
     const whole = Math.floor(s / 60), rest = (s - 60 * whole).toFixed(digits).padStart(digits ? 3 + digits : 2, "0");
     return whole >= 60 ? `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}:${rest}` : `${whole}:${rest}`;
   };
-  const number = (value, digits) => value === null || value === undefined ? "–" : value.toFixed(digits);
+  const number = (value, digits) => value === null || value === undefined ? "–" : value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
 
   const element = (tag, words, parent) => {
     const made = document.createElement(tag);
@@ -244,7 +244,7 @@
     list.replaceChildren();
     const all = { ellipses: track.ellipses.length, truth: track.truth, GPS: track.gps, plan: track.plan.length,
       places: track.places, anchors: track.anchors, "other tracks": tracks.length > 1 };
-    const words = { ellipses: "95 % ellipses", truth: track.truth?.points ? "known points, aligned" : "ground truth, aligned", GPS: "locations of the phone", plan: "floor plan",
+    const words = { ellipses: "95 % uncertainty", truth: track.truth?.points ? "known points, aligned" : "ground truth, aligned", GPS: "locations of the phone", plan: "floor plan",
       places: "possible positions", anchors: "anchors of ranges" };
     for (const [name, is_there] of Object.entries(all)) {
       if (!is_there) continue;

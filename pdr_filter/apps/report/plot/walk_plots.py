@@ -11,13 +11,16 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Ellipse, Patch
+from matplotlib.patches import Ellipse, Patch, PathPatch
+from matplotlib.path import Path as Rings
 from matplotlib.patheffects import withStroke
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan, plan_of
 from pdr_filter.apps.report import palette
 from pdr_filter.apps.report.geometry import (
     MIN_EXTENT_M,
+    band_rings,
+    band_rows,
     ellipse_axes,
     ellipse_extent,
     ellipse_rows,
@@ -40,7 +43,7 @@ _PLACE_STYLE: dict[str, Any] = {"fill": False, "edgecolor": palette.WRONG, "line
 
 
 def track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
-    """Draw the path of a track with 95 % ellipses, and the context probabilities over time below.
+    """Draw the path of a track with its 95 % uncertainty, and the context probabilities over time below.
 
     The path is coloured by context, or by storey if there are several storeys. A track that is not level also gets a
     height profile.
@@ -92,7 +95,7 @@ def way(
     reference_m: FloatArray | None = None,
     plan: FloorPlan | None = None,
 ) -> Axes:
-    """Draw the path of a track with 95 % ellipses, east to the right and north up, in metres.
+    """Draw the path of a track with its 95 % uncertainty, east to the right and north up, in metres.
 
     The path is coloured by context, or by storey if there are several storeys. If the track may have ended at several
     positions of a floor plan, each is drawn with its probability. Anchors of ranges are drawn as triangles.
@@ -295,8 +298,12 @@ def _step_curve(track: TrackRows) -> tuple[FloatArray, FloatArray]:
 
 
 def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
-    """Draw 95 % ellipses at equal distances along the track and at its end."""
-    rows = ellipse_rows(track.step_length_m)
+    """Draw the band of the 95 % ellipses along the track, and those at fixes and at the end."""
+    band = band_rows(track.n_steps)
+    # one path, so that places in several ellipses have the same colour as others
+    rings = Rings.make_compound_path(*map(Rings, band_rings(track.position_m[band], track.position_cov_m2[band])))
+    axes.add_patch(PathPatch(rings, facecolor=(palette.ELLIPSE, palette.BAND_ALPHA), linewidth=0, zorder=1))
+    rows = ellipse_rows(track)
     half_m, angle_rad = ellipse_axes(track.position_cov_m2[rows])
     axes.add_collection(
         EllipseCollection(
@@ -306,14 +313,15 @@ def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
             units="xy",
             offsets=track.position_m[rows],
             offset_transform=axes.transData,
-            **_ellipse_style("facecolors", "edgecolors"),
+            facecolors="none",
+            edgecolors=(palette.ELLIPSE, palette.ELLIPSE_EDGE_ALPHA),
             linewidths=0.8,
             zorder=1,
         )
     )
     # matplotlib ignores ellipse collections when it sets the limits of axes, so their bounding boxes are added
-    reach_m = ellipse_extent(track.position_cov_m2[rows])
-    axes.update_datalim(np.vstack([track.position_m[rows] - reach_m, track.position_m[rows] + reach_m]))
+    reach_m = ellipse_extent(track.position_cov_m2[band])
+    axes.update_datalim(np.vstack([track.position_m[band] - reach_m, track.position_m[band] + reach_m]))
 
 
 def _draw_places(axes: Axes, track: TrackRows) -> None:
@@ -337,10 +345,6 @@ def _draw_places(axes: Axes, track: TrackRows) -> None:
         words.set_path_effects([withStroke(linewidth=3.0, foreground="white")])
         reach_m = ellipse_extent(place.position_cov_m2[np.newaxis])
         axes.update_datalim(np.vstack([place.position_m - reach_m, place.position_m + reach_m]))
-
-
-def _ellipse_style(face: str, edge: str) -> dict[str, Any]:
-    return {face: (palette.ELLIPSE, palette.ELLIPSE_FILL_ALPHA), edge: (palette.ELLIPSE, palette.ELLIPSE_EDGE_ALPHA)}
 
 
 def _frame_plane(axes: Axes, points_m: FloatArray) -> None:
@@ -377,7 +381,7 @@ def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]
     if len(track.anchors_m):
         handles.append(Line2D([], [], marker="^", markerfacecolor="white", label="anchor of ranges", **ends))
     if track.n_steps:
-        handles.append(Patch(**_ellipse_style("facecolor", "edgecolor"), label="95 % ellipse"))
+        handles.append(Patch(facecolor=(palette.ELLIPSE, palette.BAND_ALPHA), label="95 % uncertainty"))
     if track.n_steps and places_at(track, -1):
         handles.append(Patch(**_PLACE_STYLE, label="possible end"))
     if has_reference:
