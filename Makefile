@@ -2,7 +2,7 @@
 # make test                                run the quick tests: three minutes on two cores
 # make test-all                            run every test
 # make check                               lint, format and types
-# make docs                                build the documentation
+# make docs                                build the documentation and run its notebooks: some minutes the first time
 # make clean                               remove all files that these commands made
 #
 # Needs make and Python 3.11 or newer with pip. Everything is installed into .venv.
@@ -40,7 +40,7 @@ check: $(VENV)/.installed-dev
 	$(BIN)/pyright --pythonpath $(BIN)/python
 
 docs: $(VENV)/.installed-docs
-	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
 	@echo "open docs/_build/html/index.html"
 
 clean:

@@ -48,10 +48,11 @@ nb_execution_show_tb = True
 nb_merge_streams = True
 nb_render_markdown_format = "myst"  # CommonMark has no tables, which `evaluate.markdown` writes
 # Formulas work without a network: MathJax and its fonts are one local file.
-(mathjax,) = (f for f in files("sphinx-mathjax-offline") or () if f.name == "tex-svg.js")
+(mathjax,) = (f for f in files("sphinx-mathjax-offline") or () if f.name == "tex-svg-full.js")
 html_static_path = [str(mathjax.locate()), "_static"]
 html_css_files = ["page.css"]
-mathjax_path = "tex-svg.js"
+html_search_scorer = str(Path(__file__).parent / "_static" / "search_order.js")
+mathjax_path = "tex-svg-full.js"
 html_theme = "furo"
 html_title = f"pdr_filter {version}"
 

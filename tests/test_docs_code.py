@@ -223,7 +223,7 @@ def test_the_citation_names_the_version_of_the_package() -> None:
 
 
 def test_every_page_is_in_the_table_of_contents() -> None:
-    listed = set(re.findall(r"^([\w/]+)$", PAGES["docs/index.md"], re.MULTILINE))
+    listed = set(re.findall(r"^(?:\d+\. .* <)?([\w/]+)>?$", PAGES["docs/index.md"], re.MULTILINE))
     pages = {str(Path(name).relative_to("docs").with_suffix("")) for name in PAGES if name.startswith("docs/")}
     assert pages - {"index"} <= listed
 

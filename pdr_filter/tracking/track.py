@@ -320,7 +320,7 @@ class Track(TrackRows):
         return writers.write_tum(self, path)
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Draw the track with 95 % covariance ellipses above its context probabilities over time.
+        """Draw the track with its 95 % uncertainty above its context probabilities over time.
 
         Parameters
         ----------

@@ -28,6 +28,8 @@ _CURVE_RADPS, _CURVE_STEPS = 0.4, 21
 _MIN_DOUBT_S = 5.0
 # Minimum duration of motion without steps that is reported as a ride: walking has a step at least every two seconds.
 _MIN_RIDE_S = 20.0
+# Name of the time in which the phone moved, but no step was found, beside the names of contexts.
+WITHOUT_STEPS = "moving without steps"
 # Maximum number of stretches of one kind whose times are listed.
 _MAX_TIMES = 8
 # Excess of the distance between two positions over the step length that is reported as a jump of a track without
@@ -41,6 +43,11 @@ _NOTABLE_SHARE = 0.05
 _DOUBTFUL_MODES = 1.9
 # Longer times without steps are reported as pauses.
 _LONG_PAUSE_S = 60.0
+_WEIGHTINGS = {
+    "hc": "those of the most probable context (HC)",
+    "wc": "averaged over the contexts by their probabilities (WC)",
+    "imm": "weighted by the probabilities of the contexts in an interacting multiple model (IMM)",
+}
 _AT_THE_EAR = (
     "the phone is held at the ear in curves: the head turns against the body, and the track turns with it; give "
     "position or heading fixes"
@@ -112,18 +119,19 @@ def problems(track: TrackRows) -> list[str]:
 
 def report(track: TrackRows) -> str:
     """Return a short text about a track: steps, distance, accuracy, contexts, and where not to trust it."""
-    lines = [f"{track.name}: {track.n_steps} steps, {track.how_far} in {track.duration_s:.0f} s ({track.weighting})"]
+    lines = [f"{track.name}: {track.how_far} in {track.duration_s:.0f} s, {how_many(track.n_steps, 'step')}"]
     if track.n_steps:
         lines.append(f"end: {end(track)}")
-        lines.append(track.about_frame)
+        lines += [track.about_frame, about_weighting(track)]
     if contexts := context_durations(track):
         lines.append(f"contexts: {contexts}")
     without_stairs = _is_without_stairs(track)
     if without_stairs.sum() > _NOTABLE_SHARE * len(without_stairs):
-        words = f"stairs: counted as level walking in {without_stairs.sum()} of {len(without_stairs)} windows, because "
+        share = f"{without_stairs.sum()} of {len(without_stairs)} windows"
+        words = f"stairs: any would count as level walking in {share}, because "
         has_pressure = np.isfinite(track.windows.climb_rate_mps).any()
         words += "pressure is missing there" if has_pressure else "there is no barometer"
-        lines.append(words + " and their motion is unlike stairs with the phone in a trouser pocket; record pressure")
+        lines.append(words + " and stairs are recognised by motion only in a trouser pocket; record the pressure")
     used = [fix.nis for fix in track.fixes if fix.accepted and np.isfinite(fix.nis)]
     if used:
         fit = "about 2 if positions are consistent" if track.origin is None else "below 2 if locations are consistent"
@@ -141,14 +149,31 @@ def sentence(note: str) -> str:
 
 def context_durations(track: TrackRows) -> str:
     """Return the durations of the contexts of a track as text, such as "walking 30 s, upstairs 4 s"."""
-    every = {**track.context_seconds(), "moving without steps": track.seconds_without_steps}
+    every = {**track.context_seconds(), WITHOUT_STEPS: track.seconds_without_steps}
     return ", ".join(f"{name} {seconds:.0f} s" for name, seconds in every.items() if seconds >= 0.5)
 
 
 def end(track: TrackRows) -> str:
-    """Return the end position of a track with steps, and its standard deviation, as text for a line of the report."""
-    east_m, north_m = track.position_m[-1]
-    return f"{east_m:z.1f} m east, {north_m:z.1f} m north, {track.how_sure}"
+    """Return how far the end of a track with steps is from its start, and its standard deviation, as text."""
+    return f"{closure(track)} ({direction(track)}), {track.how_sure}"
+
+
+def closure(track: TrackRows) -> str:
+    """Return the distance between the start and the end of a track as text."""
+    return f"{np.linalg.norm(track.end_position_m - track.start_position_m):.1f} m from the start"
+
+
+def direction(track: TrackRows) -> str:
+    """Return how far the end of a track is east or west, and north or south of its start, as text."""
+    east_m, north_m = track.end_position_m - track.start_position_m
+    east, north = "west" if east_m < 0 else "east", "south" if north_m < 0 else "north"
+    return f"{abs(east_m):.1f} m {east}, {abs(north_m):.1f} m {north}"
+
+
+def about_weighting(track: TrackRows) -> str:
+    """Return a sentence about the weighting of the contexts, which decides the step lengths."""
+    how = _WEIGHTINGS.get(track.weighting, f"weighted by {track.weighting}")
+    return f"Step lengths are {how}."
 
 
 def is_undecided(track: TrackRows) -> BoolArray:

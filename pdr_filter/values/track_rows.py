@@ -375,27 +375,29 @@ class TrackRows:
         dict of str to float
             Seconds by context.
         """
-        seconds, best, walked = self._of_windows()
+        seconds, best = self._of_windows()
+        walked = ~self.moves_without_steps
         return {name: float(seconds[walked & (best == c)].sum()) for c, name in enumerate(self.contexts)}
 
     @property
     def seconds_without_steps(self) -> float:
         """Time in windows that have no step, but a context with steps: in a vehicle or in a moving hand, s."""
-        seconds, _, walked = self._of_windows()
-        return float(seconds[~walked].sum())
+        return float(self._of_windows()[0][self.moves_without_steps].sum())
 
-    def _of_windows(self) -> tuple[FloatArray, IntArray, BoolArray]:
-        """Return duration (W,) in s, index of the most probable context (W,), and consistency with steps (W,).
+    @property
+    def moves_without_steps(self) -> BoolArray:
+        """True for windows (W,) whose most probable context has steps, but with no step in or near the window."""
+        end_s = self.windows.time_s
+        # A margin of half a step on each side, because contacts of slow steps are a second apart.
+        first, last = (np.searchsorted(self.time_s, t) for t in (end_s - _WINDOW_S - 0.5, end_s + 0.5))
+        return (last <= first) & ~np.isin(self._of_windows()[1], self.windows.standing_index)
 
-        The last is True for a context without steps, or with a step in the window or within half a second.
-        """
+    def _of_windows(self) -> tuple[FloatArray, IntArray]:
+        """Return duration (W,) in s and index of the most probable context (W,)."""
         end_s = self.windows.time_s
         starts = np.concatenate([[self.start_time_s], end_s[:-1]])
         seconds = np.minimum(end_s - starts, _WINDOW_S)  # the first window and windows after a gap have full length
-        best = self.windows.context_prob.argmax(axis=1)
-        # A margin of half a step on each side, because contacts of slow steps are a second apart.
-        first, last = (np.searchsorted(self.time_s, t) for t in (end_s - _WINDOW_S - 0.5, end_s + 0.5))
-        return seconds[: len(end_s)], best, (last > first) | np.isin(best, self.windows.standing_index)
+        return seconds[: len(end_s)], self.windows.context_prob.argmax(axis=1)
 
     def summary(self) -> dict[str, Any]:
         """Return the main results as JSON values, as printed by `pdr-filter track --json`.

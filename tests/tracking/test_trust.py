@@ -29,7 +29,7 @@ def track(walk: Recording) -> Track:
 
 def test_an_ordinary_walk_has_no_doubts(track: Track) -> None:
     assert doubts(track) == []
-    assert track.report().startswith(f"simulated_walk: {track.n_steps} steps")
+    assert track.report().startswith(f"simulated_walk: {track.distance_m:.1f} m in 42 s, {track.n_steps} steps")
     assert f"± {track.position_std_m[-1]:.1f} m (one standard deviation, worst direction)" in track.report()
 
 
@@ -115,7 +115,7 @@ def test_undetectable_stairs_are_told_beside_the_contexts_and_are_no_warning(
         track, stairs_unknown_share=np.full(n, unknown_share), climb_rate_mps=np.full(n, climb_rate_mps)
     )
     assert problems(walk) == [sentence(note) for note in walk.notes]
-    assert ("stairs: counted as level walking" in walk.report()) == is_told
+    assert ("stairs: any would count as level walking" in walk.report()) == is_told
 
 
 def stairs_line(track: Track, climb_rate_mps: np.ndarray, context: str = "walking") -> str:

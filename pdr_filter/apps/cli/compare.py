@@ -190,7 +190,7 @@ def compare_command(
 def _print(compared: Sequence[Compared]) -> None:
     has_truth = any(found.rmse_m for found in compared)
     columns = ["recording", "track", "steps", "distance", "difference to the last", "end east", "end north"]
-    columns += ["± at the end", "end to last end", *(["error (RMSE)"] if has_truth else [])]
+    columns += ["± at the end", "distance between the ends", *(["error (RMSE)"] if has_truth else [])]
     table = console.new_table(*columns, n_keys=2)
     for found in compared:
         *_, reference = found.tracks.values()

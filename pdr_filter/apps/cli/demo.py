@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from pdr_filter.apps.cli.console import escape, estimates, modified_ns, overwritten, unique_name
-from pdr_filter.apps.report import plot
+from pdr_filter.apps.report import palette, plot
 from pdr_filter.apps.report.html import write_report
 from pdr_filter.apps.report.page_data import track_data
 from pdr_filter.apps.report.palette import context_colours
@@ -20,6 +20,7 @@ from pdr_filter.data.io.files.track_writers import write_map
 from pdr_filter.data.io.formats import read
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracking.track import Track
+from pdr_filter.tracking.trust_report import WITHOUT_STEPS, closure, direction
 from pdr_filter.values.georeference import GnssUse
 from pdr_filter.values.recording import Recording
 
@@ -80,14 +81,19 @@ def run_demo(
     written: set[str] | None = None,
     online: bool = False,
     loop: bool = False,
+    height_m: float | None = None,
+    platform: str | None = None,
 ) -> Demo:
     """Track a file, or the simulated walk if `file` is None, and write report, picture, map and table to a folder.
 
     The track is smoothed, or the online estimate if `online` is true. The report shows both. `written` contains the
-    names that earlier recordings of the same command use. The name of this recording is added to it.
+    names that earlier recordings of the same command use. The name of this recording is added to it. `height_m`
+    replaces the height of the person in the file, and `platform` is as in `pdr_filter.read`.
     """
     is_simulated = file is None
-    recording = demo_walk() if file is None else read(file)
+    recording = demo_walk() if file is None else read(file, platform=platform)
+    if height_m is not None:
+        recording = recording.of_height(height_m)
     tracks = estimates(recording, online, loop, True, progress, gnss=gnss)
     result = tracks[0]
     name = unique_name(result.name, set() if written is None else written)
@@ -117,15 +123,15 @@ def _georeferenced(result: Track) -> str:
 def _facts(demo: Demo) -> Table:
     """Return a table of steps, distance and end point, with the ground truth of a simulated walk."""
     result = demo.track
-    end_m = result.end_position_m
     table = Table.grid("", "", "", padding=(0, 3))
     truth = _true_facts(demo.recording, result) if demo.is_simulated else ("", "", "")
-    table.add_row("  steps", f"{result.n_steps}", truth[0])
     table.add_row("  distance", result.how_far, truth[1])
-    table.add_row("  end", f"{end_m[0]:z.1f} m east, {end_m[1]:z.1f} m north", truth[2])
+    table.add_row("  duration", f"{result.duration_s:.0f} s", "")
+    table.add_row("  steps", f"{result.n_steps}", truth[0])
+    table.add_row("  end", closure(result), truth[2])
+    table.add_row("", direction(result), "")
     if result.n_steps:
         table.add_row("", f"± {result.position_std_m[-1]:.1f} m", "standard deviation in the worst direction")
-    table.add_row("  duration", f"{result.duration_s:.0f} s", "")
     return table
 
 
@@ -141,12 +147,12 @@ def _true_facts(recording: Recording, result: Track) -> tuple[str, str, str]:
 
 
 def _context_bars(result: Track) -> Table:
-    """Return a table of the seconds in each context, with a bar."""
+    """Return a table of the seconds in each context and of moving without steps, with a bar: its share of the walk."""
     table = Table.grid("", Column(justify="right"), "", padding=(0, 2))
-    seconds = result.context_seconds()
-    longest_s = max(seconds.values(), default=0.0)
-    for name, colour in context_colours(result.contexts).items():
+    seconds = {**result.context_seconds(), WITHOUT_STEPS: result.seconds_without_steps}
+    total_s = sum(seconds.values())
+    for name, colour in {**context_colours(result.contexts), WITHOUT_STEPS: palette.WITHOUT_STEPS}.items():
         if seconds[name] > 0:
-            cells = max(1, round(_BAR_CELLS * seconds[name] / longest_s))
+            cells = max(1, round(_BAR_CELLS * seconds[name] / total_s))
             table.add_row(f"  {name}", f"{seconds[name]:.0f} s", f"[{colour}]{'█' * cells}[/]")
     return table

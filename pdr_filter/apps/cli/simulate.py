@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from pdr_filter.apps.cli import console
-from pdr_filter.apps.cli.options import Gnss, Loop, Online
+from pdr_filter.apps.cli.options import Gnss, Height, Loop, Online, Platform
 
 if TYPE_CHECKING:
     from pdr_filter.values.recording import Recording
@@ -43,6 +43,8 @@ def simulate_command(
 def demo_command(
     file: Path | None = typer.Argument(None, metavar="[FILE]", help="Recording. Default: a simulated walk."),
     out: Path | None = typer.Option(None, help="Folder for the files. Default: a new temporary folder."),
+    height_m: Height = None,
+    platform: Platform = None,
     gnss: Gnss = None,
     online: Online = False,
     loop: Loop = False,
@@ -54,9 +56,11 @@ def demo_command(
     folder = Path(tempfile.mkdtemp(prefix="pdr_filter_demo_")) if out is None else out
 
     def run(one: Path | None, progress: Callable[[float], None]) -> Demo:
-        return run_demo(one, folder, progress, gnss, written, online, loop)
+        return run_demo(one, folder, progress, gnss, written, online, loop, height_m, platform)
 
     with console.one_line_errors():
+        if file is None and (height_m or platform):
+            raise ValueError("--height and --platform are for a recording, and none is given: add its file")
         files = [] if file is None else console.recording_paths([file])
         if file is None:
             with console.progress("tracking") as show:

@@ -1,17 +1,18 @@
-"""Geometry shared by figures and HTML pages: 95 % ellipses along a track, rounded distances. Imports no plotting."""
+"""Geometry shared by figures and HTML pages: 95 % ellipses along a track. Imports no plotting."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 
 import numpy as np
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.maps.storey import Storey
-from pdr_filter.values import RADIUS_95, Cluster, FloatArray, TrackRows, Windows
+from pdr_filter.values import RADIUS_95, Cluster, FloatArray, IntArray, TrackRows, Windows
 
-N_ELLIPSES = 8
+_MAX_FIXES = 8
+# Maximum number of ellipses of a band, and corners of each: on a screen, neighbouring ellipses overlap.
+_MAX_BAND, _N_CORNERS = 300, 48
 # Clusters of a floor plan with less probability are not drawn.
 _MIN_SHARE = 0.02
 # Minimum width of a map in metres. A smaller map of a short track would magnify noise.
@@ -19,16 +20,40 @@ MIN_EXTENT_M = 4.0
 _WINDOW_S = 2.0
 
 
-def ellipse_rows(step_length_m: FloatArray) -> list[int]:
-    """Return indices of the steps at which ellipses are drawn, ascending.
+def ellipse_rows(track: TrackRows) -> list[int]:
+    """Return indices of the steps at which ellipses are drawn, ascending: at used fixes, at most eight, and the last.
 
-    They are at equal walked distances, a round number of metres apart, at most `N_ELLIPSES`. The last step is included.
     There must be at least one step.
     """
-    walked_m = np.cumsum(step_length_m)
-    marks_m = np.arange(1, N_ELLIPSES) * round_up(float(walked_m[-1]) / N_ELLIPSES)
-    rows = np.searchsorted(walked_m, marks_m[marks_m < walked_m[-1]])
-    return sorted({*(int(i) for i in rows), len(walked_m) - 1})
+    used_s = [fix.time_s for fix in track.fixes if fix.accepted]
+    rows = np.unique(np.searchsorted(track.time_s, used_s))
+    rows = rows[rows < track.n_steps]
+    shown = rows[np.unique(np.linspace(0, len(rows) - 1, _MAX_FIXES).round().astype(int))] if len(rows) else rows
+    return sorted({*shown.tolist(), track.n_steps - 1})
+
+
+def band_rows(n_steps: int) -> IntArray:
+    """Return indices of the steps whose ellipses make up the band of uncertainty: all, or about `_MAX_BAND`."""
+    return np.unique(np.linspace(0, n_steps - 1, min(n_steps, _MAX_BAND)).round().astype(int))
+
+
+def band_rings(position_m: FloatArray, cov_m2: FloatArray) -> list[FloatArray]:
+    """Return closed counter-clockwise rings (P, 2) whose union is the band of uncertainty of a path (N, 2).
+
+    The rings are the 95 % ellipses of the positions, and quadrilaterals between the sides of neighbouring ellipses.
+    """
+    (half_m, angle_rad), turn_rad = ellipse_axes(cov_m2), np.linspace(0.0, 2 * np.pi, _N_CORNERS)
+    along = half_m[:, 1:] * np.cos(turn_rad)
+    across = half_m[:, :1] * np.sin(turn_rad)
+    cosine, sine = np.cos(angle_rad)[:, np.newaxis], np.sin(angle_rad)[:, np.newaxis]
+    rings = position_m[:, np.newaxis] + np.stack([along * cosine - across * sine, along * sine + across * cosine], -1)
+    moved_m = np.diff(position_m, axis=0)
+    left = np.stack([-moved_m[:, 1], moved_m[:, 0]], axis=1)
+    quads = []
+    for a, b, cov_a, cov_b, n in zip(position_m[:-1], position_m[1:], cov_m2[:-1], cov_m2[1:], left, strict=True):
+        side_a, side_b = (RADIUS_95 * cov @ n / max(np.sqrt(n @ cov @ n), 1e-9) for cov in (cov_a, cov_b))
+        quads.append(np.array([a - side_a, b - side_b, b + side_b, a + side_a, a - side_a]))
+    return [*rings, *quads]
 
 
 def ellipse_axes(cov_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -58,15 +83,19 @@ def storeys_of(plan: FloorPlan | None, floors: Iterable[int]) -> list[Storey]:
     return [s for s in plan.storeys if len(plan.storeys) == 1 or s.floor in seen] if plan is not None else []
 
 
-def round_up(value: float) -> float:
-    """Return the next value of the series ... 0.5, 1, 2, 5, 10, 20, 50 ... that is not below a value.
+def shown_context_prob(track: TrackRows) -> FloatArray:
+    """Return the probabilities of the contexts in each window, and a last column of moving without steps, (W, C + 1).
 
-    It is 1 for a value that is not positive or not finite.
+    In windows without a step, the last column has the probability of all contexts with steps, so that charts agree
+    with the seconds of each context.
     """
-    if not (value > 0 and math.isfinite(value)):
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(value))
-    return next(m * power for m in (1.0, 2.0, 5.0, 10.0, 20.0) if m * power >= value * (1 - 1e-9))
+    windows = track.windows
+    prob = np.column_stack([windows.context_prob, np.zeros(len(windows))])
+    with_steps = np.setdiff1d(np.arange(len(windows.contexts)), windows.standing_index)
+    cells = np.ix_(track.moves_without_steps, with_steps)
+    prob[track.moves_without_steps, -1] = prob[cells].sum(axis=1)
+    prob[cells] = 0.0
+    return prob
 
 
 def window_starts(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArray]:

@@ -19,9 +19,11 @@ from markupsafe import Markup
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan, plan_of
 from pdr_filter.apps.report import palette
+from pdr_filter.apps.report.geometry import shown_context_prob
 from pdr_filter.apps.report.page_data import track_data
 from pdr_filter.apps.report.templates import read_asset, template
 from pdr_filter.data.io.describe import ReadingReport, reading_report
+from pdr_filter.filter.fixes.gnss import INTERVAL_S, MIN_ACCURACY_M
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.values import TrackRows, how_many
 from pdr_filter.values.recording import Recording
@@ -95,8 +97,8 @@ def html_report(
 ) -> str:
     """Return an HTML report of tracks as text.
 
-    The page shows the path with 95 % ellipses, warnings, contexts, speed and step lengths. It is interactive: the user
-    can move and zoom the path, select a step, and replay the walk.
+    The page shows the path with its 95 % uncertainty, warnings, contexts, speed and step lengths. It is interactive:
+    the user can move and zoom the path, select a step, and replay the walk.
 
     Parameters
     ----------
@@ -144,7 +146,7 @@ def html_report(
     return template(_PACKAGE, "page/report.html").render(
         title=_title(every, recording),
         tracks=[
-            _texts(track) | {"name": name, "colour": colour}
+            _texts(track) | {"name": name, "colour": colour, "locations": _locations(track, recording)}
             for track, name, colour in zip(every, names, colours, strict=True)
         ],
         reading=None if recording is None else _reading(recording, reading_report(recording), set(every[0].notes)),
@@ -198,7 +200,7 @@ def _texts(track: TrackRows) -> dict[str, Any]:
         "facts": _facts(track),
         "doubts": trust.problems(track),
         "has_steps": track.n_steps > 0,
-        "about": f"{track.about_frame} {track.about_estimate}",
+        "about": f"{track.about_frame} {track.about_estimate} {trust.about_weighting(track)}",
         "seconds": _seconds(track),
         "floor_changes": [
             f"{c.start_s:.0f} to {c.end_s:.0f} s: from floor {c.from_floor} to floor {c.to_floor}, "
@@ -212,7 +214,7 @@ def _texts(track: TrackRows) -> dict[str, Any]:
 def _facts(track: TrackRows) -> str:
     minutes, seconds = divmod(round(track.duration_s), 60)
     lasted = f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
-    facts = [how_many(track.n_steps, "step"), track.how_far, lasted, f"weighting {track.weighting}"]
+    facts = [track.how_far, lasted, how_many(track.n_steps, "step")]
     if track.n_steps:
         facts.append(f"end {trust.end(track)}")
     if track.fixes:
@@ -221,10 +223,21 @@ def _facts(track: TrackRows) -> str:
     return " · ".join(facts)
 
 
+def _locations(track: TrackRows, recording: Recording | None) -> str:
+    """Return a sentence about how the locations of the phone became fixes, or "" if they did not."""
+    if recording is None or recording.location is None or track.origin is None or track.frame == "start":
+        return ""
+    return (
+        f"The recording has {how_many(len(recording.location), 'location')}. Errors of locations that follow each "
+        f"other are alike, so that the filter takes one in {INTERVAL_S:.0f} s as a fix, and counts its accuracy as "
+        f"{MIN_ACCURACY_M} m or more."
+    )
+
+
 def _seconds(track: TrackRows) -> list[tuple[str, str, str]]:
     """Return name, colour and duration (as text, with its share) of each context that occurs.
 
-    A last entry without a colour is the time of moving without steps, if there is any.
+    The last entry is the time of moving without steps, if there is any.
     """
     seconds, without_steps_s = track.context_seconds(), track.seconds_without_steps
     total_s = sum(seconds.values()) + without_steps_s
@@ -234,12 +247,15 @@ def _seconds(track: TrackRows) -> list[tuple[str, str, str]]:
     def lasting(value_s: float) -> str:
         return f"{value_s:.0f} s ({100 * value_s / total_s:.0f} %)"
 
+    prob = shown_context_prob(track)
     items = [
         (name, colour, lasting(seconds[name]))
         for i, (name, colour) in enumerate(palette.context_colours(track.contexts).items())
-        if seconds[name] >= 0.5 or (track.windows.context_prob[:, i] > _VISIBLE_PROB).any()
+        if seconds[name] >= 0.5 or (prob[:, i] > _VISIBLE_PROB).any()
     ]
-    return [*items, *([("moving without steps", "", lasting(without_steps_s))] if without_steps_s >= 0.5 else [])]
+    if without_steps_s > 0:
+        items.append((trust.WITHOUT_STEPS, palette.WITHOUT_STEPS, lasting(without_steps_s)))
+    return items
 
 
 def _lengths(track: TrackRows) -> str:

@@ -14,7 +14,15 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.report import palette
-from pdr_filter.apps.report.geometry import ellipse_axes, ellipse_rows, places_at, storeys_of, window_starts
+from pdr_filter.apps.report.geometry import (
+    band_rows,
+    ellipse_axes,
+    ellipse_rows,
+    places_at,
+    shown_context_prob,
+    storeys_of,
+    window_starts,
+)
 from pdr_filter.tracking.trust_report import FARTHEST_M
 from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, interpolated_rows, rigid_fit
 from pdr_filter.values.recording import Recording
@@ -55,9 +63,11 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         "minor": _column(minor_m, 2),
         "angle": _column(angle_rad, 3),
         "ellipses": _with_ellipse(track, shown, major_m),
+        "band": [int(row) for row in band_rows(len(shown)) if math.isfinite(major_m[row])],
         "prob": _percent(track.context_prob[shown]),
         "contexts": list(track.contexts),
         "context_colours": list(palette.context_colours(track.contexts).values()),
+        "without_steps_colour": palette.WITHOUT_STEPS,
         "groups": _groups(track, shown),
         "windows": _windows(track, _MAX_WINDOWS // n_tracks),
         "plan": _plan(plan, track),
@@ -130,18 +140,21 @@ def _ellipses(cov_m2: FloatArray) -> tuple[tuple[FloatArray, FloatArray], FloatA
 
 
 def _with_ellipse(track: TrackRows, shown: IntArray, major_m: FloatArray) -> list[int]:
-    """Return the indices of the steps whose error ellipse is always drawn: at equal distances, and the last."""
+    """Return the indices of the shown steps whose error ellipse is always drawn: at fixes, and the last."""
     if not len(shown):
         return []
-    nearest = np.clip(np.searchsorted(shown, ellipse_rows(track.step_length_m)), 0, len(shown) - 1)
+    nearest = np.clip(np.searchsorted(shown, ellipse_rows(track)), 0, len(shown) - 1)
     return [int(row) for row in np.unique(nearest) if math.isfinite(major_m[row])]
 
 
 def _windows(track: TrackRows, most: int) -> dict[str, Any]:
-    """Return start, end and context probabilities (per cent) of the windows, at most `most` by averaging."""
+    """Return start, end and probabilities (per cent) of the windows, at most `most` by averaging.
+
+    The last probability is that of moving without steps.
+    """
     windows = track.windows
     start_s, _ = window_starts(windows, track.start_time_s)
-    end_s, prob = windows.time_s, windows.context_prob
+    end_s, prob = windows.time_s, shown_context_prob(track)
     if len(windows) > most:
         # windows are grouped by time instead of index, so that gaps stay visible
         middle_s = 0.5 * (start_s + end_s) - track.start_time_s

@@ -13,6 +13,7 @@ from pdr_filter.values import CONTEXTS
 
 GREY, BLUE, ORANGE, GREEN, YELLOW, PURPLE = COLOURS = ("#D0D0D0", "#0072B2", "#CC6600", "#44AA99", "#EECC66", "#882255")
 MORE_COLOURS = ("#99DD99", "#443300", "#112288", "#888855", "#9988FF", "#00DDFF")
+WITHOUT_STEPS = "#707880"  # moving without steps; as far from the contexts as they are from each other
 INK = "#222222"  # texts, outlines, ground truth
 FAINT = "#777777"  # remarks, baselines
 GRID = "#E6E6E6"
@@ -28,7 +29,7 @@ PLAN_COLOURS = {
     "wall": "#B7B0A2",
     "door": "#9BC29B",
 }
-ELLIPSE_EDGE_ALPHA, ELLIPSE_FILL_ALPHA = 0.6, 0.09
+ELLIPSE_EDGE_ALPHA, BAND_ALPHA = 0.6, 0.2
 
 
 def context_colours(contexts: tuple[str, ...] = CONTEXTS) -> dict[str, str]:

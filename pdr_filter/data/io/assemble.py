@@ -151,4 +151,7 @@ class Parsed:
         if cosine < limits.UP_COSINE_DOUBTFUL:
             self.notes.append(f"attitude: the specific force does not point up in it (mean cosine {cosine:.2f})")
         else:
-            self.found.append(f"sign checked with the phone's attitude: mean cosine to up {cosine:.2f}")
+            self.found.append(
+                "the sign of the acceleration agrees with the phone's attitude: it points up on average "
+                f"(mean cosine {cosine:.2f}, 1 is right)"
+            )

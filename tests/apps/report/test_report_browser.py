@@ -254,6 +254,17 @@ def test_tracks_that_coincide_are_all_seen(browser: Browser, track: Track, tmp_p
     assert others.isdisjoint(colours_of(browser, "#map"))
 
 
+@pytest.mark.parametrize("south_deg", [170.0, 350.0])
+def test_headings_around_one_direction_are_not_drawn_at_both_ends(
+    browser: Browser, track: Track, tmp_path: Path, south_deg: float
+) -> None:
+    around_deg = south_deg + np.linspace(0.0, 20.0, track.n_steps)
+    browser.open(write_report(replace(track, walking_heading_rad=np.radians(around_deg)), tmp_path / "page.html"))
+    accent = [0, 114, 178]
+    rows = np.flatnonzero((seen(browser, "#heading canvas")[..., :3] == accent).all(axis=2).any(axis=1))
+    assert 0 < np.ptp(rows) < 40  # of 180 pixels
+
+
 def test_a_heading_just_left_of_north_is_0_and_not_360_degrees(browser: Browser, track: Track, tmp_path: Path) -> None:
     left = replace(track, walking_heading_rad=np.full(track.n_steps, -np.radians(0.3)))
     browser.open(write_report(left, tmp_path / "page.html"))

@@ -127,16 +127,45 @@ def test_ellipses_have_the_axes_and_the_direction_of_the_covariance(track: Track
     assert seen["major"] == pytest.approx([4 * 2.4477] * track.n_steps, abs=0.01)
     assert seen["minor"] == pytest.approx([1 * 2.4477] * track.n_steps, abs=0.01)
     assert np.degrees(seen["angle"]) % 180 == pytest.approx(np.full(track.n_steps, 30.0), abs=0.1)
-    assert 4 <= len(seen["ellipses"]) <= 9
-    assert seen["ellipses"][-1] == track.n_steps - 1
+    assert seen["ellipses"] == [track.n_steps - 1]
+    assert seen["band"] == list(range(track.n_steps))
+
+
+def test_ellipses_are_drawn_at_used_fixes(track: Track) -> None:
+    fixes = [(9.0, "used"), (20.0, "rejected"), (50.0, "used")]
+    at = tuple(FixResult.of(RangeFix(t, np.zeros(2), 6.0, 0.3), t, outcome) for t, outcome in fixes)
+    (seen,) = given(html_report(replace(track, fixes=at)))
+    assert [seen["time"][k] for k in seen["ellipses"][:-1]] == pytest.approx([9.0, 50.0], abs=1.0)
+    assert len(seen["ellipses"]) == 3
 
 
 def test_contexts_fill_their_share_of_the_time(page: str, track: Track) -> None:
     windows = given(page)[0]["windows"]
-    area = (np.array(windows["end"]) - windows["start"]) @ np.transpose(windows["prob"])
+    *prob, without_steps = windows["prob"]
+    area = (np.array(windows["end"]) - windows["start"]) @ np.transpose(prob)
     starts = np.concatenate([[track.start_time_s], track.windows.time_s[:-1]])
     seconds = np.minimum(track.windows.time_s - starts, 2.0) @ track.windows.context_prob
     assert area / area.sum() == pytest.approx(seconds / seconds.sum(), abs=0.01)
+    assert not any(without_steps)
+
+
+def test_motion_without_steps_is_drawn_as_in_the_legend_and_not_as_walking() -> None:
+    ride = replace(make_track(0, 30), windows=windows_of(np.arange(1.0, 31.0), np.tile(np.eye(6)[1], (30, 1))))
+    page = html_report(ride)
+    assert "walking 0 s" not in Seen(page).words
+    assert f"moving without steps {ride.seconds_without_steps:.0f} s (100 %)" in Seen(page).words
+    *prob, without_steps = given(page)[0]["windows"]["prob"]
+    assert set(without_steps) == {100}
+    assert not np.any(prob)
+
+
+def test_the_end_is_counted_from_the_start_of_the_walk(track: Track) -> None:
+    shift_m = np.array([300.0, -40.0])
+    moved = replace(track, position_m=track.position_m + shift_m, start_position_m=track.start_position_m + shift_m)
+    assert trust.end(moved) == trust.end(track)
+    assert trust.end(track).startswith(f"{np.linalg.norm(track.position_m[-1]):.1f} m from the start (")
+    west_m = replace(track, position_m=np.tile([-3.04, -1.0], (track.n_steps, 1)))
+    assert "3.2 m from the start (3.0 m west, 1.0 m south)" in html_report(west_m)
 
 
 def test_the_truth_is_aligned_with_the_track_and_each_step_has_its_error(track: Track, recording: Recording) -> None:
@@ -295,7 +324,8 @@ def test_non_finite_numbers_are_omitted(track: Track, value: float) -> None:
     assert seen["number"] == [*range(1, 51), *range(61, track.n_steps + 1)]
     assert seen["speed"][10] is None
     assert seen["major"][-1] is None
-    assert seen["ellipses"][-1] < len(seen["number"]) - 1
+    assert seen["ellipses"] == []
+    assert seen["band"][-1] == len(seen["number"]) - 2
     assert not re.search(r"\bNaN\b|Infinity|e\+\d", Seen(page).scripts[0])
 
 

@@ -228,7 +228,8 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         for kind, begin in (("csv", "time_s,east_m"), ("geojson", "{")):
             text = browser.value(f"fetch(`${{base}}/export/{kind}`).then(a => a.text())")
             assert text.startswith(begin)
-        assert "place the walk" in browser.value("fetch(`${base}/export/gpx`).then(a => a.text())")
+        browser.click("#exports [href$=gpx]")
+        browser.until("document.getElementById('said').innerText.includes('place the walk')")
         saved = Image.open(BytesIO(base64.b64decode(browser.value(PNG).partition(",")[2]))).convert("L")
         signs = ".cross, .end, .bar-of-metres, .north"
         centres = browser.value(f"""[...report().map.box.querySelectorAll("{signs}")].map(sign => {{

@@ -48,9 +48,18 @@ class WayMap extends PlaneMap {
     for (const track of this.tracks) {
       add(...track.start);
       track.east.forEach((east, k) => add(east, track.north[k]));
-      if (!this.hidden.has("ellipses")) track.ellipses.forEach(k => add(track.east[k], track.north[k], track.major[k]));
+      if (!this.hidden.has("ellipses")) track.band.forEach(k => add(track.east[k], track.north[k], track.major[k]));
       if (track.anchors && !this.hidden.has("anchors")) track.anchors.east.forEach((east, k) => add(east, track.anchors.north[k]));
       if (track.truth && !this.hidden.has("truth")) track.truth.east.forEach((east, k) => add(east, track.truth.north[k]));
+    }
+    // Locations as well, but none that is farther outside than the tracks are large: it is an error.
+    const near = values => {
+      const low = Math.min(...values), high = Math.max(...values), more = Math.max(high - low, 20);
+      return value => value > low - more && value < high + more;
+    };
+    const isEast = near(easts), isNorth = near(norths);
+    for (const { gps } of this.hidden.has("GPS") ? [] : this.tracks) {
+      gps?.east.forEach((east, k) => { if (isEast(east) && isNorth(gps.north[k])) add(east, gps.north[k]); });
     }
     this.fit(easts, norths, 4);
     this.isWhole = true;
@@ -67,7 +76,10 @@ class WayMap extends PlaneMap {
     this.now.clearLayers();
     if (shown("plan")) this.drawPlan(track.plan);
     if (track.gps && shown("GPS")) this.drawGps(track.gps);
-    if (shown("ellipses")) track.ellipses.forEach(k => this.polygon(this.ellipseOf(k), "--accent", { fillOpacity: 0.08, opacity: 0.45 }));
+    if (shown("ellipses")) {
+      this.polygon(this.band(track), "--accent", { stroke: false, fillOpacity: 0.17, fillRule: "nonzero" });
+      track.ellipses.forEach(k => this.polygon(this.ellipseOf(k), "--accent", { fill: false, opacity: 0.6 }));
+    }
     const others = shown("other tracks") ? this.tracks.filter(t => t !== track) : [];
     others.forEach(t => this.still.addLayer(L.polyline(this.wayOf(t), { color: t.colour, weight: 2 })));
     this.drawWay(track);
@@ -112,8 +124,9 @@ class WayMap extends PlaneMap {
 
   drawTruth(truth) {
     const places = this.places(truth);
-    this.still.addLayer(L.polyline(places, { color: this.colour("--truth"), weight: 1.5, dashArray: "5 5" }));
+    // Nothing is known of the way between waypoints: a line would lead through walls.
     if (truth.points) places.forEach(place => this.dot(place, 3, "--truth"));
+    else this.still.addLayer(L.polyline(places, { color: this.colour("--truth"), weight: 1.5, dashArray: "5 5" }));
   }
 
   // Draw all steps in the colour of their group. Steps after the selected step are faint.
@@ -150,6 +163,26 @@ class WayMap extends PlaneMap {
   ellipseOf(k) {
     const { east, north, major, minor, angle } = this.track;
     return major[k] === null ? [] : this.ellipse([east[k], north[k]], major[k], minor[k], angle[k]);
+  }
+
+  // Rings whose union is the band of uncertainty: the ellipses, and quadrilaterals between the sides of neighbours.
+  band(track) {
+    const sides = k => { // half width of the ellipse across a direction, as a vector
+      const { major, minor, angle } = track, cosine = Math.cos(angle[k]), sine = Math.sin(angle[k]);
+      const xx = (major[k] * cosine) ** 2 + (minor[k] * sine) ** 2, yy = (major[k] * sine) ** 2 + (minor[k] * cosine) ** 2;
+      const xy = (major[k] ** 2 - minor[k] ** 2) * sine * cosine;
+      return (x, y) => {
+        const [east, north] = [xx * x + xy * y, xy * x + yy * y], size = Math.max(Math.sqrt(east * x + north * y), 1e-9);
+        return [east / size, north / size];
+      };
+    };
+    const quads = track.band.slice(1).map((b, i) => {
+      const a = track.band[i], { east, north } = track, left = [north[a] - north[b], east[b] - east[a]];
+      const [one, other] = [sides(a)(...left), sides(b)(...left)];
+      return [[a, one, -1], [b, other, -1], [b, other, 1], [a, one, 1]]
+        .map(([k, side, sign]) => this.at(east[k] + sign * side[0], north[k] + sign * side[1]));
+    });
+    return [...track.band.map(k => this.ellipseOf(k)), ...quads];
   }
 
   // Show the selected step with its ellipse and its possible positions.

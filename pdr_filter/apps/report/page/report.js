@@ -18,7 +18,7 @@
     const whole = Math.floor(s / 60), rest = (s - 60 * whole).toFixed(digits).padStart(digits ? 3 + digits : 2, "0");
     return whole >= 60 ? `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}:${rest}` : `${whole}:${rest}`;
   };
-  const number = (value, digits) => value === null || value === undefined ? "–" : value.toFixed(digits);
+  const number = (value, digits) => value === null || value === undefined ? "–" : value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
 
   const element = (tag, words, parent) => {
     const made = document.createElement(tag);
@@ -168,6 +168,15 @@
     return data;
   }
 
+  // Direction at the top and at the bottom of the chart of headings: the one near which the fewest steps are, because
+  // these are drawn at both ends. South, if there are none.
+  function cutOf(headings) {
+    const steps = headings.filter(v => v !== null), apart = (a, b) => Math.abs((a - b + 540) % 360 - 180);
+    const near = cut => steps.filter(v => apart(v, cut) < 40).length;
+    const cuts = Array.from({ length: 24 }, (_, k) => 15 * (k + 1)).sort((a, b) => apart(a, 180) - apart(b, 180));
+    return cuts.map(cut => [near(cut), cut]).reduce((best, each) => each[0] < best[0] ? each : best)[1];
+  }
+
   const band = { bands: [{ series: [2, 1], fill: () => styleColour("--accent") + "33" }] };
 
   function paintWindows(u) {
@@ -182,7 +191,7 @@
       let low = 0;
       prob.forEach((of_context, c) => {
         const high = low + of_context[w] / 100, y = u.valToPos(high, "y", true);
-        pen.fillStyle = track.context_colours[c];
+        pen.fillStyle = track.context_colours[c] ?? track.without_steps_colour;
         if (high > low) pen.fillRect(x, y, Math.max(until - x, 1), u.valToPos(low, "y", true) - y);
         low = high;
       });
@@ -216,9 +225,11 @@
       made.push(chart("speed", 180, banded(t.speed, t.speed_std, 0), [hidden, hidden, drawn("--accent")], { ...band, scale: from0 }));
       const of = t.contexts.map((_, c) => t.groups.contexts.group.map((own, k) => own === c ? t.length[k] : null));
       made.push(chart("lengths", 180, [t.time, ...of], t.context_colours.map(dots), { scale: from0 }));
-      made.push(chart("heading", 180, [t.time, t.heading.map(v => v > 180 ? v - 360 : v)],
+      const cut = cutOf(t.heading), quarters = [-270, -180, -90, 0, 90, 180, 270];
+      made.push(chart("heading", 180, [t.time, t.heading.map(v => v > cut ? v - 360 : v)],
         [dots(() => styleColour("--accent"))],
-        { scale: { range: [-190, 190] }, splits: [-180, -90, 0, 90, 180], yValues: (_, at) => at.map(v => `${(v + 360) % 360}°`) }));
+        { scale: { range: [cut - 370, cut + 10] }, splits: quarters.filter(v => v >= cut - 360 && v <= cut),
+          yValues: (_, at) => at.map(v => `${(v + 360) % 360}°`) }));
     }
     charts = made;
     isFollowing = true;
@@ -233,7 +244,7 @@
     list.replaceChildren();
     const all = { ellipses: track.ellipses.length, truth: track.truth, GPS: track.gps, plan: track.plan.length,
       places: track.places, anchors: track.anchors, "other tracks": tracks.length > 1 };
-    const words = { ellipses: "95 % ellipses", truth: "ground truth, aligned", GPS: "locations of the phone", plan: "floor plan",
+    const words = { ellipses: "95 % uncertainty", truth: track.truth?.points ? "known points, aligned" : "ground truth, aligned", GPS: "locations of the phone", plan: "floor plan",
       places: "possible positions", anchors: "anchors of ranges" };
     for (const [name, is_there] of Object.entries(all)) {
       if (!is_there) continue;

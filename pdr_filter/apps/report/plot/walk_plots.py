@@ -11,24 +11,29 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Ellipse, Patch
+from matplotlib.patches import Ellipse, Patch, PathPatch
+from matplotlib.path import Path as Rings
 from matplotlib.patheffects import withStroke
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan, plan_of
 from pdr_filter.apps.report import palette
 from pdr_filter.apps.report.geometry import (
     MIN_EXTENT_M,
+    band_rings,
+    band_rows,
     ellipse_axes,
     ellipse_extent,
     ellipse_rows,
     places_at,
+    shown_context_prob,
     storeys_of,
     window_starts,
 )
 from pdr_filter.apps.report.palette import FAINT, INK, context_colours, floor_colours
 from pdr_filter.apps.report.plot.figures import PLAIN_TEXT, add_grid, add_legend, given_or_new, new_figure, save
 from pdr_filter.apps.report.plot.floor_plan_plots import draw_storey
-from pdr_filter.values import FloatArray, TrackRows, Windows, how_many
+from pdr_filter.tracking.trust_report import WITHOUT_STEPS, closure
+from pdr_filter.values import FloatArray, TrackRows, how_many
 
 _SIZE_IN = (8.0, 9.0)
 _MAX_NOTES = 3
@@ -38,7 +43,7 @@ _PLACE_STYLE: dict[str, Any] = {"fill": False, "edgecolor": palette.WRONG, "line
 
 
 def track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
-    """Draw the path of a track with 95 % ellipses, and the context probabilities over time below.
+    """Draw the path of a track with its 95 % uncertainty, and the context probabilities over time below.
 
     The path is coloured by context, or by storey if there are several storeys. A track that is not level also gets a
     height profile.
@@ -90,7 +95,7 @@ def way(
     reference_m: FloatArray | None = None,
     plan: FloorPlan | None = None,
 ) -> Axes:
-    """Draw the path of a track with 95 % ellipses, east to the right and north up, in metres.
+    """Draw the path of a track with its 95 % uncertainty, east to the right and north up, in metres.
 
     The path is coloured by context, or by storey if there are several storeys. If the track may have ended at several
     positions of a floor plan, each is drawn with its probability. Anchors of ranges are drawn as triangles.
@@ -260,10 +265,10 @@ def contexts(track: TrackRows, ax: Axes | None = None) -> Axes:
     windows = track.windows
     unit_s, unit = _time_unit(track)
     if len(windows):
-        edge_s, prob = _step_curve(windows, track.start_time_s)
+        edge_s, prob = _step_curve(track)
         upper = np.cumsum(prob, axis=1)
         lower = upper - prob
-        for i, colour in enumerate(context_colours(windows.contexts).values()):
+        for i, colour in enumerate([*context_colours(windows.contexts).values(), palette.WITHOUT_STEPS]):
             axes.fill_between(edge_s / unit_s, lower[:, i], upper[:, i], color=colour, linewidth=0)
     else:
         axes.text(0.5, 0.5, "no context windows", transform=axes.transAxes, ha="center", va="center", color=FAINT)
@@ -283,18 +288,22 @@ def _time_unit(track: TrackRows) -> tuple[float, str]:
     return (60.0, "min") if track.duration_s > 600 else (1.0, "s")
 
 
-def _step_curve(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArray]:
+def _step_curve(track: TrackRows) -> tuple[FloatArray, FloatArray]:
     """Return times and probabilities of a piecewise constant curve. Rows of NaN mark missing windows."""
-    starts_s, previous_s = window_starts(windows, start_time_s)
-    time_s = np.stack([starts_s, windows.time_s], axis=1).ravel()
-    prob = np.repeat(windows.context_prob, 2, axis=0)
+    starts_s, previous_s = window_starts(track.windows, track.start_time_s)
+    time_s = np.stack([starts_s, track.windows.time_s], axis=1).ravel()
+    prob = np.repeat(shown_context_prob(track), 2, axis=0)
     breaks = 2 * np.flatnonzero(starts_s > previous_s + 0.01)
     return np.insert(time_s, breaks, starts_s[breaks // 2]), np.insert(prob, breaks, np.nan, axis=0)
 
 
 def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
-    """Draw 95 % ellipses at equal distances along the track and at its end."""
-    rows = ellipse_rows(track.step_length_m)
+    """Draw the band of the 95 % ellipses along the track, and those at fixes and at the end."""
+    band = band_rows(track.n_steps)
+    # one path, so that places in several ellipses have the same colour as others
+    rings = Rings.make_compound_path(*map(Rings, band_rings(track.position_m[band], track.position_cov_m2[band])))
+    axes.add_patch(PathPatch(rings, facecolor=(palette.ELLIPSE, palette.BAND_ALPHA), linewidth=0, zorder=1))
+    rows = ellipse_rows(track)
     half_m, angle_rad = ellipse_axes(track.position_cov_m2[rows])
     axes.add_collection(
         EllipseCollection(
@@ -304,14 +313,15 @@ def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
             units="xy",
             offsets=track.position_m[rows],
             offset_transform=axes.transData,
-            **_ellipse_style("facecolors", "edgecolors"),
+            facecolors="none",
+            edgecolors=(palette.ELLIPSE, palette.ELLIPSE_EDGE_ALPHA),
             linewidths=0.8,
             zorder=1,
         )
     )
     # matplotlib ignores ellipse collections when it sets the limits of axes, so their bounding boxes are added
-    reach_m = ellipse_extent(track.position_cov_m2[rows])
-    axes.update_datalim(np.vstack([track.position_m[rows] - reach_m, track.position_m[rows] + reach_m]))
+    reach_m = ellipse_extent(track.position_cov_m2[band])
+    axes.update_datalim(np.vstack([track.position_m[band] - reach_m, track.position_m[band] + reach_m]))
 
 
 def _draw_places(axes: Axes, track: TrackRows) -> None:
@@ -337,10 +347,6 @@ def _draw_places(axes: Axes, track: TrackRows) -> None:
         axes.update_datalim(np.vstack([place.position_m - reach_m, place.position_m + reach_m]))
 
 
-def _ellipse_style(face: str, edge: str) -> dict[str, Any]:
-    return {face: (palette.ELLIPSE, palette.ELLIPSE_FILL_ALPHA), edge: (palette.ELLIPSE, palette.ELLIPSE_EDGE_ALPHA)}
-
-
 def _frame_plane(axes: Axes, points_m: FloatArray) -> None:
     centre_m = 0.5 * (points_m.min(axis=0) + points_m.max(axis=0))
     axes.update_datalim([centre_m - MIN_EXTENT_M / 2, centre_m + MIN_EXTENT_M / 2])
@@ -356,11 +362,12 @@ def _floor_legend(colours: dict[int, str]) -> list[Line2D]:
 
 
 def _context_legend(track: TrackRows) -> list[Patch]:
-    visible = track.windows.context_prob.max(axis=0, initial=0.0) >= _VISIBLE_PROB
-    occurring = {track.contexts[i] for i in (*np.flatnonzero(visible), *track.context_prob.argmax(axis=1))}
+    names = (*track.contexts, WITHOUT_STEPS)
+    visible = shown_context_prob(track).max(axis=0, initial=0.0) >= _VISIBLE_PROB
+    occurring = {names[i] for i in (*np.flatnonzero(visible), *track.context_prob.argmax(axis=1))}
     return [
         Patch(facecolor=colour, edgecolor=INK, linewidth=0.5, label=name)
-        for name, colour in context_colours(track.contexts).items()
+        for name, colour in {**context_colours(track.contexts), WITHOUT_STEPS: palette.WITHOUT_STEPS}.items()
         if name in occurring
     ]
 
@@ -374,7 +381,7 @@ def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]
     if len(track.anchors_m):
         handles.append(Line2D([], [], marker="^", markerfacecolor="white", label="anchor of ranges", **ends))
     if track.n_steps:
-        handles.append(Patch(**_ellipse_style("facecolor", "edgecolor"), label="95 % ellipse"))
+        handles.append(Patch(facecolor=(palette.ELLIPSE, palette.BAND_ALPHA), label="95 % uncertainty"))
     if track.n_steps and places_at(track, -1):
         handles.append(Patch(**_PLACE_STYLE, label="possible end"))
     if has_reference:
@@ -386,7 +393,9 @@ def _write_title(axes: Axes, track: TrackRows) -> None:
     minutes, seconds = divmod(round(track.duration_s), 60)
     duration = f"{minutes} min {seconds} s" if minutes else f"{track.duration_s:.1f} s"
     steps = how_many(track.n_steps, "step")
-    facts = f"{steps}  ·  {track.how_far}  ·  {duration}  ·  weighting {track.weighting}"
+    facts = f"{track.how_far}  ·  {duration}  ·  {steps}"
+    if track.n_steps:
+        facts += f"  ·  end {closure(track)}"
     axes.set_title(facts, loc="left", fontsize=11.5, color=INK, pad=10)
     name = textwrap.shorten(track.name, 60, placeholder="...")
     above: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points"}

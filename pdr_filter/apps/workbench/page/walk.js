@@ -322,8 +322,21 @@ async function png() {
   element("a", { href: made.toDataURL("image/png"), download: `${state.walk.name}.png` }).click();
 }
 
+// A link alone would swallow the reason why a file cannot be made.
+async function download({ href }) {
+  const answer = await fetch(href).catch(() => { throw new Error(text("not_reached")); });
+  if (!answer.ok) throw new Error((await answer.json()).error);
+  const [, name] = /filename="?([^";]+)/.exec(answer.headers.get("Content-Disposition")) ?? [, ""];
+  const address = URL.createObjectURL(await answer.blob());
+  element("a", { href: address, download: decodeURIComponent(name) }).click();
+  URL.revokeObjectURL(address);
+}
+
 byId("exports").append(
-  ...about.exports.map(kind => element("a", { href: `${base}/export/${kind}`, download: "" }, text(`export_${kind}`))),
+  ...about.exports.map(kind => element("a", { href: `${base}/export/${kind}`, download: "", onclick: event => {
+    event.preventDefault();
+    attempt(() => download(event.target));
+  } }, text(`export_${kind}`))),
   element("button", { type: "button", id: "png", onclick: () => attempt(png) }, text("export_png")));
 
 // --- begin -----------------------------------------------------------------------------------------------------------

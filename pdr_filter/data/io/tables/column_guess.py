@@ -329,7 +329,7 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
         turns = (
             "gravity hardly turns, so that it cannot be checked"
             if factor is None
-            else (f"gravity turns {factor:.2f} times as far as it says")
+            else f"the direction of gravity turns {factor:.2f} times as far as this sensor measures (1 is right)"
         )
         if not s.unit:
             is_deg = median_norm(s.values) > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS

@@ -58,14 +58,17 @@ def fill_streams(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> N
 
 def _describe_clock(parsed: Parsed, mapping: Mapping) -> None:
     """Describe the clock in `parsed`: the columns of times with their units, or the rate of the rows."""
-    times = sorted(
-        {f"{stream.time.removeprefix('column ')} ({stream.time_unit})" for stream in mapping.streams if stream.time}
-    )
-    parsed.clock = f"column {', '.join(times)}" if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
+    times = sorted({_name_of_time(stream) for stream in mapping.streams if stream.time})
+    parsed.clock = ", ".join(times) if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
     parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
     parsed.rate_hz = mapping.rate_hz if times else 0.0
     if mapping.rate_hz and not times:
         parsed.requested_hz = {"accelerometer": mapping.rate_hz}
+
+
+def _name_of_time(stream: StreamMap) -> str:
+    unit = "dates" if stream.time_unit == "date" else f"in {stream.time_unit}"
+    return f"column '{stream.time.removeprefix('column ')}', {unit}"
 
 
 def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _MappedStream:

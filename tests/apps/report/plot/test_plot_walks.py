@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 from made_tracks import make_track
 from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path as Rings
 from scipy.stats import chi2
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan
@@ -49,10 +51,10 @@ def test_drawing_opens_no_window_and_leaves_no_figure_behind() -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_the_title_tells_name_steps_distance_duration_and_weighting() -> None:
+def test_the_title_tells_name_distance_duration_steps_and_closure() -> None:
     track = make_track(200, 100)
     written = texts(plot.track(track))
-    for fact in ("made_up", "200 steps", f"{track.distance_m:.1f} m", "1 min 41 s", "imm"):
+    for fact in ("made_up", "200 steps", f"{track.distance_m:.1f} m", "1 min 41 s", "m from the start"):
         assert fact in written or fact.replace("41", "40") in written, fact
 
 
@@ -97,6 +99,21 @@ def test_ellipses_hold_95_percent() -> None:
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     drawn_cov = turn @ np.diag(half_m**2) @ turn.T / chi2(2).ppf(0.95)
     np.testing.assert_allclose(drawn_cov, track.position_cov_m2[-1], rtol=1e-3)
+
+
+def test_the_band_holds_the_ellipses_of_all_steps_and_the_places_between_them() -> None:
+    track = make_track(40, 10)
+    (band,) = [p for p in plot.track(track).axes[0].patches if isinstance(p, PathPatch)]
+    on_edge_m = []
+    for position_m, cov_m2 in zip(track.position_m, track.position_cov_m2, strict=True):
+        out = np.linalg.cholesky(cov_m2) @ np.array([np.cos(np.arange(0, 6.3, 0.5)), np.sin(np.arange(0, 6.3, 0.5))])
+        on_edge_m.append(position_m + 0.99 * np.sqrt(chi2(2).ppf(0.95)) * out.T)
+    path = band.get_path()
+    rings = np.split(np.asarray(path.vertices), np.flatnonzero(np.asarray(path.codes) == Rings.MOVETO)[1:])
+    assert np.any([Rings(ring).contains_points(np.vstack(on_edge_m)) for ring in rings], axis=0).all()
+    assert len(rings) == 40 + 39
+    area = [0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) for x, y in (ring[:-1].T for ring in rings)]
+    assert min(area) > 0  # in one direction: rings of both directions would cancel each other
 
 
 def test_north_and_east_have_the_same_scale() -> None:
