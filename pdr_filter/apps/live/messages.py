@@ -37,13 +37,14 @@ from __future__ import annotations
 import json
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
 from pdr_filter.values import FloatArray, IntArray, limits
 from pdr_filter.values.recording import check_height
+from pdr_filter.values.replace import replace_unchecked
 from pdr_filter.values.sanitise import printable
 
 # Sensors by our names, with how many numbers one sample has. Specific force is in m/s2 with Android's sign, or with
@@ -85,7 +86,7 @@ class SensorRows(NamedTuple):
         return 1.0 if self.time.dtype.kind == "f" else 1e-9
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Message:
     """Content of one message of a phone: its samples or a fix, its device and session."""
 
@@ -138,7 +139,7 @@ def parse(body: bytes, device: str = "", session: str = "", platform: str = "") 
             # line ends in JSON are white space, and the journal needs a line for each message
             is_alone = len(items) == 1 and json.detect_encoding(body) == "utf-8"
             source = body.translate(_ONE_LINE) if is_alone else json.dumps(item).encode()
-            messages.append(replace(message, source=source))
+            messages.append(replace_unchecked(message, source=source))
     return messages
 
 
