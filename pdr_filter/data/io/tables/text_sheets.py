@@ -98,7 +98,7 @@ class TextRows:
             if left or not rows:
                 continue
             if b"#" in rows:
-                rows = re.sub(rb"(?m)^#.*", b"", rows)  # comments between rows
+                rows = re.sub(rb"(?m)^#(?!N/?A).*", b"", rows)  # comments between rows
             if self.marks:
                 rows = _without_marks(rows, self.separator, self.marks)
             rows = re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows)) if self.separator == " " else rows
@@ -375,5 +375,7 @@ def _is_value(text: str) -> bool:
 def _is_row(row: list[str]) -> bool:
     """Return True if at least two fields of a line, and most of those that are not empty, are numbers or dates."""
     known = [text for text in row if text]
-    n_values = sum(1 if _is_value(text) else 2 if _PACKED.fullmatch(text) else 0 for text in known)
+    n_values = sum(map(_is_value, known))
+    if n_values:  # beside a time, fields may hold several numbers
+        n_values += 2 * sum(_PACKED.fullmatch(text) is not None and not _is_value(text) for text in known)
     return n_values >= 2 and 2 * n_values > len(known)
