@@ -109,7 +109,7 @@ def test_the_first_page_draws_a_track_in_ten_lines_that_need_nothing_else(
     exec(compile(code, "docs/index.md", "exec"), {})
     assert len(code.splitlines()) == 10
     assert "<svg" in (tmp_path / "track.svg").read_text(encoding="utf-8")
-    assert re.search(r"\d+ steps, [\d.]+ m in", capsys.readouterr().out)
+    assert re.search(r"[\d.]+ m in \d+ s, \d+ steps", capsys.readouterr().out)
 
 
 BLOCK = re.compile(r"^```sh\n((?:pdr-filter .*\n)+)```$", re.MULTILINE)

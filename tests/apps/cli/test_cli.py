@@ -301,6 +301,15 @@ def test_every_command_that_writes_names_the_files_it_replaced(tmp_path: Path, w
         assert "replaced existing files" in second.stderr
 
 
+def test_demo_takes_height_and_platform_of_a_recording_and_of_nothing_else(tmp_path: Path, walk: Path) -> None:
+    written = succeed("demo", walk, "--height", "1.9", "--out", tmp_path).stdout
+    steps = pdr.smooth(pdr.read(walk).of_height(1.9)).track
+    assert f"{steps.distance_m:.1f} m" in written
+    assert "height is not known" not in written
+    assert "omit platform" in one_line(run("demo", walk, "--platform", "ios").stderr)
+    assert "none is given" in one_line(run("demo", "--height", "1.9").stderr)
+
+
 def test_demo_of_a_folder_goes_on_after_a_bad_file_and_says_what_it_replaced(tmp_path: Path, walk: Path) -> None:
     folder, out = copies(walk, tmp_path / "walks", "w"), tmp_path / "out"
     (folder / "deep").mkdir()
