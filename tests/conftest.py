@@ -6,7 +6,7 @@ import gc
 import os
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any
 
@@ -50,6 +50,7 @@ def _motions_once() -> Iterator[None]:
     """
     stored = lru_cache(maxsize=12)(phone_motion)
 
+    @wraps(phone_motion)
     def once(
         legs: Sequence[Leg],
         gait: Gait,

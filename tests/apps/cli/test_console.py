@@ -47,11 +47,11 @@ def test_a_table_is_no_wider_than_the_terminal_and_breaks_no_word(
 
 
 def test_the_steps_of_the_phone_are_a_column_if_one_recording_has_them(capsys: pytest.CaptureFixture[str]) -> None:
-    console.print_tracks([TRACK, TRACK], [None, 4321])
+    console.print_tracks([demo_track(), demo_track()], [None, 4321])
     shown = printed(capsys).partition("±: one")[0]
     assert "phone" in shown
     assert shown.count("4321") == 1
-    console.print_tracks([TRACK], [None])
+    console.print_tracks([demo_track()], [None])
     assert "phone" not in printed(capsys).partition("±: one")[0]
 
 
