@@ -43,9 +43,10 @@ def train_command(
 ) -> None:
     """Fit a context model on labelled recordings, best of ten persons or more. Contexts may have any names.
 
-    The person of a recording is subject.id in its meta.json, or else the name of a folder: FOLDER/anna/1.zip. Labels
-    are read from truth_labels.csv. The report on stdout is from cross-validation with held-out persons, or with
-    held-out recordings if all are of one person.
+    The person of a recording is subject.id in its meta.json, or else the name of a folder: FOLDER/anna/1.zip, or the
+    beginning of file names if they are of several people: FOLDER/anna_1.zip. Labels are read from truth_labels.csv. The
+    report on stdout is from cross-validation with held-out persons, or with held-out recordings if all are of one
+    person.
     """
     if (folder is None) == (sequences is None):
         console.say_error(
