@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pdr_filter.apps.batch.workers import Failure, each
-from pdr_filter.data.io.folders import absolute_recordings_of
+from pdr_filter.data.io.folders import absolute_recordings_of, with_person_of_file
 from pdr_filter.data.io.formats import known_format, read
 from pdr_filter.offline.calibration.segments import Segment, segments_of, with_distinct_names
 from pdr_filter.offline.robust_loss import LOSSES
@@ -182,6 +182,8 @@ def read_segments(
 ) -> Reduced:
     """Read a recording and return its segments of known length."""
     recording = read(path, file_format)
+    if subject is None and not each_a_person:
+        recording = with_person_of_file(recording, path)
     name = recording.name if each_a_person else subject
     segments, notes = segments_of(recording, recording_run.track(recording, gnss="off"), anchor_std_m, measure, name)
     return Reduced(tuple(segments), tuple(notes), bool(segments) and not recording.subject.id)

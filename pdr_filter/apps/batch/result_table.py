@@ -13,7 +13,6 @@ from typing import IO, Any
 
 from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.data.io.files.track_writers import pandas_for_parquet
-from pdr_filter.data.io.folders import person_in_name
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import CONTEXTS
 from pdr_filter.values.recording import Recording
@@ -297,13 +296,12 @@ def _of_cells(cells: Sequence[str], contexts: Sequence[str]) -> Row:
 
 def row_of(task: Task, result: Track, recording: Recording) -> Row:
     """Return the row of the batch table for a recording that was tracked."""
-    subject = recording.subject.id or person_in_name(Path(task.path))
     seconds = result.context_seconds()
     end_m = result.end_position_m
     return Row(
         **asdict(task),
         name=_one_line(result.name),
-        subject=_one_line(str(subject)),
+        subject=_one_line(str(recording.subject.id or "")),
         n_steps=result.n_steps,
         phone_n_steps=recording.phone_steps,
         distance_m=result.distance_m,

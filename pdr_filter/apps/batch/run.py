@@ -15,7 +15,7 @@ from pdr_filter.apps.batch.progress import Clock, Progress
 from pdr_filter.apps.batch.result_table import Row, Task, failed_row, open_table, row_of, tables, write_rows_parquet
 from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.apps.batch.workers import each
-from pdr_filter.data.io.folders import absolute_recordings_of
+from pdr_filter.data.io.folders import absolute_recordings_of, with_person_of_file
 from pdr_filter.data.io.formats import known_format, read
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.recipes import check_name, contexts_of, for_recording
@@ -146,7 +146,7 @@ def track(
 def track_one(task: Task) -> Row:
     """Track one recording and return its row. An error gives a row with its reason."""
     try:
-        recording = read(task.path, task.file_format or None)
+        recording = with_person_of_file(read(task.path, task.file_format or None), task.path)
         if task.height_m is not None:
             recording = recording.of_height(task.height_m)
         config = for_recording(task.recipe, recording)

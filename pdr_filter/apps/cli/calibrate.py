@@ -72,13 +72,15 @@ def calibrate_command(
 
     With --smooth, the marks of a recording, which pdr-filter app writes, are used in place of its truth.
 
-    All recordings that do not name their person are assumed to be of one person. With --jobs, --scheduler or --resume,
+    All recordings that do not name their person are assumed to be of one person, unless their file names begin with
+    several people (anna_1.zip, ben_1.zip, anna_2.zip). With --jobs, --scheduler or --resume,
     recordings that cannot be used are skipped and listed in the report.
     """
     import pdr_filter as pdr
     from pdr_filter.apps.maps.marks import read_marks
     from pdr_filter.apps.report.plot.figures import check_picture
     from pdr_filter.classifiers.model_files import file_pair
+    from pdr_filter.data.io.folders import with_person_of_file
 
     with console.one_line_errors(), console.progress("calibrating") as show:
         if figure is not None:
@@ -97,6 +99,8 @@ def calibrate_command(
         if jobs is None and scheduler is None and resume is None:
             paths = console.recording_paths(files)
             recordings = [pdr.read(file) for file in paths]
+            if how.subject is None:
+                recordings = [with_person_of_file(r, file) for r, file in zip(recordings, paths, strict=True)]
             if smooth:
                 marked = [read_marks(file) for file in paths]
                 recordings = [m.recording(recording) for m, recording in zip(marked, recordings, strict=True)]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pdr_filter.apps.cli import console
 from pdr_filter.apps.cli.options import Classifier
+
+if TYPE_CHECKING:
+    from pdr_filter.values.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -40,9 +43,10 @@ def train_command(
 ) -> None:
     """Fit a context model on labelled recordings, best of ten persons or more. Contexts may have any names.
 
-    The person of a recording is subject.id in its meta.json, or else the name of a folder: FOLDER/anna/1.zip. Labels
-    are read from truth_labels.csv. The report on stdout is from cross-validation with held-out persons, or with
-    held-out recordings if all are of one person.
+    The person of a recording is subject.id in its meta.json, or else the name of a folder: FOLDER/anna/1.zip, or the
+    beginning of file names if they are of several people: FOLDER/anna_1.zip. Labels are read from truth_labels.csv. The
+    report on stdout is from cross-validation with held-out persons, or with held-out recordings if all are of one
+    person.
     """
     if (folder is None) == (sequences is None):
         console.say_error(
@@ -65,7 +69,7 @@ def _fit(folder: Path, out: Path, how: Fitting) -> None:
         paths = console.recording_paths([folder])
         recordings = [pdr.read(path) for path in paths]
         people = [
-            str(recording.subject.id) if recording.subject.id else _person_of(path, folder)
+            str(recording.subject.id) if recording.subject.id else _person_of(recording, path, folder)
             for path, recording in zip(paths, recordings, strict=True)
         ]
         model = pdr.fit_contexts(
@@ -81,15 +85,15 @@ def _fit(folder: Path, out: Path, how: Fitting) -> None:
     console.say(f"written: {path}")
 
 
-def _person_of(path: Path, folder: Path) -> str:
+def _person_of(recording: Recording, path: Path, folder: Path) -> str:
     """Return the name of the subfolder of `folder` that contains a recording, or the person in the name of its file.
 
-    It is "unnamed" for a file directly in `folder` whose name has no person.
+    It is "unnamed" for a file directly in `folder` without such a name.
     """
-    from pdr_filter.data.io.folders import person_in_name
+    from pdr_filter.data.io.folders import with_person_of_file
 
     parts = path.resolve().relative_to(folder.resolve()).parts
-    return parts[0] if len(parts) > 1 else person_in_name(path) or "unnamed"
+    return parts[0] if len(parts) > 1 else str(with_person_of_file(recording, path).subject.id or "unnamed")
 
 
 def _estimate_transitions(sequences: Path, out: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path, PurePosixPath
@@ -19,6 +20,7 @@ from pdr_filter.data.io.tables.json_tables import SUFFIXES
 from pdr_filter.data.io.tables.text_sheets import text_sheet
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
+from pdr_filter.values.recording import Recording
 
 _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", *BINARIES, *IN_PLACE}
@@ -52,22 +54,30 @@ def absolute_recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str
     return list(dict.fromkeys(str(path.resolve()) for path in recordings_of(paths)))
 
 
-def person_in_name(path: Path) -> str:
-    """Return the person that the name of a recording's file begins with, such as anna in `anna_walk1-2024-05-01.zip`.
-
-    It is empty unless the files of its kind in the folder begin with different names, of which one is there again or
-    all have the date of an export, and for words that are no names of people.
-    """
-    try:
-        names = [entry.name for entry in path.parent.iterdir() if entry.suffix.lower() == path.suffix.lower()]
-    except OSError:
-        return ""
-    people = [_PERSON.match(name) for name in names[: limits.MAX_MEMBERS]]
-    found = [match[1].lower() for match in people if match is not None]
+def with_person_of_file(recording: Recording, path: str | Path) -> Recording:
+    """Return a recording that names no person with the person in the name of its file, if it has one."""
+    path = Path(path)
     own = _PERSON.match(path.name)
-    is_study = len(found) == len(names) and len(set(found)) > 1
-    is_study = is_study and (len(set(found)) < len(found) or all(map(_DATE.search, names)))
-    return own[1] if own is not None and is_study and not any(map(_NO_PERSON.fullmatch, found)) else ""
+    if recording.subject.id or own is None or not path.is_file():
+        return recording
+    if not _has_people(path.parent, path.suffix, path.parent.stat().st_mtime_ns):
+        return recording
+    subject = {**(recording.meta.get("subject") or {}), "id": own[1].lower()}
+    return replace(recording, meta={**recording.meta, "subject": subject})
+
+
+@lru_cache(maxsize=1000)
+def _has_people(folder: Path, suffix: str, *version: int) -> bool:
+    """Return True if the files of a kind in a folder begin with names of people, as in `anna_walk1-2024-05-01.zip`.
+
+    They begin with different names, of which one is there again or all have the date of an export. Words such as walk
+    or trial are no names.
+    """
+    names = [entry.name for entry in folder.iterdir() if entry.suffix == suffix]
+    found = [match[1].lower() for name in names if (match := _PERSON.match(name)) is not None]
+    if len(found) < len(names) or any(map(_NO_PERSON.fullmatch, found)):
+        return False
+    return len(set(found)) > 1 and (len(set(found)) < len(found) or all(map(_DATE.search, names)))
 
 
 def recordings_in(folder: str | Path) -> list[Path]:

@@ -8,6 +8,7 @@ import resource
 import stat
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,7 +17,7 @@ from test_writers import small_track
 
 from pdr_filter.apps.report.html import write_report
 from pdr_filter.data.io.files import track_writers as writers
-from pdr_filter.data.io.folders import person_in_name
+from pdr_filter.data.io.folders import with_person_of_file
 from pdr_filter.sensing.device import Device
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
@@ -197,7 +198,7 @@ def test_a_device_is_written_to_and_not_replaced() -> None:
     ("names", "people"),
     [
         ("anna_1.zip ben_1.zip anna_2.zip", "anna ben anna"),
-        ("Anna-2024-05-01_10-11-12.zip Ben-2024-05-01_10-11-12.zip", "Anna Ben"),
+        ("Anna-2024-05-01_10-11-12.zip Ben-2024-05-01_10-11-12.zip", "anna ben"),
         ("s01_walk.zip s02_walk.zip s01_run.zip", "s01 s02 s01"),
         ("anna_1.zip ben_1.zip", " "),  # walks of one person may have such names, too
         ("anna_1.zip anna_2.zip", " "),
@@ -209,4 +210,8 @@ def test_a_device_is_written_to_and_not_replaced() -> None:
 def test_people_are_known_by_file_names_of_a_study(tmp_path: Path, names: str, people: str) -> None:
     for name in names.split():
         write_text(tmp_path / name, "")
-    assert [person_in_name(tmp_path / name) for name in names.split()] == people.split(" ")
+    nameless = replace(WALK, meta={})
+    found = [with_person_of_file(nameless, tmp_path / name).subject.id or "" for name in names.split()]
+    assert found == people.split(" ")
+    named = replace(WALK, meta={"subject": {"id": "p1"}})
+    assert with_person_of_file(named, tmp_path / names.split()[0]).subject.id == "p1"

@@ -14,7 +14,9 @@ from pdr_filter.data.io.column_names import TIME_UNITS, quantity_of_file, trial_
 from pdr_filter.data.io.tables.column_groups import groups_of
 from pdr_filter.data.io.tables.column_values import time_unit_of_values
 from pdr_filter.data.io.tables.sheet import Sheet
+from pdr_filter.data.io.tables.text_sheets import first_rows
 from pdr_filter.data.io.text_table import NumberTable, concatenated
+from pdr_filter.values import FloatArray
 from pdr_filter.values.errors import RecordingError
 
 # An app that begins a new file loses a few samples at most. A person who ends a recording and begins the next one
@@ -49,20 +51,37 @@ def is_numbered(name: str) -> bool:
 
 
 def in_time(sheets: Sequence[Sheet]) -> list[Sheet] | None:
-    """Return tables in the order of their times if each continues the one before, otherwise None."""
-    spans: list[tuple[float, float, int]] = []
+    """Return tables in the order of their times if each continues the one before, otherwise None.
+
+    Tables are read one after the other, so that those of separate walks, whose clocks begin anew, take no time.
+    """
     with suppress(RecordingError):
-        for i, sheet in enumerate(sheets):
-            time = next((group.time for group in groups_of(sheet, 0)), None)
-            if time is None:
+        times = [next((group.time for group in groups_of(sheet, 0)), None) for sheet in sheets]
+        begins = [_begin(sheet, time) for sheet, time in zip(sheets, times, strict=True) if time is not None]
+        if len(begins) < len(sheets) or len({*begins}) < len(sheets):
+            return None
+        order = sorted(range(len(sheets)), key=lambda i: begins[i])
+        for k, after in pairwise(order):
+            ticks = _ticks(sheets[k], times[k])
+            if not np.isfinite(ticks).any():
                 return None
-            ticks = sheet.using({time}, []).stream([time], time)[0].astype(np.float64)
-            unit = "ns" if time in sheet.dates else time_unit_of_values(ticks) or "s"
-            spans.append((float(np.nanmin(ticks)) * TIME_UNITS[unit], float(np.nanmax(ticks)) * TIME_UNITS[unit], i))
-        spans.sort()
-        if all(_SHORTEST_CUT_S < after[0] - before[1] < _LONGEST_CUT_S for before, after in pairwise(spans)):
-            return [sheets[i] for _, _, i in spans]
+            unit_s = TIME_UNITS["ns" if times[k] in sheets[k].dates else time_unit_of_values(ticks) or "s"]
+            gap_s = (begins[after] - float(np.nanmax(ticks))) * unit_s
+            if not _SHORTEST_CUT_S < gap_s < _LONGEST_CUT_S:
+                return None
+        return [sheets[i] for i in order]
     return None
+
+
+def _begin(sheet: Sheet, time: int) -> float:
+    """Return the first time of a table, in ticks. Dates are not in its first numbers."""
+    rows = first_rows(sheet)
+    ticks = _ticks(sheet, time) if time in sheet.dates or not len(rows) else rows[:, time]
+    return float(ticks[0]) if len(ticks) else np.nan
+
+
+def _ticks(sheet: Sheet, time: int | None) -> FloatArray:
+    return sheet.using({time}, []).stream([-1 if time is None else time], time)[0].astype(np.float64)
 
 
 def _joined(sheets: Sequence[Sheet]) -> Sheet:

@@ -25,10 +25,9 @@ from pdr_filter.values.errors import RecordingError
 
 _SEPARATORS = (",", ";", "\t", "|", "/", " ")
 # A field with several numbers, in brackets or with another mark between them, and a number with a mark at the line end.
-_PACKED = re.compile(
-    r"[\[({]?\s*(?=[^\s]*\.)[+-]?\d*\.?\d+(?:[eE][+-]?\d+)?(?:\s*[\s,;|/]\s*[+-]?\d*\.?\d+(?:[eE][+-]?\d+)?)+\s*[\])}]?;?"
-    r"|[+-]?\d*\.?\d+(?:[eE][+-]?\d+)?;"
-)
+_ONE = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+_PACKED = re.compile(rf"[\[({{]?\s*{_ONE}(?:[\s,;|/]+{_ONE})+\s*[\])}}]?;?|{_ONE};")
+_LONGEST_PACKED = 200
 _AXES = ("x", "y", "z")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|None|#?N/?A|-?inf|-?Infinity")
 _WHOLE = re.compile(r"[+-]?\d+")
@@ -237,7 +236,7 @@ def _unpacked(found: _Found) -> tuple[list[str], list[str], str]:
 
     A name above three numbers in one field is that of three axes, unless it has as many parts as they have.
     """
-    packed = [text for text in found.row if _PACKED.fullmatch(text) and not _is_value(text)]
+    packed = [text for text in found.row if _is_packed(text)]
     marks = "".join({c for text in packed for c in text if not (c.isalnum() or c in ".+-")} - {found.separator})
     if not marks:
         return found.header, found.row, ""
@@ -260,8 +259,11 @@ def _without_marks(rows: bytes, separator: str, marks: str) -> bytes:
     rows = re.sub(rb'[\[\](){}"]', b"", rows)
     kept, mark = re.escape(marks.strip("[](){}").encode()), re.escape(separator.encode())
     rows = re.sub(mark + rb"[ \t]+", separator.encode(), rows)
-    rows = re.sub(rb"(?m)[%b]+$" % kept, b"", rows) if kept else rows
-    return re.sub(rb"[ \t]*[%b]+[ \t]*" % kept, separator.encode(), rows) if kept else rows
+    if not kept:
+        return rows
+    # Each match begins at the first of several such characters, so that a long run of them takes linear time.
+    rows = re.sub(rb"(?m)(?<![%b])[%b]++$" % (kept, kept), b"", rows)
+    return re.sub(rb"(?<![ \t])[ \t]*+[%b]+[ \t]*+|[%b]+[ \t]*+" % (kept, kept), separator.encode(), rows)
 
 
 def _rate_in(rows: Sequence[set[str]]) -> float:
@@ -333,7 +335,7 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
             continue
         rows = [r for r in split[first : first + _LINES_COMPARED] if len(r) == n]
         values = [text for r in rows for text in r if text]
-        share = sum(_is_value(text) or 0.9 * bool(_PACKED.fullmatch(text)) for text in values) / max(len(values), 1)
+        share = sum(_is_value(text) or 0.9 * _is_packed(text) for text in values) / max(len(values), 1)
         has_comma = any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in values)
         at = next((i for i in range(first - 1, -1, -1) if any(split[i])), None)
         header = split[at] if at is not None else []
@@ -349,7 +351,7 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
         elif at and header and len(split[at - 1]) == len(header) and len({*header}) < len(header):
             header = [f"{above} {name}".strip() for above, name in zip(_merged(split[at - 1]), header, strict=True)]
         header = (header + [""] * n)[:n] if header else []
-        if not header and any(map(_PACKED.fullmatch, values)):
+        if not header and any(map(_is_packed, values)):
             share -= 0.1  # of two marks in a row, that of the header separates the columns
         at_header = None if at is None else places[at]
         return _Found(separator, "," if has_comma else ".", places[first], row, at_header, header, (round(share, 2), n))
@@ -368,6 +370,13 @@ def _split(line: str, separator: str) -> list[str]:
     return line.split() if separator == " " else header_fields(line, separator)
 
 
+def _is_packed(text: str) -> bool:
+    """Return True for several numbers in one field, one of them with a point, or a number with a mark at its end."""
+    if len(text) > _LONGEST_PACKED or not ("." in text or text.endswith(";")):
+        return False
+    return _PACKED.fullmatch(text) is not None and not _is_value(text)
+
+
 def _is_value(text: str) -> bool:
     return _NUMBER.fullmatch(text) is not None or is_date(text)
 
@@ -377,5 +386,5 @@ def _is_row(row: list[str]) -> bool:
     known = [text for text in row if text]
     n_values = sum(map(_is_value, known))
     if n_values:  # beside a time, fields may hold several numbers
-        n_values += 2 * sum(_PACKED.fullmatch(text) is not None and not _is_value(text) for text in known)
+        n_values += 2 * sum(_is_packed(text) for text in known)
     return n_values >= 2 and 2 * n_values > len(known)
