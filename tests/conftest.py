@@ -5,21 +5,20 @@ from __future__ import annotations
 import gc
 import os
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from functools import lru_cache, wraps
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
 
-from pdr_filter.simulate import Gait, Leg, phone_motion, walk
-from pdr_filter.simulate.motion import Carrying, Motion
+from pdr_filter.simulate import Gait, Leg, walk
+from pdr_filter.simulate.gait import StepPlan
+from pdr_filter.simulate.motion import Carrying, Motion, build_motion
 from tests.data_folder import DATA
 
 _TESTS = Path(__file__).parent
 if not (_TESTS / "benchmarks").is_dir():  # in the sdist, which has no experiments
     collect_ignore = [
-        "apps/live/test_live_soak.py",
         "evaluate/test_evaluate_consistency.py",
         "filter/imm/test_consistency.py",
         "test_docs_code.py",
@@ -46,25 +45,28 @@ def data_dir() -> Path:
 def _motions_once() -> Iterator[None]:
     """Compute the motion of equal legs, people and seeds once in each process: it took a tenth of the time of tests.
 
-    Its sensors are simulated each time. Tests of the simulation itself use `pdr_filter.simulate.phone_motion`.
+    Its sensors are simulated each time. Tests of the simulation itself have no part in it.
     """
-    stored = lru_cache(maxsize=12)(phone_motion)
+    stored: dict[str, Motion] = {}
 
-    @wraps(phone_motion)
     def once(
         legs: Sequence[Leg],
+        places: Sequence[tuple[str, Carrying]],
         gait: Gait,
-        carrying_mode: str,
-        *,
-        carrying: Mapping[str, Carrying] | None,
-        **options: Any,
+        plan: StepPlan,
+        rng: np.random.Generator,
+        start_heading_rad: float,
     ) -> Motion:
-        if carrying is not None:
-            return phone_motion(legs, gait, carrying_mode, carrying=carrying, **options)
-        return stored(tuple(legs), gait, carrying_mode, **options)
+        seed = rng.bit_generator.state["state"]["state"]  # the plan has the same
+        key = repr((list(legs), list(places), gait, seed, start_heading_rad))
+        if key not in stored:
+            stored[key] = build_motion(legs, places, gait, plan, rng, start_heading_rad)
+            if len(stored) > 12:
+                del stored[next(iter(stored))]
+        return stored[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(walk, "phone_motion", once)
+        patch.setattr(walk, "build_motion", once)
         yield
 
 

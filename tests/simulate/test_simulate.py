@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from pdr_filter.simulate import Gait, Leg, SensorErrors, demo_walk, phone_motion, simulate, walk
 from pdr_filter.simulate.gait import nominal_step
-from pdr_filter.simulate.motion import CARRYING, leg_strides
+from pdr_filter.simulate.motion import CARRYING, build_motion, leg_strides
 from pdr_filter.simulate.strides import of_person, strides_in
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2
 from pdr_filter.values.recording import Recording
@@ -20,7 +20,7 @@ from pdr_filter.values.recording import Recording
 @pytest.fixture(autouse=True)
 def _motions_afresh(monkeypatch: pytest.MonkeyPatch) -> None:
     """`tests/conftest.py` stores them for the tests of other things."""
-    monkeypatch.setattr(walk, "phone_motion", phone_motion)
+    monkeypatch.setattr(walk, "build_motion", build_motion)
 
 
 CARRYING_MODES = ("texting", "pocket", "swinging", "calling")

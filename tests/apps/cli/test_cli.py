@@ -17,8 +17,8 @@ from typer.testing import CliRunner
 import pdr_filter as pdr
 from pdr_filter.apps.cli.app import app
 from pdr_filter.data.io.files.own_format import write_recording
-from pdr_filter.simulate import phone_motion
 from pdr_filter.simulate import walk as simulated_walk
+from pdr_filter.simulate.motion import build_motion
 from pdr_filter.values import table
 from pdr_filter.values.recording import Truth
 
@@ -229,7 +229,7 @@ def test_compare_of_a_file_without_truth_has_no_error_and_says_so(walk: Path, tm
 
 
 def test_the_same_seed_simulates_the_same_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(simulated_walk, "phone_motion", phone_motion)  # which tests store
+    monkeypatch.setattr(simulated_walk, "build_motion", build_motion)  # which tests store
     files = [tmp_path / name for name in ("a.zip", "b.zip", "c.zip")]
     for file, seed in zip(files, (5, 5, 6), strict=True):
         succeed("simulate", "--out", file, "--seed", seed)
