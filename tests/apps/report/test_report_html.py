@@ -26,7 +26,7 @@ from pdr_filter.apps.report.page_data import _windows, track_data
 from pdr_filter.data.io.describe import reading_report
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import CONTEXTS, RADIUS_95, Fix, FixResult, FloorPassage, PositionFix, RangeFix
+from pdr_filter.values import CONTEXTS, RADIUS_95, Fix, FixOutcome, FixResult, FloorPassage, PositionFix, RangeFix
 from pdr_filter.values.recording import Recording
 
 HOSTILE = '<script>alert(\'x\')</script>"><img src=x onerror="alert(1)">&amp;\x00\x1b\u202e\udc80 ]]>'
@@ -132,7 +132,7 @@ def test_ellipses_have_the_axes_and_the_direction_of_the_covariance(track: Track
 
 
 def test_ellipses_are_drawn_at_used_fixes(track: Track) -> None:
-    fixes = [(9.0, "used"), (20.0, "rejected"), (50.0, "used")]
+    fixes: list[tuple[float, FixOutcome]] = [(9.0, "used"), (20.0, "rejected"), (50.0, "used")]
     at = tuple(FixResult.of(RangeFix(t, np.zeros(2), 6.0, 0.3), t, outcome) for t, outcome in fixes)
     (seen,) = given(html_report(replace(track, fixes=at)))
     assert [seen["time"][k] for k in seen["ellipses"][:-1]] == pytest.approx([9.0, 50.0], abs=1.0)
