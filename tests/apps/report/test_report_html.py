@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from helpers import a_plan, windows_of
 from made_tracks import make_track
-from true_positions import true_m
+from true_positions import located, true_m
 
 import pdr_filter as pdr
 from pdr_filter.apps.report import html, palette
@@ -327,6 +327,15 @@ def test_non_finite_numbers_are_omitted(track: Track, value: float) -> None:
     assert seen["ellipses"] == []
     assert seen["band"][-1] == len(seen["number"]) - 2
     assert not re.search(r"\bNaN\b|Infinity|e\+\d", Seen(page).scripts[0])
+
+
+def test_a_page_says_how_locations_became_fixes() -> None:
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=30.0)])
+    recording = located(walk, np.arange(0.0, walk.duration_s))
+    page = html_report(pdr.track(recording), recording)
+    assert f"The recording has {len(recording.location)} locations." in Seen(page).words
+    assert "takes one in 10 s as a fix" in Seen(page).words
+    assert "locations" not in Seen(html_report(pdr.track(recording, gnss="off"), recording)).words
 
 
 def test_anchors_of_used_ranges_are_given(track: Track) -> None:
