@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from pdr_filter.filter.fixes.gnss import INTERVAL_S, MIN_ACCURACY_M
 from pdr_filter.tracking import step_statistics as criteria
 from pdr_filter.values import BoolArray, FloatArray, TrackRows, how_many
+from pdr_filter.values.recording import Recording
 
 # Texts that notes share with the report. Notes give the number of windows, steps or fixes instead of their times.
 _SHARED_WITH_NOTES = (
@@ -174,6 +176,17 @@ def about_weighting(track: TrackRows) -> str:
     """Return a sentence about the weighting of the contexts, which decides the step lengths."""
     how = _WEIGHTINGS.get(track.weighting, f"weighted by {track.weighting}")
     return f"Step lengths are {how}."
+
+
+def about_locations(track: TrackRows, recording: Recording | None) -> str:
+    """Return a sentence about how the locations of the phone became fixes, or "" if they did not."""
+    if recording is None or recording.location is None or track.origin is None or track.frame == "start":
+        return ""
+    return (
+        f"The recording has {how_many(len(recording.location), 'location')}. Errors of locations that follow each "
+        f"other are alike, so that the filter takes one in {INTERVAL_S:.0f} s as a fix, and counts its accuracy as "
+        f"{MIN_ACCURACY_M} m or more."
+    )
 
 
 def is_undecided(track: TrackRows) -> BoolArray:

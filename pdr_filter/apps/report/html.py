@@ -23,7 +23,6 @@ from pdr_filter.apps.report.geometry import shown_context_prob
 from pdr_filter.apps.report.page_data import track_data
 from pdr_filter.apps.report.templates import read_asset, template
 from pdr_filter.data.io.describe import ReadingReport, reading_report
-from pdr_filter.filter.fixes.gnss import INTERVAL_S, MIN_ACCURACY_M
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.values import TrackRows, how_many
 from pdr_filter.values.recording import Recording
@@ -146,7 +145,7 @@ def html_report(
     return template(_PACKAGE, "page/report.html").render(
         title=_title(every, recording),
         tracks=[
-            _texts(track) | {"name": name, "colour": colour, "locations": _locations(track, recording)}
+            _texts(track) | {"name": name, "colour": colour, "locations": trust.about_locations(track, recording)}
             for track, name, colour in zip(every, names, colours, strict=True)
         ],
         reading=None if recording is None else _reading(recording, reading_report(recording), set(every[0].notes)),
@@ -221,17 +220,6 @@ def _facts(track: TrackRows) -> str:
         n_used = sum(fix.accepted for fix in track.fixes)
         facts.append(f"{n_used} of {how_many(len(track.fixes), 'fix', 'fixes')} used")
     return " · ".join(facts)
-
-
-def _locations(track: TrackRows, recording: Recording | None) -> str:
-    """Return a sentence about how the locations of the phone became fixes, or "" if they did not."""
-    if recording is None or recording.location is None or track.origin is None or track.frame == "start":
-        return ""
-    return (
-        f"The recording has {how_many(len(recording.location), 'location')}. Errors of locations that follow each "
-        f"other are alike, so that the filter takes one in {INTERVAL_S:.0f} s as a fix, and counts its accuracy as "
-        f"{MIN_ACCURACY_M} m or more."
-    )
 
 
 def _seconds(track: TrackRows) -> list[tuple[str, str, str]]:

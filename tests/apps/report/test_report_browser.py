@@ -254,6 +254,15 @@ def test_tracks_that_coincide_are_all_seen(browser: Browser, track: Track, tmp_p
     assert others.isdisjoint(colours_of(browser, "#map"))
 
 
+def test_the_time_of_a_warning_shows_its_place(browser: Browser, track: Track, tmp_path: Path) -> None:
+    note = "for 9 s <b>, from 30 to 40 s, and from 50 to 60 s the phone was elsewhere"
+    browser.open(write_report(replace(track, notes=(note,)), tmp_path / "page.html"))
+    assert browser.words(".doubt li") == f"F{note[1:]}."
+    browser.click(".doubt li button:nth-of-type(2)")
+    assert step_shown(browser) == np.searchsorted(track.time_s, 50.0, side="right")
+    assert browser.complaints == []
+
+
 @pytest.mark.parametrize("south_deg", [170.0, 350.0])
 def test_headings_around_one_direction_are_not_drawn_at_both_ends(
     browser: Browser, track: Track, tmp_path: Path, south_deg: float

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from helpers import a_plan, windows_of
 from made_tracks import make_track
-from true_positions import true_m
+from true_positions import located, true_m
 
 import pdr_filter as pdr
 from pdr_filter.apps.report import html, palette
@@ -26,7 +26,7 @@ from pdr_filter.apps.report.page_data import _windows, track_data
 from pdr_filter.data.io.describe import reading_report
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.tracking.track import Track
-from pdr_filter.values import CONTEXTS, RADIUS_95, Fix, FixResult, FloorPassage, PositionFix, RangeFix
+from pdr_filter.values import CONTEXTS, RADIUS_95, Fix, FixOutcome, FixResult, FloorPassage, PositionFix, RangeFix
 from pdr_filter.values.recording import Recording
 
 HOSTILE = '<script>alert(\'x\')</script>"><img src=x onerror="alert(1)">&amp;\x00\x1b\u202e\udc80 ]]>'
@@ -132,7 +132,7 @@ def test_ellipses_have_the_axes_and_the_direction_of_the_covariance(track: Track
 
 
 def test_ellipses_are_drawn_at_used_fixes(track: Track) -> None:
-    fixes = [(9.0, "used"), (20.0, "rejected"), (50.0, "used")]
+    fixes: list[tuple[float, FixOutcome]] = [(9.0, "used"), (20.0, "rejected"), (50.0, "used")]
     at = tuple(FixResult.of(RangeFix(t, np.zeros(2), 6.0, 0.3), t, outcome) for t, outcome in fixes)
     (seen,) = given(html_report(replace(track, fixes=at)))
     assert [seen["time"][k] for k in seen["ellipses"][:-1]] == pytest.approx([9.0, 50.0], abs=1.0)
@@ -327,6 +327,15 @@ def test_non_finite_numbers_are_omitted(track: Track, value: float) -> None:
     assert seen["ellipses"] == []
     assert seen["band"][-1] == len(seen["number"]) - 2
     assert not re.search(r"\bNaN\b|Infinity|e\+\d", Seen(page).scripts[0])
+
+
+def test_a_page_says_how_locations_became_fixes() -> None:
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=30.0)])
+    recording = located(walk, np.arange(0.0, walk.duration_s))
+    page = html_report(pdr.track(recording), recording)
+    assert f"The recording has {len(recording.location)} locations." in Seen(page).words
+    assert "takes one in 10 s as a fix" in Seen(page).words
+    assert "locations" not in Seen(html_report(pdr.track(recording, gnss="off"), recording)).words
 
 
 def test_anchors_of_used_ranges_are_given(track: Track) -> None:

@@ -12,6 +12,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
@@ -225,9 +226,13 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.click("#redo")
         browser.until(f"state.marks.fixes.length === 3 && {READY}", 60)
         # export
+        browser.ask("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path / "saved"))
         for kind, begin in (("csv", "time_s,east_m"), ("geojson", "{")):
-            text = browser.value(f"fetch(`${{base}}/export/{kind}`).then(a => a.text())")
-            assert text.startswith(begin)
+            browser.click(f"#exports [href$={kind}]")
+            end = time.monotonic() + 20
+            while not (saved_as := list((tmp_path / "saved").glob(f"*.{kind}"))) and time.monotonic() < end:
+                time.sleep(0.05)
+            assert saved_as[0].read_text("utf-8").startswith(begin)
         browser.click("#exports [href$=gpx]")
         browser.until("document.getElementById('said').innerText.includes('place the walk')")
         saved = Image.open(BytesIO(base64.b64decode(browser.value(PNG).partition(",")[2]))).convert("L")

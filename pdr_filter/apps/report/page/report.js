@@ -237,6 +237,21 @@
     isFollowing = false;
   }
 
+  // Times in the warnings show their place on the map.
+  document.querySelectorAll(".doubt li").forEach(line => {
+    const parts = line.textContent.split(/((?:from|between) (\d+) (?:to|and) \d+ s)/i);
+    line.replaceChildren(parts[0]);
+    for (let k = 1; k < parts.length; k += 3) {
+      const button = element("button", parts[k], line);
+      button.type = "button";
+      button.addEventListener("click", () => {
+        show(stepAt(Number(parts[k + 1])));
+        byId("map").scrollIntoView({ block: "center" });
+      });
+      line.append(parts[k + 2]);
+    }
+  });
+
   // --- choices -------------------------------------------------------------------------------------------------------
 
   function layers() {

@@ -329,7 +329,7 @@ async function download({ href }) {
   const [, name] = /filename="?([^";]+)/.exec(answer.headers.get("Content-Disposition")) ?? [, ""];
   const address = URL.createObjectURL(await answer.blob());
   element("a", { href: address, download: decodeURIComponent(name) }).click();
-  URL.revokeObjectURL(address);
+  setTimeout(() => URL.revokeObjectURL(address), 60000); // when the browser has saved it
 }
 
 byId("exports").append(
