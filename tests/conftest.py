@@ -19,6 +19,7 @@ from tests.data_folder import DATA
 _TESTS = Path(__file__).parent
 if not (_TESTS / "benchmarks").is_dir():  # in the sdist, which has no experiments
     collect_ignore = [
+        "apps/live/test_live_soak.py",
         "evaluate/test_evaluate_consistency.py",
         "filter/imm/test_consistency.py",
         "test_docs_code.py",
