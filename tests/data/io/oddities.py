@@ -337,7 +337,7 @@ ODDITIES = (
         "other columns before the time, without names: the number of a subject, a label, a second clock",
         "the time is the column that increases by nearly equal amounts",
         lambda: {"acc_1600.txt": with_marks("", "1600,A,{t:.4f},{f[0]},{f[1]},{f[2]};\n")},
-        "clock: column 3 (s)",
+        "clock: column '3', in s",
         "accelerometer",
         path="acc_1600.txt",
         time_s=1e-4,
@@ -360,7 +360,7 @@ ODDITIES = (
         lambda: table_text(
             {**columns(), "time": [str(132_702_448_095_356_149 + round(1e7 * t)) for t in TIME_S.tolist()]}
         ),
-        "clock: column time (100ns)",
+        "clock: column 'time', in 100ns",
     ),
     Oddity(
         "acceleration in counts of the sensor",

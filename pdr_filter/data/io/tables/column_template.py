@@ -33,10 +33,9 @@ _RATE_AS_SAID = (0.5, 2.0)  # of the turning of gravity that an angular rate pre
 NOT_SHOWN = 'columns = ["?", "?", "?"]'
 _AXIS = re.compile(r"[XYZxyz\d]\W*$")
 _ASK = (
-    "Say which is what in a file like this, where ? stands for what the values do not show, with your columns, unit of "
-    "time (s, ms, us, ns, 100ns, date; rate_hz = 50 in place of column and unit, if rows have no time), unit (m/s2 or "
-    "g), counts_per_unit if the sensor counts, and sign (-1 if a phone lying face up reads negative on z), and give it "
-    "with pdr-filter convert"
+    "with your columns, unit of time (s, ms, us, ns, 100ns, date; rate_hz = 50 in place of column and unit, if rows "
+    "have no time), unit (m/s2 or g), counts_per_unit if the sensor counts, sign (-1 if a phone lying face up "
+    "reads negative on z), and give it with pdr-filter convert"
 )
 
 
@@ -70,7 +69,10 @@ def asked_mapping(sheets: Sequence[Sheet], groups: Sequence[Group], file: str) -
     if "accelerometer" not in streams:
         time, unit = _time_of(sheets[0], np.full((0, len(sheets[0].fields)), np.nan)) if sheets[1:] else ("?", "s")
         streams = {"accelerometer": StreamMap("accelerometer", ("?",) * 3, "m/s2", time=time, time_unit=unit)}
-    return f"{_ASK} {file} --map MAP.toml:\n{Mapping(tuple(streams.values()), rate_hz).toml()}"
+    template = Mapping(tuple(streams.values()), rate_hz).toml()
+    shown = "where ? stands for what the values do not show" if "?" in template else "filled in by the values"
+    ask = f"Say which is what in a file like this, {shown}, {_ASK}"
+    return f"{ask} {file} --map MAP.toml:\n{template}"
 
 
 def _streams(
