@@ -163,7 +163,8 @@ class GyroBias:
         length, so that consecutive measurements would not be independent.
     straight_turn_rad : float
         Standard deviation of the turn within a straight walk of any length, rad. With the bias known from the truth it
-        is 0.10 on ipin2023 and 0.14 on ms_indoor, from which the value is, 0.05 on humolire and 0.10 on oxiod.
+        is 0.10 on ipin2023 and 0.14 on ms_indoor, from which the value is; on held-out sites 0.05 (humolire) and 0.10
+        (oxiod).
     straight_outlier_prob, curve_radps : float
         Probability that a walk is curved, and the standard deviation of the rate of turn in the curve, rad/s. At most 7
         % of the straight walks of sisfall, motionsense, terrain and oxiod turn by more than 0.6 rad.

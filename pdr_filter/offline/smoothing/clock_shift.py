@@ -5,7 +5,7 @@ watches and tables that are logged separately differ by seconds. All observation
 by one shift. Its prior is a mixture: zero, or, with the probability `_SHIFTED_PROB`, normal with the standard deviation
 `_SHIFT_STD_S`. A walk with turns determines the shift to a second or two. On a straight walk it looks like another
 start, and the prior alone makes its positions uncertain by the distance walked in sqrt(`_SHIFTED_PROB`) `_SHIFT_STD_S`:
-about 2 m with locations and 4 m with fixes. A rest before or after the walk, and the begin and end of the samples,
+about 2 m with locations and 4 m with fixes. A rest before or after the walk, and the start and end of the samples,
 decrease or increase this. Observations from before the first sample or after the last one show another clock on a
 straight walk, too (`ShiftPrior.of`).
 
