@@ -10,7 +10,6 @@ cases: one in ten is opened. Their links are all checked. Without Chromium nothi
 from __future__ import annotations
 
 import sys
-import tempfile
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
@@ -80,7 +79,7 @@ def problems(folder: Path) -> list[str]:
     objects = sorted((folder / "api").glob("*.html"))
     pages = [path for path in sorted(folder.rglob("*.html")) if path not in set(objects)] + objects[::10]
     found = broken_links(folder)
-    with tempfile.TemporaryDirectory() as profile, Browser(Path(profile)) as browser:
+    with Browser() as browser:
         for page in pages:
             found += [f"{page.relative_to(folder)}: {problem}" for problem in problems_of(page.resolve(), browser)]
     return found

@@ -77,13 +77,10 @@ class Corridors:
         A straight part (a leg) has at least `n_straight` steps within `straight_s` seconds whose headings differ by at
         most `straight_rad`.
     leg_std_rad : float
-        Standard deviation of the direction of the first steps of a leg about its axis, rad.
-    leg_deviation_std_rad : float
-        Standard deviation of the mean direction of a leg about its axis, rad, from legs of at least ten steps on
-        ipin2023 (2.5 degrees, 18 corners). On held-out sites it is 1.7 (humolire, 84) and 3.0 (oxiod, 17).
+        Standard deviation of the direction of a leg about its axis, rad.
     step_std_rad : float
-        Standard deviation of the direction of a step, used as an independent measurement, rad. On ipin2023 it is 5
-        degrees with a correlation of 0.4 between consecutive steps, which is 8 degrees for independent steps.
+        Standard deviation of the direction of a step, used as an independent measurement, rad. The steps of a leg share
+        one error, and with this value two of them give about the information of a leg.
     outlier_prob : float
         Probability that a straight part follows no axis in a building with axes.
     corner_rad : float
@@ -103,7 +100,6 @@ class Corridors:
     straight_rad: float = math.radians(20.0)
     straight_s: float = 4.0
     leg_std_rad: float = math.radians(6.0)
-    leg_deviation_std_rad: float = math.radians(2.5)
     step_std_rad: float = math.radians(8.0)
     outlier_prob: float = 0.1
     corner_rad: float = math.radians(30.0)
@@ -179,9 +175,8 @@ class Corridors:
 
         The drift is clockwise: headings are too large by it.
         """
-        # The steps of the present leg share their deviation from its axis, which the filter takes for drift.
-        shared_rad2 = self.leg_deviation_std_rad**2
-        return _mean_and_var(state, state.mean[:, _DRIFT].copy(), state.cov[:, _DRIFT, _DRIFT], shared_rad2)
+        # The variance of a leg is added, because the steps of the present leg share their deviation from its axis.
+        return _mean_and_var(state, state.mean[:, _DRIFT].copy(), state.cov[:, _DRIFT, _DRIFT], self.leg_std_rad**2)
 
     def drift_in_time(self, state: CorridorState) -> tuple[float, float]:
         """Return the heading drift without the part due to the gyroscope's scale error, rad, and its variance, rad2.
