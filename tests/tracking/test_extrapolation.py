@@ -285,7 +285,7 @@ def test_a_trolley_is_never_certain_and_a_sitting_person_stays_within_two_metres
     assert trolley[-1][0].position_std_m > 40.0
     track = pdr.track(pdr.read(data_dir / "oxiod" / "oxiod_user1_room_trolley2_2.zip"))
     assert track.how_far == "distance unknown"
-    assert "0 steps, distance unknown in" in track.report()
+    assert "distance unknown in" in track.report()
     sitting = pdr.merge_streams(pdr.read(data_dir / "motionsense" / "motionsense_s01_sit_5.zip"))
     online = pdr.OnlineFilter()
     for i in range(0, len(sitting.time_s), 500):
