@@ -36,6 +36,10 @@ STATE, CONFIG, META, STEPS, FIXES = "state.bin", "config.txt", "meta.json", "ste
 RANGES = "ranges.csv"
 DEVICE = "device.json"  # the gyroscope bias with which the session began
 CONFIGS = "configurations"
+# In the folder of a session while it is loaded: a byte for each try. It stays if the process does not survive this.
+TRIES = ".tries"
+# The second try is alone, for a message of the session. Processes that end whatever is tried serve no other phone.
+_MAX_TRIES = 2
 _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
 _RANGE_COLUMNS = "time_s,anchor_east_m,anchor_north_m,range_m,std_m\n"
 
@@ -53,6 +57,7 @@ class Recorder:
         self._waiting: dict[str, list[str]] = {}  # lines that `flush` writes
         self._sizes: dict[str, int] = {}  # number of valid bytes of each file except the journal
         self._n_saved, self._journal_size = 0, 0
+        self._is_marked = False  # whether the mark of `trying` is to be deleted
         folder.mkdir(parents=True, exist_ok=True)
 
     def describe(self, meta: Mapping[str, Any], config: bytes) -> None:
@@ -91,6 +96,7 @@ class Recorder:
 
     def flush(self) -> None:
         """Write everything that waits. After an OSError what was not written waits for the next call."""
+        self._unmark()
         if self._description is not None:
             meta, config = self._description
             shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
@@ -144,6 +150,30 @@ class Recorder:
         self._journal_size = content.rfind(b"\n") + 1  # a broken-off line was not acknowledged
         cut_file(journal, self._journal_size)
         return state, _messages(content[: self._journal_size].split(b"\n")[:-1])
+
+    @contextmanager
+    def trying(self) -> Generator[None]:
+        """Mark the session while the block loads it. DamagedError if earlier processes did not survive this twice."""
+        mark = self.folder / TRIES
+        n = mark.stat().st_size if mark.exists() else 0
+        if n >= _MAX_TRIES:
+            raise DamagedError(f"its messages ended the process that filtered them, {n} times")
+        with suppress(OSError):  # a full disk must not keep a session from being shown
+            mark.write_bytes(b"x" * (n + 1))
+        try:
+            yield
+        except OSError:  # of the disk, which says nothing about the session
+            with suppress(OSError):
+                mark.unlink(missing_ok=True)
+            raise
+        self._is_marked = True
+        with suppress(OSError):  # the next call of `flush` tries again
+            self._unmark()
+
+    def _unmark(self) -> None:
+        if self._is_marked:
+            (self.folder / TRIES).unlink(missing_ok=True)
+            self._is_marked = False
 
     def steps(self) -> Iterator[dict[str, Any]]:
         """Yield the steps that were written to disk. ValueError if a line is damaged."""

@@ -472,6 +472,16 @@ class DeviceSession:
         self = cls(device, session, settings, folder)
         files = list((folder / self.id).iterdir())
         silent_s = time.time() - max((file.stat().st_mtime for file in files), default=0.0)
+        with self.recorder.trying():
+            self._resume()
+        self._drawn = [row[:3] for row in self.path]
+        self._turned(is_due=True)
+        self._corrected(is_due=True)
+        self.seen_at = time.monotonic() - max(silent_s, 0.0)
+        return self
+
+    def _resume(self) -> None:
+        """Continue from the saved state, and take the messages of the journal."""
         saved, messages = self.recorder.load()
         if (path := self.recorder.folder / DEVICE).exists():
             self._device = load_device(path)
@@ -484,11 +494,6 @@ class DeviceSession:
             if number % _LOAD_MESSAGES == 0:
                 self.advance()
         self.save()
-        self._drawn = [row[:3] for row in self.path]
-        self._turned(is_due=True)
-        self._corrected(is_due=True)
-        self.seen_at = time.monotonic() - max(silent_s, 0.0)
-        return self
 
     def _restore(self, saved: Mapping[str, Any]) -> None:
         self.assembly = saved["assembly"]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pdr_filter.apps.live.assembly import SessionError
 from pdr_filter.apps.live.messages import Message, MessageBatch, MessageError
-from pdr_filter.apps.live.recorder import DamagedError
+from pdr_filter.apps.live.recorder import TRIES, DamagedError
 from pdr_filter.apps.live.session import DeviceSession, session_id
 from pdr_filter.apps.live.settings import BusyError, Event, Settings, worker_of
 from pdr_filter.values.safe_files import write_text
@@ -46,7 +46,9 @@ class Sessions:
                 device, session, begun_unix_s = json.loads(path.read_text())
                 files = list((folder / path.stem).iterdir())
                 is_recent = time.time() - max(file.stat().st_mtime for file in files) < _IDLE_S
-                if is_recent and worker_of(device, n_parts) == part:
+                # one whose loading has ended a process is tried again alone, for its next message
+                is_safe = not (folder / path.stem / TRIES).exists()
+                if is_recent and is_safe and worker_of(device, n_parts) == part:
                     self.sessions[path.stem] = self._loaded(device, session)
                     self.sessions[path.stem].begun_unix_s = begun_unix_s
             except Exception as error:  # one folder must not stop the others; its next message tries again
