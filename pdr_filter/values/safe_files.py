@@ -119,13 +119,14 @@ def append_whole(path: Path, content: bytes, size: int) -> int:
     """Append to a file whose first `size` bytes count, completely or not at all, and return how many count then.
 
     The operating system has the bytes after that, also if this process is killed. After an OSError the bytes are not
-    in the file, or behind those that count: the next call cuts them off.
+    in the file, or behind those that count: the next call cuts them off. FileNotFoundError if the folder, or some of
+    the bytes that count, are not there.
     """
     try:
         with path.open("ab") as file:
             there = file.tell()
             if there < size:
-                raise OSError(errno.EIO, f"has {there} bytes in place of {size}", str(path))
+                raise FileNotFoundError(errno.ENOENT, f"has {there} bytes in place of {size}", str(path))
             if there > size:
                 file.truncate(size)
             file.write(content)

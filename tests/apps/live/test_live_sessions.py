@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -503,3 +504,23 @@ def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     folders = [aside, bad]
     rows = sum(len(pdr.read(folder).accelerometer) for folder in folders)
     assert rows == len(walk.accelerometer)
+
+
+@pytest.mark.parametrize("deleted", ["", "gyroscope.csv"])
+def test_a_session_whose_files_are_deleted_begins_again_or_is_set_aside(
+    walk: Recording, tmp_path: Path, deleted: str
+) -> None:
+    devices, session, events, rest = on_the_way(walk, tmp_path, 10)
+    session.save()
+    path = session.recorder.folder / deleted
+    if deleted:
+        path.unlink()
+    else:
+        shutil.rmtree(path)
+    errors = [devices.take([MessageBatch("p", parse(body), 0.0)])[0] for body in rest[:20]]
+    assert sum(error is not None for error in errors) <= 1  # the one that finds it out is sent again
+    assert "free some space" not in str(errors)
+    assert {"event": "gone", "id": session.id} in events
+    (again,) = devices.sessions.values()
+    assert (again.refused, again.recorder._waiting) == ("", {})
+    assert len(list(tmp_path.glob("*.damaged1"))) == (deleted == "gyroscope.csv")
