@@ -97,6 +97,8 @@ def whole_file(path: str | Path) -> Generator[IO[bytes]]:
     except BaseException:
         unfinished.unlink(missing_ok=True)
         raise
+    if os.name == "posix":  # elsewhere a folder cannot be opened
+        _sync_folder(path.parent)
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -156,6 +158,16 @@ def _sync(file: IO[bytes]) -> None:
     """Flush to disk, because some disks report only now that they are full."""
     file.flush()
     os.fsync(file.fileno())
+
+
+def _sync_folder(path: Path) -> None:
+    """Flush the names in a folder to disk, where its file system can. The files are complete without it."""
+    with suppress(OSError):
+        number = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
 
 
 def _check_kind(path: Path, mode: int) -> None:

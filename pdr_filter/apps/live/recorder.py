@@ -40,6 +40,7 @@ CONFIGS = "configurations"
 TRIES = ".tries"
 # The second try is alone, for a message of the session. Processes that end whatever is tried serve no other phone.
 _MAX_TRIES = 2
+_APPENDED = (STEPS, FIXES, RANGES, *(f"{name}.csv" for name in STREAM_COLUMNS))
 _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
 _RANGE_COLUMNS = "time_s,anchor_east_m,anchor_north_m,range_m,std_m\n"
 
@@ -121,6 +122,7 @@ class Recorder:
         old, number = self.folder / _journal(self._n_saved), self._n_saved + 1
         # before the state that names it, so that no message is without a journal
         size = append_whole(self.folder / _journal(number), _lines(held), 0)
+        sync_file(self.folder / _journal(number))
         _replace(self.folder / STATE, serialise.to_bytes({"state": state, "sizes": self._sizes, "n_saved": number}))
         self._n_saved, self._journal_size = number, size
         with suppress(OSError):  # `load` deletes it otherwise
@@ -136,14 +138,20 @@ class Recorder:
             with reading(STATE):
                 content = serialise.from_bytes(path.read_bytes())
                 state, self._sizes, self._n_saved = content["state"], dict(content["sizes"]), int(content["n_saved"])
-        for name in (STEPS, FIXES, RANGES, *(f"{name}.csv" for name in STREAM_COLUMNS)):
-            size, path = self._sizes.get(name, 0), self.folder / name
+        journal, journals = self.folder / _journal(self._n_saved), list(self.folder.glob("journal_*"))
+        if journals and journal not in journals:
+            raise DamagedError(f"no {journal.name}, but {journals[0].name}: {STATE} is not the one that was saved last")
+        sizes = {name: self._sizes.get(name, 0) for name in _APPENDED}
+        for name, size in sizes.items():  # before anything is cut
+            path = self.folder / name
             there = path.stat().st_size if path.exists() else 0
             if there < size:
                 raise DamagedError(f"{name} has {there} bytes in place of {size}")
-            cut_file(path, size)
-        journal = self.folder / _journal(self._n_saved)
-        for other in (*self.folder.glob("journal_*"), *self.folder.glob(".*.part")):
+            if there > size and not journals:
+                raise DamagedError(f"{name} has {there} bytes in place of {size}, and no journal has the rest")
+        for name, size in sizes.items():
+            cut_file(self.folder / name, size)
+        for other in (*journals, *self.folder.glob(".*.part")):
             if other != journal:  # left by a process that died in `save`
                 other.unlink()
         content = journal.read_bytes() if journal.exists() else b""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Callable, Sequence
@@ -221,3 +222,19 @@ def test_after_a_fault_at_any_operation_of_a_recorder_every_acknowledged_message
         assert rows == [f"{number}.0,{number}.0,{number}.0,{number}.0" for number in range(8)], at
         at += 1
     assert at > 50
+
+
+@pytest.mark.skipif(os.name != "posix", reason="elsewhere a folder cannot be synced")
+def test_a_saved_state_and_the_messages_that_wait_survive_a_power_failure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The journal that the state needs is on the disk before it, and the new name before the old journal is gone."""
+    synced: list[tuple[int, bool]] = []
+    recorder = Recorder(tmp_path)
+    held = parse(b'{"device": "p", "samples": {}}')
+    recorder.journal(held)
+    old = tmp_path / "journal_0.json"
+    monkeypatch.setattr(os, "fsync", lambda number: synced.append((os.fstat(number).st_ino, old.exists())))
+    recorder.save("state", held)
+    files = [tmp_path / "journal_1.json", tmp_path / "state.bin", tmp_path]
+    assert synced == [(path.stat().st_ino, True) for path in files]

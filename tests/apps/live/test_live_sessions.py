@@ -483,7 +483,7 @@ def test_what_an_untracked_phone_sends_is_recorded_and_can_be_read(
     assert name == "messages.json"
 
 
-@pytest.mark.parametrize("damage", ["state.bin", "config.txt", "journal_1.json"])
+@pytest.mark.parametrize("damage", ["state.bin", "config.txt", "journal_1.json", "no state.bin", "no journal_1.json"])
 def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     walk: Recording, tmp_path: Path, damage: str
 ) -> None:
@@ -492,10 +492,16 @@ def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     take_all(devices, [*bodies["bad"][:20], *bodies["good"][:20]])
     devices.close()
     (bad,) = tmp_path.glob("bad-*")
-    (bad / damage).write_bytes(b"damaged\n")
+    file, n = bad / damage.removeprefix("no "), 20
+    if file.name == damage:
+        file.write_bytes(b"damaged\n")
+    else:
+        take(devices, bodies["bad"][20])
+        file.unlink()
+        n = 21
     events: list[Event] = []
     devices = sessions_in(tmp_path, events)
-    take_all(devices, [*bodies["bad"][20:], *bodies["good"][20:]])
+    take_all(devices, [*bodies["bad"][n:], *bodies["good"][20:]])
     devices.close()
     (aside,) = tmp_path.glob("bad-*.damaged1")
     notes = {s.device: s.about()["notes"] for s in devices.sessions.values()}
