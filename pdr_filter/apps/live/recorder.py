@@ -197,13 +197,18 @@ class Recorder:
         waiting.append(lines)
 
 
-def exported_files(folder: Path) -> dict[str, Path]:
-    """Return the files of a recording for users, or the messages of a session that was not tracked, by name."""
+def exported_files(folder: Path, is_refused: bool = False) -> dict[str, Path]:
+    """Return the files of a recording for users by name, and the messages that are in no other file.
+
+    These are all messages of a session that was never tracked, and those since its last saved state of one that can be
+    tracked no longer (`is_refused`).
+    """
+    names = (*FILES, STEPS, FIXES, RANGES, DEVICE) if (folder / META).exists() else ()
+    found = {name: folder / name for name in names if (folder / name).exists()}
     journal = next(folder.glob("journal_*"), None)
-    if journal is not None and not (folder / META).exists():
-        return {"messages.json": journal}
-    names = (*FILES, STEPS, FIXES, RANGES, DEVICE)
-    return {name: folder / name for name in names if (folder / name).exists()}
+    if journal is not None and (is_refused or not names):
+        found["messages.json"] = journal
+    return found
 
 
 def zip_bytes(files: Mapping[str, Path]) -> bytes:
@@ -244,12 +249,12 @@ def _messages(lines: Sequence[bytes]) -> Iterator[Message]:
 
 @contextmanager
 def reading(name: str) -> Generator[None]:
-    """Turn errors about the content of a file into DamagedError. Those of the disk remain OSError."""
+    """Turn errors about the content of a file into DamagedError. Those of the disk and of memory remain."""
     try:
         yield
     except Exception as error:  # damaged bytes can raise any exception
         of_the_disk = isinstance(error, OSError) and not isinstance(error, FileNotFoundError | IsADirectoryError)
-        if of_the_disk or isinstance(error, DamagedError):
+        if of_the_disk or isinstance(error, DamagedError | MemoryError):
             raise
         raise DamagedError(f"{name}: {error}") from error
 

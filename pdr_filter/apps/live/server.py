@@ -134,7 +134,8 @@ class Site:
         key = request.path_params["id"]
         if key not in self.live.sessions:  # otherwise a name from outside would become a path
             return JSONResponse({"error": "no such session"}, 404)
-        content = await asyncio.to_thread(zip_bytes, exported_files(self.live.folder / key))
+        is_refused = bool(self.live.sessions[key]["refused"])
+        content = await asyncio.to_thread(zip_bytes, exported_files(self.live.folder / key, is_refused))
         return Response(content, media_type="application/zip", headers=attachment(f"{key}.zip"))
 
     async def events(self, _: Request) -> Response:

@@ -157,7 +157,7 @@ class DeviceSession:
             self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, self.settings.platform)
             self._record(ready)
             return self.finish() if message.is_end and not self.has_ended else []
-        except (FixError, LateError):
+        except (FixError, LateError, MemoryError):
             raise
         except Exception as error:
             return self._refuse(error)
@@ -180,17 +180,22 @@ class DeviceSession:
         return self._ready_s >= wait_s or time.monotonic() - self._advanced_at >= 2 * wait_s
 
     def advance(self) -> list[Event]:
-        """Filter the samples of all messages that `take` received, and return the events. May set `refused`."""
+        """Filter the samples of all messages that `take` received, and return the events. May set `refused`.
+
+        MemoryError ends the process, which says less about the session than about all of them.
+        """
         ready, self._ready, self._ready_s, self._advanced_at = self._ready, [], 0.0, time.monotonic()
         if self.refused:
             return []
         try:
             return [*self._filtered(_joined(ready)), *self._about_changed()]
+        except MemoryError:
+            raise
         except Exception as error:
             return self._refuse(error)
 
     def _refuse(self, error: Exception) -> list[Event]:
-        """Track the session no longer. An error of any kind stops one session only, whose journal goes on."""
+        """Track the session no longer. An error of any other kind stops one session only, whose journal goes on."""
         if not isinstance(error, ValueError):
             _LOG.error("%s: not tracked any more", self.recorder.folder, exc_info=error)
         self.refused, self.held = reason_of(error), []

@@ -329,6 +329,10 @@ def test_an_error_of_the_filter_ends_the_track_of_one_session_whose_messages_are
         for body in bodies[8:]:
             with contextlib.suppress(SessionError):
                 take(devices, body)
+        (session,) = devices.sessions.values()
+        exported = exported_files(session.recorder.folder, is_refused=True)
+        assert "accelerometer.csv" in exported
+        assert b'"number": 15' in exported["messages.json"].read_bytes()
     (session,) = sessions_in(tmp_path).sessions.values()  # of a version without the error
     assert session.about()["refused"] == ""
     assert session.assembly.next_number == len(bodies)
