@@ -35,6 +35,7 @@ Answers, by HTTP status:
 from __future__ import annotations
 
 import json
+import uuid
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -138,6 +139,8 @@ def parse(body: bytes, device: str = "", session: str = "", platform: str = "") 
         if message is not None:
             # line ends in JSON are white space, and the journal needs a line for each message
             is_alone = len(items) == 1 and json.detect_encoding(body) == "utf-8"
+            if message.fix is not None and item.get("id") is None:  # a repetition has the same line in the journal
+                is_alone, item = False, {**item, "id": uuid.uuid4().hex}
             source = body.translate(_ONE_LINE) if is_alone else json.dumps(item).encode()
             messages.append(replace_unchecked(message, source=source))
     return messages

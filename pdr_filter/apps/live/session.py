@@ -131,7 +131,7 @@ class DeviceSession:
 
     def _is_new(self, message: Message) -> bool:
         try:
-            return not assembly.is_repeated(self.assembly, self.held, message)
+            return not assembly.remembered(self.assembly, self.held, message)[1]
         except LateError:
             return False
 
@@ -150,7 +150,11 @@ class DeviceSession:
         try:
             if message.fix is not None:
                 events = self.advance()
-                return [*events, self._fixed(message.fix), *self._now(is_due=True)]
+                known, came_before = assembly.remembered(self.assembly, self.held, message)
+                if not came_before:
+                    events += [self._fixed(message.fix), *self._now(is_due=True)]
+                    self.assembly = known
+                return events
             if message.meta and self.online is None:
                 self.settings = self.settings.of_phone(self.device, message.meta)
                 self.name = message.meta.get("name", "")

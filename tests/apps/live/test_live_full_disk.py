@@ -39,7 +39,9 @@ def thin_walk() -> Recording:
 def rounds() -> list[list[bytes]]:
     """What comes at a time: one or two messages of a walk, a fix, and a message of a phone that is not tracked."""
     walk = own_messages(thin_walk(), part_s=1.2)
-    fix = json.dumps({"device": "p", "session": "s", "fix": {"east_m": 1.0, "north_m": 2.0, "std_m": 3.0}}).encode()
+    fix = json.dumps(
+        {"device": "p", "session": "s", "id": 1, "fix": {"east_m": 1.0, "north_m": 2.0, "std_m": 3.0}}
+    ).encode()
     found = [walk[:1], walk[1:3], *([body] for body in walk[3:])]
     found[4].append(fix)
     for number, bodies in enumerate(found):
@@ -77,9 +79,6 @@ class Life:
         for path in self.folder.rglob("*.*"):
             name = re.sub(r"journal_\d+", "journal", path.relative_to(self.folder).as_posix())
             content = path.read_bytes() if path.is_file() else b""
-            if path.name == "fixes.csv" and self.disk.kind == KILL:
-                # a fix has no number: if the answer did not come, and it is sent again, it is another fix
-                content = b"".join(dict.fromkeys(content.splitlines(keepends=True)))
             if path.suffix not in (".bin", ".txt", ".part"):
                 found[name] = content
         return found

@@ -148,3 +148,33 @@ def test_a_phone_that_ends_its_process_at_each_start_is_set_aside_and_others_go_
     assert n_starts == 1 + n_died  # where memory alone is missing, the process lives on without the session
     (aside,) = tmp_path.glob("bad-*.damaged1")
     assert b'"number": 0' in (aside / "journal_0.json").read_bytes()
+
+
+def test_a_fix_whose_process_dies_before_its_answer_is_in_the_track_once_and_the_next_equal_one_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fix = json.dumps({"device": "p", "fix": {"east_m": 1.0, "north_m": 0.0, "time_s": 2.0}}).encode()
+    fixed, n_deaths = DeviceSession._fixed, 1
+
+    def deadly(self: DeviceSession, content: object) -> object:
+        nonlocal n_deaths
+        event, n_deaths = fixed(self, content), n_deaths - 1
+        if n_deaths >= 0:
+            raise Died
+        return event
+
+    async def start(part: int, n_parts: int) -> OfPart:
+        return OfPart(tmp_path)
+
+    async def run() -> list[int]:
+        workers = Workers(start, 1, lambda _: None)
+        await workers.start()
+        batches = [still("p", 0), *(MessageBatch("p", parse(fix), 0.0) for _ in range(2)), still("p", 1)]
+        answers = [await asyncio.wait_for(workers.take(batch), 10.0) for batch in batches]
+        await workers.close()
+        return [answer.status for answer in answers]
+
+    monkeypatch.setattr(DeviceSession, "_fixed", deadly)
+    assert asyncio.run(run()) == [200] * 4
+    (fixes,) = tmp_path.glob("*/fixes.csv")
+    assert len(fixes.read_text().splitlines()) == 1 + 2
