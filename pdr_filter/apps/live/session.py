@@ -50,6 +50,7 @@ _HISTORY, _HISTORY_STEP_S = 300, 1.0
 _PART_S = 10.0
 # Messages of a journal that are filtered at once, so that their samples need little memory.
 _LOAD_MESSAGES = 100
+_MAX_NOTES = 20
 _FIX_STD_RANGE_M = (0.01, 1000.0)
 # Folder with a file for each phone: its gyroscope bias at the end of its latest session.
 DEVICES = "devices"
@@ -155,9 +156,10 @@ class DeviceSession:
                     events += [self._fixed(message.fix), *self._now(is_due=True)]
                     self.assembly = known
                 return events
-            if message.meta and self.online is None:
+            if self.online is None:
                 self.settings = self.settings.of_phone(self.device, message.meta)
-                self.name = message.meta.get("name", "")
+                self.name = message.meta.get("name", self.name)
+                self.notes = tuple(dict.fromkeys((*self.notes, *message.notes)))[:_MAX_NOTES]
             self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, self.settings.platform)
             self._record(ready)
             return self.finish() if message.is_end and not self.has_ended else []

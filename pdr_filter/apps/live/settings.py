@@ -35,16 +35,17 @@ class Settings:
     placement: str = ""
 
     def of_phone(self, device: str, meta: Mapping[str, Any]) -> Settings:
-        """Return the settings for a phone that sends the meta data `meta` (see `messages.Message`).
+        """Return the settings for a phone that also sends the meta data `meta` (see `messages.Message`).
 
         The height is that of the longest name in `heights_m` with which the name of the phone begins, otherwise that of
         the phone, otherwise `height_m`.
         """
         named = {name: height_m for name, height_m in self.heights_m if device.startswith(name)}
-        known: dict[str, Any] = {"height_m": self.height_m, **meta.get("subject", {})}
+        subject = {**self.meta.get("subject", {}), **meta.get("subject", {})}
+        known: dict[str, Any] = {"height_m": self.height_m, **subject}
         if named:
             known["height_m"] = named[max(named, key=len)]
-        return replace(self, subject=Subject(**known), placement=meta.get("placement", ""))
+        return replace(self, subject=Subject(**known), placement=meta.get("placement", self.placement))
 
     @property
     def meta(self) -> dict[str, Any]:

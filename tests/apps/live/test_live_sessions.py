@@ -174,6 +174,16 @@ def test_after_the_clock_is_set_back_by_minutes_i_am_here_is_of_now(tmp_path: Pa
     assert [e["outcome"] for e in events if e["event"] == "fix"] == ["waiting", "used"]
 
 
+def test_meta_data_of_several_messages_add_up_and_what_cannot_be_used_is_noted(tmp_path: Path) -> None:
+    metas = [{"name": "walk", "subject": {"height_m": 1.6}}, {"placement": "hand", "subject": {"age": "old"}}, {}]
+    messages = [{"device": "p", "number": i, "samples": {}, "meta": meta} for i, meta in enumerate(metas)]
+    session, events = taken(tmp_path, encoded(messages))
+    assert session.settings.meta == {"subject": {"height_m": 1.6}, "placement": "hand"}
+    assert session.name == "walk"
+    (note,) = [e for e in events if e["event"] == "session"][-1]["notes"]
+    assert note.startswith("age in the meta data of the phone is 'old'")
+
+
 def test_two_phones_of_one_name_are_two_sessions(walk: Recording, tmp_path: Path) -> None:
     devices = sessions_in(tmp_path)
     for bodies in zip(own_messages(walk, "p", "a"), own_messages(walk, "p", "b"), strict=True):
