@@ -87,8 +87,7 @@ class Site:
 
     async def data(self, request: Request) -> Response:
         """Process the body of a message that a phone sends."""
-        body = await body_of(request)
-        return _TOO_LONG if body is None else _json(await self.live.take(body, **_named(request)))
+        return _json(await self.live.take(await body_of(request), **_named(request)))
 
     async def stream(self, socket: WebSocket) -> None:
         """Process messages that arrive over a WebSocket. Each message gets an answer."""
@@ -229,9 +228,6 @@ def _split(address: str) -> SplitResult | None:
         return urlsplit(address)
     except ValueError:
         return None
-
-
-_TOO_LONG = JSONResponse({"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"}, 413)
 
 
 async def body_of(request: Request, most: int = MAX_BODY_BYTES) -> bytes | None:
