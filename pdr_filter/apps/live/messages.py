@@ -30,7 +30,8 @@ Answers, by HTTP status:
 - 413, 429: more than 4 MB in a message, or more than 1 MB a second.
 - 422: a session that cannot be tracked, with the reason. Its messages are recorded.
 - 500: a message that has ended its worker twice.
-- 503: no room, no time or a full disk at present. Nothing is kept of the message. Send it again.
+- 503: no room, no time or a full disk at present. Send the body again. Messages of other sessions in it
+  may have been taken, and are then recognised.
 """
 
 from __future__ import annotations
