@@ -97,6 +97,8 @@ def whole_file(path: str | Path) -> Generator[IO[bytes]]:
     except BaseException:
         unfinished.unlink(missing_ok=True)
         raise
+    if os.name == "posix":  # elsewhere a folder cannot be opened
+        _sync_folder(path.parent)
 
 
 def write_text(path: str | Path, text: str) -> Path:
@@ -119,13 +121,14 @@ def append_whole(path: Path, content: bytes, size: int) -> int:
     """Append to a file whose first `size` bytes count, completely or not at all, and return how many count then.
 
     The operating system has the bytes after that, also if this process is killed. After an OSError the bytes are not
-    in the file, or behind those that count: the next call cuts them off.
+    in the file, or behind those that count: the next call cuts them off. FileNotFoundError if the folder, or some of
+    the bytes that count, are not there.
     """
     try:
         with path.open("ab") as file:
             there = file.tell()
             if there < size:
-                raise OSError(errno.EIO, f"has {there} bytes in place of {size}", str(path))
+                raise FileNotFoundError(errno.ENOENT, f"has {there} bytes in place of {size}", str(path))
             if there > size:
                 file.truncate(size)
             file.write(content)
@@ -155,6 +158,16 @@ def _sync(file: IO[bytes]) -> None:
     """Flush to disk, because some disks report only now that they are full."""
     file.flush()
     os.fsync(file.fileno())
+
+
+def _sync_folder(path: Path) -> None:
+    """Flush the names in a folder to disk, where its file system can. The files are complete without it."""
+    with suppress(OSError):
+        number = os.open(path, os.O_RDONLY)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
 
 
 def _check_kind(path: Path, mode: int) -> None:

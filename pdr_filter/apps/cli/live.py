@@ -206,10 +206,10 @@ def live_command(
         folder = record or Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="pdr_filter_live_")))
         folder.mkdir(parents=True, exist_ok=True)
         shared = Live(settings, folder, phones.workers, phones.scheduler or "")
-        server = address.server(live_application(shared, token, tiles), folder)
         listening = opened.enter_context(bound_socket(address.host, address.port))
         port = listening.getsockname()[1]
         opened.enter_context(folder_lock(folder, f"pdr-filter live at {address.url(port)}"))
+        server = address.server(live_application(shared, token, tiles), folder)  # may write a certificate there
         say = partial(_print_addresses, address, port, token)
         asyncio.run(run_server(server, listening, [shared], partial(sources.tasks, walk, shared), say))
 

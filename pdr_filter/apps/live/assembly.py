@@ -101,7 +101,7 @@ def take(
     dropped. `platform` ("ios", "android" or "") is used if no message names one. SessionError if the session cannot be
     tracked, LateError if the number of the message was given up.
     """
-    state, came_before = _counted(state, held, message)
+    state, came_before = remembered(state, held, message)
     if came_before:
         return replace_unchecked(state, n_repeated=state.n_repeated + 1), list(held), []
     waiting = [*held, message]
@@ -113,11 +113,6 @@ def take(
             return state, waiting, []
         state = replace_unchecked(state, kind=kind)
     return _released(state, waiting)
-
-
-def is_repeated(state: Assembly, held: Sequence[Message], message: Message) -> bool:
-    """Return True if a message came before. LateError if its number was given up."""
-    return _counted(state, held, message)[1]
 
 
 def finish_assembly(
@@ -155,7 +150,7 @@ def reason_to_wait(state: Assembly, held: Sequence[Message], platform: str) -> s
     return f"message {state.next_number} is missing: {len(held)} later ones wait for it"
 
 
-def _counted(state: Assembly, held: Sequence[Message], message: Message) -> tuple[Assembly, bool]:
+def remembered(state: Assembly, held: Sequence[Message], message: Message) -> tuple[Assembly, bool]:
     """Return the state, and whether the message came before. LateError if its number was given up.
 
     A message with a number is compared with the numbers passed on and those in `held`. A message without one is

@@ -67,19 +67,20 @@ class Live:
         if self._cluster is not None:
             await self._cluster.close()
 
-    async def take(self, body: bytes, device: str = "", session: str = "", platform: str = "") -> Answer:
+    async def take(self, body: bytes | None, device: str = "", session: str = "", platform: str = "") -> Answer:
         """Pass the messages in the body of a request to the worker of their device, and return its answer.
 
-        `device`, `session` and `platform` are used for messages that do not contain them.
+        None stands for a body that was too long to be read. `device`, `session` and `platform` are used for messages
+        that do not contain them.
         """
         begun_s = time.monotonic()
         name, answer = await self._answer(body, device, session, platform)
-        self.traffic.add(len(body), name, answer, time.monotonic() - begun_s)
+        self.traffic.add(len(body or b""), name, answer, time.monotonic() - begun_s)
         return answer
 
-    async def _answer(self, body: bytes, device: str, session: str, platform: str) -> tuple[str, Answer]:
+    async def _answer(self, body: bytes | None, device: str, session: str, platform: str) -> tuple[str, Answer]:
         """Return the name of the device that sent a body, and the answer to it."""
-        if len(body) > MAX_BODY_BYTES:
+        if body is None or len(body) > MAX_BODY_BYTES:
             return device, Answer(413, {"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"})
         try:
             messages = parse(body, device, session, platform)

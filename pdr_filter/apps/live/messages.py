@@ -12,7 +12,8 @@ A message of our own layout is an object with these fields. Device, session and 
 - `number`: count of the messages of a session, so that they may be repeated and in any order.
 - `end`: true in the last message of a session. Its last steps then do not wait for later samples.
 - `meta`: object with `name` of the recording, `placement` and `subject`, an object with `height_m`, `weight_kg`, `age`,
-  `id` and `gender` of the person. It is used in the messages before the track begins.
+  `id` and `gender` of the person. It is used in the messages before the track begins, where later values replace
+  earlier ones. A value that cannot be used is left out, with a note.
 - `samples`: by sensor (`N_VALUES`), rows of the time and the values. The time is in s, or in ms, us or ns since 1970.
   The specific force is +9.81 m/s2 on z for a phone lying face up. `linear_acceleration` and `gravity` are added; one
   without the other is refused.
@@ -29,12 +30,14 @@ Answers, by HTTP status:
 - 413, 429: more than 4 MB in a message, or more than 1 MB a second.
 - 422: a session that cannot be tracked, with the reason. Its messages are recorded.
 - 500: a message that has ended its worker twice.
-- 503: no room, no time or a full disk at present. Nothing is kept of the message. Send it again.
+- 503: no room, no time or a full disk at present. Send the body again. Messages of other sessions in it
+  may have been taken, and are then recognised.
 """
 
 from __future__ import annotations
 
 import json
+import uuid
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -98,6 +101,7 @@ class Message:
     fix: Mapping[str, Any] | None = None  # position that a user has marked
     is_end: bool = False  # whether it is the last one of its session
     meta: Mapping[str, Any] = field(default_factory=dict[str, Any])  # name, placement and subject, as in a recording
+    notes: tuple[str, ...] = ()  # about the meta data that cannot be used
     source: bytes = b""  # one line of JSON from which `parse` makes the same message again
 
     @property
@@ -138,6 +142,8 @@ def parse(body: bytes, device: str = "", session: str = "", platform: str = "") 
         if message is not None:
             # line ends in JSON are white space, and the journal needs a line for each message
             is_alone = len(items) == 1 and json.detect_encoding(body) == "utf-8"
+            if message.fix is not None and item.get("id") is None:  # a repetition has the same line in the journal
+                is_alone, item = False, {**item, "id": uuid.uuid4().hex}
             source = body.translate(_ONE_LINE) if is_alone else json.dumps(item).encode()
             messages.append(replace_unchecked(message, source=source))
     return messages
@@ -174,9 +180,9 @@ def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | Non
     device, session = _text(item, "device", known["device"]), _text(item, "session", known["session"])
     platform = _text(item, "platform", known["platform"])
     if "samples" in item:
-        is_end, meta = item.get("end") is True, _meta(item["meta"]) if "meta" in item else {}
+        (meta, notes), number, is_end = _meta(item.get("meta")), _whole(item, "number"), item.get("end") is True
         rows = _own_rows(item["samples"])
-        return Message(device, session, _whole(item, "number"), platform, rows, is_end=is_end, meta=meta)
+        return Message(device, session, number, platform, rows, is_end=is_end, meta=meta, notes=notes)
     if "fix" in item:
         fix = _checked(item["fix"], dict, "a fix must be a JSON object")
         return Message(device, session, None, platform, fix=fix)
@@ -335,21 +341,46 @@ def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[
     return found
 
 
-def _meta(content: Any) -> dict[str, Any]:
-    """Return the meta data of a message with only the known fields. MessageError for a wrong number or height."""
-    given = _checked(content, dict, "meta must be an object")
-    person = _checked(given.get("subject") or {}, dict, "subject in meta must be an object")
-    names = [name for name in ("id", "gender") if person.get(name) is not None]
-    subject: dict[str, Any] = {name: _text(person, name, "") for name in names}
-    with _refusing("subject in meta cannot be used ({}): send numbers, and the height in metres"):
-        for name in ("height_m", "weight_kg", "age"):
-            if person.get(name) is not None:
-                subject[name] = float(person[name])
-                if not 0.0 <= subject[name] < _LARGEST:
-                    raise ValueError(f"{name} is {subject[name]}")
-        check_height(subject.get("height_m", 1.7))
-    found = {name: text for name in ("name", "placement") if (text := _text(given, name, ""))}
-    return {**found, "subject": subject} if subject else found
+def _meta(content: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Return the known fields of the meta data of a message, and a note about each value that cannot be used.
+
+    Such a value is left out, because the samples are worth more than it.
+    """
+    notes: list[str] = []
+
+    def unused(name: str, value: Any, remedy: str) -> None:
+        notes.append(f"{name} in the meta data of the phone is {printable(value)[:40]!r}, which is not used: {remedy}")
+
+    def fields(value: Any, name: str) -> dict[str, Any]:
+        if value is not None and not isinstance(value, dict):
+            unused(name, value, "send a JSON object")
+        return cast("dict[str, Any]", value) if isinstance(value, dict) else {}
+
+    def texts(item: Mapping[str, Any], names: Sequence[str]) -> dict[str, str]:
+        for name in names:
+            if not isinstance(item.get(name), str | int | None):
+                unused(name, item[name], "send a text")
+        return {name: text for name in names if (text := _text(item, name, ""))}
+
+    given = fields(content, "meta")
+    person = fields(given.get("subject"), "subject")
+    subject: dict[str, Any] = texts(person, ("id", "gender"))
+    for name in ("height_m", "weight_kg", "age"):
+        value = person.get(name)
+        if value is None:
+            continue
+        try:
+            number = float(value)
+            if not 0.0 <= number < _LARGEST:
+                raise ValueError
+            if name == "height_m":
+                check_height(number)
+        except (TypeError, ValueError, OverflowError):
+            unused(name, value, "send a number, and a height in metres")
+        else:
+            subject[name] = number
+    found = texts(given, ("name", "placement"))
+    return {**found, "subject": subject} if subject else found, tuple(notes)
 
 
 # --- numbers ----------------------------------------------------------------------------------------------------------

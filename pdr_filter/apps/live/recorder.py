@@ -36,6 +36,11 @@ STATE, CONFIG, META, STEPS, FIXES = "state.bin", "config.txt", "meta.json", "ste
 RANGES = "ranges.csv"
 DEVICE = "device.json"  # the gyroscope bias with which the session began
 CONFIGS = "configurations"
+# In the folder of a session while it is loaded: a byte for each try. It stays if the process does not survive this.
+TRIES = ".tries"
+# The second try is alone, for a message of the session. Processes that end whatever is tried serve no other phone.
+_MAX_TRIES = 2
+_APPENDED = (STEPS, FIXES, RANGES, *(f"{name}.csv" for name in STREAM_COLUMNS))
 _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
 _RANGE_COLUMNS = "time_s,anchor_east_m,anchor_north_m,range_m,std_m\n"
 
@@ -53,6 +58,7 @@ class Recorder:
         self._waiting: dict[str, list[str]] = {}  # lines that `flush` writes
         self._sizes: dict[str, int] = {}  # number of valid bytes of each file except the journal
         self._n_saved, self._journal_size = 0, 0
+        self._is_marked = False  # whether the mark of `trying` is to be deleted
         folder.mkdir(parents=True, exist_ok=True)
 
     def describe(self, meta: Mapping[str, Any], config: bytes) -> None:
@@ -91,6 +97,7 @@ class Recorder:
 
     def flush(self) -> None:
         """Write everything that waits. After an OSError what was not written waits for the next call."""
+        self._unmark()
         if self._description is not None:
             meta, config = self._description
             shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
@@ -115,6 +122,7 @@ class Recorder:
         old, number = self.folder / _journal(self._n_saved), self._n_saved + 1
         # before the state that names it, so that no message is without a journal
         size = append_whole(self.folder / _journal(number), _lines(held), 0)
+        sync_file(self.folder / _journal(number))
         _replace(self.folder / STATE, serialise.to_bytes({"state": state, "sizes": self._sizes, "n_saved": number}))
         self._n_saved, self._journal_size = number, size
         with suppress(OSError):  # `load` deletes it otherwise
@@ -130,20 +138,50 @@ class Recorder:
             with reading(STATE):
                 content = serialise.from_bytes(path.read_bytes())
                 state, self._sizes, self._n_saved = content["state"], dict(content["sizes"]), int(content["n_saved"])
-        for name in (STEPS, FIXES, RANGES, *(f"{name}.csv" for name in STREAM_COLUMNS)):
-            size, path = self._sizes.get(name, 0), self.folder / name
+        journal, journals = self.folder / _journal(self._n_saved), list(self.folder.glob("journal_*"))
+        if journals and journal not in journals:
+            raise DamagedError(f"no {journal.name}, but {journals[0].name}: {STATE} is not the one that was saved last")
+        sizes = {name: self._sizes.get(name, 0) for name in _APPENDED}
+        for name, size in sizes.items():  # before anything is cut
+            path = self.folder / name
             there = path.stat().st_size if path.exists() else 0
             if there < size:
                 raise DamagedError(f"{name} has {there} bytes in place of {size}")
-            cut_file(path, size)
-        journal = self.folder / _journal(self._n_saved)
-        for other in (*self.folder.glob("journal_*"), *self.folder.glob(".*.part")):
+            if there > size and not journals:
+                raise DamagedError(f"{name} has {there} bytes in place of {size}, and no journal has the rest")
+        for name, size in sizes.items():
+            cut_file(self.folder / name, size)
+        for other in (*journals, *self.folder.glob(".*.part")):
             if other != journal:  # left by a process that died in `save`
                 other.unlink()
         content = journal.read_bytes() if journal.exists() else b""
         self._journal_size = content.rfind(b"\n") + 1  # a broken-off line was not acknowledged
         cut_file(journal, self._journal_size)
         return state, _messages(content[: self._journal_size].split(b"\n")[:-1])
+
+    @contextmanager
+    def trying(self) -> Generator[None]:
+        """Mark the session while the block loads it. DamagedError if earlier processes did not survive this twice."""
+        mark = self.folder / TRIES
+        n = mark.stat().st_size if mark.exists() else 0
+        if n >= _MAX_TRIES:
+            raise DamagedError(f"its messages ended the process that filtered them, {n} times")
+        with suppress(OSError):  # a full disk must not keep a session from being shown
+            mark.write_bytes(b"x" * (n + 1))
+        try:
+            yield
+        except OSError:  # of the disk, which says nothing about the session
+            with suppress(OSError):
+                mark.unlink(missing_ok=True)
+            raise
+        self._is_marked = True
+        with suppress(OSError):  # the next call of `flush` tries again
+            self._unmark()
+
+    def _unmark(self) -> None:
+        if self._is_marked:
+            (self.folder / TRIES).unlink(missing_ok=True)
+            self._is_marked = False
 
     def steps(self) -> Iterator[dict[str, Any]]:
         """Yield the steps that were written to disk. ValueError if a line is damaged."""
@@ -159,13 +197,18 @@ class Recorder:
         waiting.append(lines)
 
 
-def exported_files(folder: Path) -> dict[str, Path]:
-    """Return the files of a recording for users, or the messages of a session that was not tracked, by name."""
+def exported_files(folder: Path, is_refused: bool = False) -> dict[str, Path]:
+    """Return the files of a recording for users by name, and the messages that are in no other file.
+
+    These are all messages of a session that was never tracked, and those since its last saved state of one that can be
+    tracked no longer (`is_refused`).
+    """
+    names = (*FILES, STEPS, FIXES, RANGES, DEVICE) if (folder / META).exists() else ()
+    found = {name: folder / name for name in names if (folder / name).exists()}
     journal = next(folder.glob("journal_*"), None)
-    if journal is not None and not (folder / META).exists():
-        return {"messages.json": journal}
-    names = (*FILES, STEPS, FIXES, RANGES, DEVICE)
-    return {name: folder / name for name in names if (folder / name).exists()}
+    if journal is not None and (is_refused or not names):
+        found["messages.json"] = journal
+    return found
 
 
 def zip_bytes(files: Mapping[str, Path]) -> bytes:
@@ -206,12 +249,12 @@ def _messages(lines: Sequence[bytes]) -> Iterator[Message]:
 
 @contextmanager
 def reading(name: str) -> Generator[None]:
-    """Turn errors about the content of a file into DamagedError. Those of the disk remain OSError."""
+    """Turn errors about the content of a file into DamagedError. Those of the disk and of memory remain."""
     try:
         yield
     except Exception as error:  # damaged bytes can raise any exception
         of_the_disk = isinstance(error, OSError) and not isinstance(error, FileNotFoundError | IsADirectoryError)
-        if of_the_disk or isinstance(error, DamagedError):
+        if of_the_disk or isinstance(error, DamagedError | MemoryError):
             raise
         raise DamagedError(f"{name}: {error}") from error
 

@@ -87,8 +87,7 @@ class Site:
 
     async def data(self, request: Request) -> Response:
         """Process the body of a message that a phone sends."""
-        body = await body_of(request)
-        return _TOO_LONG if body is None else _json(await self.live.take(body, **_named(request)))
+        return _json(await self.live.take(await body_of(request), **_named(request)))
 
     async def stream(self, socket: WebSocket) -> None:
         """Process messages that arrive over a WebSocket. Each message gets an answer."""
@@ -134,7 +133,8 @@ class Site:
         key = request.path_params["id"]
         if key not in self.live.sessions:  # otherwise a name from outside would become a path
             return JSONResponse({"error": "no such session"}, 404)
-        content = await asyncio.to_thread(zip_bytes, exported_files(self.live.folder / key))
+        is_refused = bool(self.live.sessions[key]["refused"])
+        content = await asyncio.to_thread(zip_bytes, exported_files(self.live.folder / key, is_refused))
         return Response(content, media_type="application/zip", headers=attachment(f"{key}.zip"))
 
     async def events(self, _: Request) -> Response:
@@ -228,9 +228,6 @@ def _split(address: str) -> SplitResult | None:
         return urlsplit(address)
     except ValueError:
         return None
-
-
-_TOO_LONG = JSONResponse({"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"}, 413)
 
 
 async def body_of(request: Request, most: int = MAX_BODY_BYTES) -> bytes | None:

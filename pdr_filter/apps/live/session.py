@@ -50,6 +50,7 @@ _HISTORY, _HISTORY_STEP_S = 300, 1.0
 _PART_S = 10.0
 # Messages of a journal that are filtered at once, so that their samples need little memory.
 _LOAD_MESSAGES = 100
+_MAX_NOTES = 20
 _FIX_STD_RANGE_M = (0.01, 1000.0)
 # Folder with a file for each phone: its gyroscope bias at the end of its latest session.
 DEVICES = "devices"
@@ -131,7 +132,7 @@ class DeviceSession:
 
     def _is_new(self, message: Message) -> bool:
         try:
-            return not assembly.is_repeated(self.assembly, self.held, message)
+            return not assembly.remembered(self.assembly, self.held, message)[1]
         except LateError:
             return False
 
@@ -150,14 +151,19 @@ class DeviceSession:
         try:
             if message.fix is not None:
                 events = self.advance()
-                return [*events, self._fixed(message.fix), *self._now(is_due=True)]
-            if message.meta and self.online is None:
+                known, came_before = assembly.remembered(self.assembly, self.held, message)
+                if not came_before:
+                    events += [self._fixed(message.fix), *self._now(is_due=True)]
+                    self.assembly = known
+                return events
+            if self.online is None:
                 self.settings = self.settings.of_phone(self.device, message.meta)
-                self.name = message.meta.get("name", "")
+                self.name = message.meta.get("name", self.name)
+                self.notes = tuple(dict.fromkeys((*self.notes, *message.notes)))[:_MAX_NOTES]
             self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, self.settings.platform)
             self._record(ready)
             return self.finish() if message.is_end and not self.has_ended else []
-        except (FixError, LateError):
+        except (FixError, LateError, MemoryError):
             raise
         except Exception as error:
             return self._refuse(error)
@@ -180,17 +186,22 @@ class DeviceSession:
         return self._ready_s >= wait_s or time.monotonic() - self._advanced_at >= 2 * wait_s
 
     def advance(self) -> list[Event]:
-        """Filter the samples of all messages that `take` received, and return the events. May set `refused`."""
+        """Filter the samples of all messages that `take` received, and return the events. May set `refused`.
+
+        MemoryError ends the process, which says less about the session than about all of them.
+        """
         ready, self._ready, self._ready_s, self._advanced_at = self._ready, [], 0.0, time.monotonic()
         if self.refused:
             return []
         try:
             return [*self._filtered(_joined(ready)), *self._about_changed()]
+        except MemoryError:
+            raise
         except Exception as error:
             return self._refuse(error)
 
     def _refuse(self, error: Exception) -> list[Event]:
-        """Track the session no longer. An error of any kind stops one session only, whose journal goes on."""
+        """Track the session no longer. An error of any other kind stops one session only, whose journal goes on."""
         if not isinstance(error, ValueError):
             _LOG.error("%s: not tracked any more", self.recorder.folder, exc_info=error)
         self.refused, self.held = reason_of(error), []
@@ -472,6 +483,16 @@ class DeviceSession:
         self = cls(device, session, settings, folder)
         files = list((folder / self.id).iterdir())
         silent_s = time.time() - max((file.stat().st_mtime for file in files), default=0.0)
+        with self.recorder.trying():
+            self._resume()
+        self._drawn = [row[:3] for row in self.path]
+        self._turned(is_due=True)
+        self._corrected(is_due=True)
+        self.seen_at = time.monotonic() - max(silent_s, 0.0)
+        return self
+
+    def _resume(self) -> None:
+        """Continue from the saved state, and take the messages of the journal."""
         saved, messages = self.recorder.load()
         if (path := self.recorder.folder / DEVICE).exists():
             self._device = load_device(path)
@@ -484,11 +505,6 @@ class DeviceSession:
             if number % _LOAD_MESSAGES == 0:
                 self.advance()
         self.save()
-        self._drawn = [row[:3] for row in self.path]
-        self._turned(is_due=True)
-        self._corrected(is_due=True)
-        self.seen_at = time.monotonic() - max(silent_s, 0.0)
-        return self
 
     def _restore(self, saved: Mapping[str, Any]) -> None:
         self.assembly = saved["assembly"]

@@ -5,6 +5,7 @@ No web here: `Sessions.take` gets messages, records and filters them, and events
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import time
@@ -14,7 +15,7 @@ from pathlib import Path
 
 from pdr_filter.apps.live.assembly import SessionError
 from pdr_filter.apps.live.messages import Message, MessageBatch, MessageError
-from pdr_filter.apps.live.recorder import DamagedError
+from pdr_filter.apps.live.recorder import TRIES, DamagedError
 from pdr_filter.apps.live.session import DeviceSession, session_id
 from pdr_filter.apps.live.settings import BusyError, Event, Settings, worker_of
 from pdr_filter.values.safe_files import write_text
@@ -46,7 +47,9 @@ class Sessions:
                 device, session, begun_unix_s = json.loads(path.read_text())
                 files = list((folder / path.stem).iterdir())
                 is_recent = time.time() - max(file.stat().st_mtime for file in files) < _IDLE_S
-                if is_recent and worker_of(device, n_parts) == part:
+                # one whose loading has ended a process is tried again alone, for its next message
+                is_safe = not (folder / path.stem / TRIES).exists()
+                if is_recent and is_safe and worker_of(device, n_parts) == part:
                     self.sessions[path.stem] = self._loaded(device, session)
                     self.sessions[path.stem].begun_unix_s = begun_unix_s
             except Exception as error:  # one folder must not stop the others; its next message tries again
@@ -76,6 +79,8 @@ class Sessions:
                 with _writing():
                     session.recorder.journal(message for _, message in found if session.is_kept(message))
             except BusyError as error:
+                if isinstance(error.__cause__, FileNotFoundError):
+                    self._forget(key)
                 for number, _ in found:
                     errors[number] = error
                 continue
@@ -88,7 +93,7 @@ class Sessions:
                     errors[number] = errors[number] or error
         self.advance()
         for key, found in received.items():
-            if reason := self.sessions[key].refused:
+            if key in self.sessions and (reason := self.sessions[key].refused):
                 for number, _ in found:
                     errors[number] = errors[number] or SessionError(reason)
         return errors
@@ -105,8 +110,18 @@ class Sessions:
                 for event in session.advance():
                     self.emit(event)
                 self._taken.discard(key)
-            with suppress(OSError):  # the journal has all of it, and the next call writes what waits
+            try:
                 session.recorder.flush()
+            except FileNotFoundError:
+                self._forget(key)
+            except OSError:  # the journal has all of it, and the next call writes what waits
+                pass
+
+    def _forget(self, key: str) -> None:
+        """Remove a session from memory. Its next message loads it from what is there, or sets that aside."""
+        del self.sessions[key]
+        self._taken.discard(key)
+        self.emit({"event": "gone", "id": key})
 
     def _session(self, message: Message, received_s: float) -> DeviceSession:
         """Return the session of a message, new or loaded if it is not in memory."""
@@ -170,12 +185,10 @@ class Sessions:
                 events += session.release()
             if is_gone or session.unsaved_s > _SAVE_S:
                 events += session.save()
-            if is_gone:
-                del self.sessions[key]
-                self._taken.discard(key)
-                events.append({"event": "gone", "id": key})
             for event in events:
                 self.emit(event)
+            if is_gone:
+                self._forget(key)
 
     def close(self) -> None:
         """Save all sessions."""
@@ -190,5 +203,6 @@ def _writing() -> Generator[None]:
     try:
         yield
     except OSError as error:
+        remedy = "free some space" if error.errno in (errno.ENOSPC, errno.EDQUOT) else "check disk and folder"
         reason = error.strerror or error
-        raise BusyError(f"the recording cannot be written ({reason}); free some space and send it again") from error
+        raise BusyError(f"the recording cannot be written ({reason}); {remedy} and send it again") from error

@@ -30,18 +30,22 @@ class Settings:
     height_m: float | None = None  # of all persons that are not named otherwise
     platform: str = ""  # "ios" or "android", for an app that does not say it
     max_devices: int = 64
-    heights_m: tuple[tuple[str, float], ...] = ()  # of persons, by the first letters of the names of their phones
+    heights_m: tuple[tuple[str, float], ...] = ()  # of persons, by the first letters of their phones' names
     subject: Subject = _UNKNOWN
     placement: str = ""
 
     def of_phone(self, device: str, meta: Mapping[str, Any]) -> Settings:
-        """Return the settings for a phone that sends the meta data `meta` (see `messages.Message`).
+        """Return the settings for a phone that also sends the meta data `meta` (see `messages.Message`).
 
-        The height is that of `heights_m`, otherwise that of the phone, otherwise `height_m`.
+        The height is that of the longest name in `heights_m` with which the name of the phone begins, otherwise that of
+        the phone, otherwise `height_m`.
         """
-        named = [{"height_m": height_m} for name, height_m in self.heights_m if device.startswith(name)]
-        known: dict[str, Any] = {"height_m": self.height_m, **meta.get("subject", {}), **(named[0] if named else {})}
-        return replace(self, subject=Subject(**known), placement=meta.get("placement", ""))
+        named = {name: height_m for name, height_m in self.heights_m if device.startswith(name)}
+        subject = {**self.meta.get("subject", {}), **meta.get("subject", {})}
+        known: dict[str, Any] = {"height_m": self.height_m, **subject}
+        if named:
+            known["height_m"] = named[max(named, key=len)]
+        return replace(self, subject=Subject(**known), placement=meta.get("placement", self.placement))
 
     @property
     def meta(self) -> dict[str, Any]:

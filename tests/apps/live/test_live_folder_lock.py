@@ -38,10 +38,15 @@ def test_a_second_process_is_refused_with_the_name_of_the_first_until_that_is_ki
 
 @pytest.mark.parametrize(
     ("command", "written"),
-    [(["live", "--record"], ""), (["app", "--no-browser"], ".pdr_filter"), (["app", "--host", "0.0.0.0"], "phones")],
+    [
+        (["live", "--https", "--record"], ""),
+        (["app", "--no-browser"], ".pdr_filter"),
+        (["app", "--host", "0.0.0.0"], "phones"),
+    ],
 )
 def test_the_commands_of_servers_end_at_a_locked_folder(tmp_path: Path, command: list[str], written: str) -> None:
     with folder_lock(tmp_path / written, "pdr-filter live at http://127.0.0.1:8000"):
         done = CliRunner().invoke(app, [*command, str(tmp_path), "--port", "0"])
     assert done.exit_code == 2
     assert "in use by pdr-filter live at http://127.0.0.1:8000" in " ".join(done.output.split())
+    assert not (tmp_path / "certificate").exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -93,16 +94,33 @@ def test_phyphox_gives_the_sensors_that_have_times() -> None:
         (b'{"samples": {"../x": [[1, 2]]}}', "unknown sensor"),
         (b'{"type": "android.sensor.gyroscope", "timestamp": 1, "values": [1]}', "3 numbers"),
         (b'{"fix": 1}', "a fix must be"),
-        (b'{"samples": {}, "meta": 1}', "meta must be"),
-        (b'{"samples": {}, "meta": {"subject": 1}}', "subject in meta must be"),
-        (b'{"samples": {}, "meta": {"subject": {"height_m": 178}}}', "height in metres"),
-        (b'{"samples": {}, "meta": {"subject": {"age": 1e400}}}', "send numbers"),
         (json.dumps([{}] * 2000).encode(), "2000 messages"),
     ],
 )
 def test_what_is_no_message_is_said_to_be_none(body: bytes, words: str) -> None:
     with pytest.raises(MessageError, match=words):
         parse(body)
+
+
+@pytest.mark.parametrize(
+    ("meta", "kept", "words"),
+    [
+        ("null", {}, []),
+        ("1", {}, ["meta .* is '1', .*object"]),
+        ('{"subject": 1, "name": "walk"}', {"name": "walk"}, ["subject .*object"]),
+        ('{"subject": {"height_m": 178, "age": 40}}', {"subject": {"age": 40.0}}, ["height_m .* '178', .*in metres"]),
+        ('{"subject": {"age": "25-30", "weight_kg": 1e400}}', {}, ["weight_kg", "age .* '25-30', .*a number"]),
+        ('{"placement": ["x"], "subject": {"id": 5}}', {"subject": {"id": "5"}}, ["placement .*a text"]),
+    ],
+)
+def test_meta_data_that_cannot_be_used_are_noted_and_the_samples_are_taken(
+    meta: str, kept: dict[str, object], words: list[str]
+) -> None:
+    (message,) = parse(b'{"samples": {"gyroscope": [[1, 0, 0, 0]]}, "meta": %s}' % meta.encode())
+    assert (message.n_samples, message.meta) == (1, kept)
+    assert len(message.notes) == len(words)
+    for note, pattern in zip(message.notes, words, strict=True):
+        assert re.match(pattern, note)
 
 
 def test_a_test_of_an_app_without_samples_is_no_error() -> None:

@@ -130,7 +130,7 @@ def test_a_page_that_comes_late_is_told_the_contexts_until_then(
 
 @pytest.mark.parametrize(
     ("options", "height_m"),
-    [({}, 1.62), ({"height_m": 1.9}, 1.62), ({"heights_m": (("wat", 1.55), ("watch", 1.5))}, 1.55)],
+    [({}, 1.62), ({"height_m": 1.9}, 1.62), ({"heights_m": (("wat", 1.55), ("watch", 1.5))}, 1.5)],
 )
 def test_person_and_placement_that_a_phone_sends_reach_the_filter_and_the_recording(
     walk: Recording, tmp_path: Path, options: dict[str, Any], height_m: float

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -173,6 +174,16 @@ def test_after_the_clock_is_set_back_by_minutes_i_am_here_is_of_now(tmp_path: Pa
     assert [e["outcome"] for e in events if e["event"] == "fix"] == ["waiting", "used"]
 
 
+def test_meta_data_of_several_messages_add_up_and_what_cannot_be_used_is_noted(tmp_path: Path) -> None:
+    metas = [{"name": "walk", "subject": {"height_m": 1.6}}, {"placement": "hand", "subject": {"age": "old"}}, {}]
+    messages = [{"device": "p", "number": i, "samples": {}, "meta": meta} for i, meta in enumerate(metas)]
+    session, events = taken(tmp_path, encoded(messages))
+    assert session.settings.meta == {"subject": {"height_m": 1.6}, "placement": "hand"}
+    assert session.name == "walk"
+    (note,) = [e for e in events if e["event"] == "session"][-1]["notes"]
+    assert note.startswith("age in the meta data of the phone is 'old'")
+
+
 def test_two_phones_of_one_name_are_two_sessions(walk: Recording, tmp_path: Path) -> None:
     devices = sessions_in(tmp_path)
     for bodies in zip(own_messages(walk, "p", "a"), own_messages(walk, "p", "b"), strict=True):
@@ -328,6 +339,10 @@ def test_an_error_of_the_filter_ends_the_track_of_one_session_whose_messages_are
         for body in bodies[8:]:
             with contextlib.suppress(SessionError):
                 take(devices, body)
+        (session,) = devices.sessions.values()
+        exported = exported_files(session.recorder.folder, is_refused=True)
+        assert "accelerometer.csv" in exported
+        assert b'"number": 15' in exported["messages.json"].read_bytes()
     (session,) = sessions_in(tmp_path).sessions.values()  # of a version without the error
     assert session.about()["refused"] == ""
     assert session.assembly.next_number == len(bodies)
@@ -482,7 +497,7 @@ def test_what_an_untracked_phone_sends_is_recorded_and_can_be_read(
     assert name == "messages.json"
 
 
-@pytest.mark.parametrize("damage", ["state.bin", "config.txt", "journal_1.json"])
+@pytest.mark.parametrize("damage", ["state.bin", "config.txt", "journal_1.json", "no state.bin", "no journal_1.json"])
 def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     walk: Recording, tmp_path: Path, damage: str
 ) -> None:
@@ -491,10 +506,16 @@ def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     take_all(devices, [*bodies["bad"][:20], *bodies["good"][:20]])
     devices.close()
     (bad,) = tmp_path.glob("bad-*")
-    (bad / damage).write_bytes(b"damaged\n")
+    file, n = bad / damage.removeprefix("no "), 20
+    if file.name == damage:
+        file.write_bytes(b"damaged\n")
+    else:
+        take(devices, bodies["bad"][20])
+        file.unlink()
+        n = 21
     events: list[Event] = []
     devices = sessions_in(tmp_path, events)
-    take_all(devices, [*bodies["bad"][20:], *bodies["good"][20:]])
+    take_all(devices, [*bodies["bad"][n:], *bodies["good"][20:]])
     devices.close()
     (aside,) = tmp_path.glob("bad-*.damaged1")
     notes = {s.device: s.about()["notes"] for s in devices.sessions.values()}
@@ -503,3 +524,23 @@ def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     folders = [aside, bad]
     rows = sum(len(pdr.read(folder).accelerometer) for folder in folders)
     assert rows == len(walk.accelerometer)
+
+
+@pytest.mark.parametrize("deleted", ["", "gyroscope.csv"])
+def test_a_session_whose_files_are_deleted_begins_again_or_is_set_aside(
+    walk: Recording, tmp_path: Path, deleted: str
+) -> None:
+    devices, session, events, rest = on_the_way(walk, tmp_path, 10)
+    session.save()
+    path = session.recorder.folder / deleted
+    if deleted:
+        path.unlink()
+    else:
+        shutil.rmtree(path)
+    errors = [devices.take([MessageBatch("p", parse(body), 0.0)])[0] for body in rest[:20]]
+    assert sum(error is not None for error in errors) <= 1  # the one that finds it out is sent again
+    assert "free some space" not in str(errors)
+    assert {"event": "gone", "id": session.id} in events
+    (again,) = devices.sessions.values()
+    assert (again.refused, again.recorder._waiting) == ("", {})
+    assert len(list(tmp_path.glob("*.damaged1"))) == (deleted == "gyroscope.csv")

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
+import httpx
 import pytest
 
 from pdr_filter.apps.live import traffic
+from pdr_filter.apps.live.access import MAX_BODY_BYTES
+from pdr_filter.apps.live.hub import Live
 from pdr_filter.apps.live.parts import Answer
+from pdr_filter.apps.live.server import live_application
+from pdr_filter.apps.live.settings import Settings
 from pdr_filter.apps.live.traffic import Traffic
 
 
@@ -36,3 +42,17 @@ def test_rates_are_of_the_last_half_minute_and_a_nearly_full_disk_is_told_once(
         "1700 MB left on the disk",
         "0 MB left on the disk",
     ]
+
+
+def test_a_body_that_is_too_long_is_counted_as_refused(tmp_path: Path) -> None:
+    live = Live(Settings(), tmp_path)
+
+    async def post() -> int:
+        application = httpx.ASGITransport(live_application(live))
+        async with httpx.AsyncClient(transport=application, base_url="http://localhost") as client:
+            return (await client.post("/data?device=watch", content=b" " * (MAX_BODY_BYTES + 1))).status_code
+
+    assert asyncio.run(post()) == 413
+    event = live.traffic.event()
+    assert event["n_refused"] == {"413": 1}
+    assert event["refusal"].startswith("watch: more than")

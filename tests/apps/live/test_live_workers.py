@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import json
 from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
 
 from pdr_filter.apps.batch.worker_process import LostError
-from pdr_filter.apps.live.messages import Message, MessageBatch
-from pdr_filter.apps.live.parts import Answer, Request, Response
+from pdr_filter.apps.live import workers as live_workers
+from pdr_filter.apps.live.messages import Message, MessageBatch, parse
+from pdr_filter.apps.live.parts import Answer, Part, Request, Response
+from pdr_filter.apps.live.session import DeviceSession
+from pdr_filter.apps.live.settings import Settings
 from pdr_filter.apps.live.workers import Workers
 
 
@@ -77,3 +84,97 @@ def test_who_asks_more_than_a_worker_can_take_is_told_so() -> None:
 
     statuses = asyncio.run(run())
     assert statuses == [200] * 1000 + [503] * 500
+
+
+class Died(BaseException):
+    """The process has ended, as that of a part does at a segmentation fault."""
+
+
+class OfPart:
+    """A share with a part of the devices, which is lost when what it filters raises `Died` or MemoryError."""
+
+    def __init__(self, folder: Path) -> None:
+        try:
+            self._part = Part(Settings(), folder, 0, 1)
+        except (Died, MemoryError) as error:
+            raise LostError("died at its start") from error
+
+    async def ask(self, requests: Sequence[Request]) -> list[Response]:
+        try:
+            return self._part.answer(requests)
+        except (Died, MemoryError) as error:
+            raise LostError("died") from error
+
+    async def close(self) -> None:
+        """Nothing is to be ended."""
+
+
+def still(device: str, number: int) -> MessageBatch:
+    """A message with three seconds of a phone that lies on a table."""
+    rows = [[3 * number + 0.02 * k, 0.0, 0.0, 9.81 * (k % 2 + 0.5)] for k in range(150)]
+    samples = {"accelerometer": rows, "gyroscope": [[row[0], 0.0, 0.0, 0.0] for row in rows]}
+    content = {"device": device, "number": number, "platform": "android", "samples": samples}
+    return MessageBatch(device, parse(json.dumps(content).encode()), 0.0)
+
+
+@pytest.mark.parametrize(("error", "n_died"), [(Died, 3), (MemoryError, 2)])
+def test_a_phone_that_ends_its_process_at_each_start_is_set_aside_and_others_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[BaseException], n_died: int
+) -> None:
+    """As a fault does that ends the process whenever one message, which is in the journal by then, is filtered."""
+    monkeypatch.setattr(live_workers, "_TICK_S", 0.01)
+    n_starts, filtered = 0, DeviceSession._filtered
+
+    def deadly(self: DeviceSession, samples: dict[str, object]) -> list[object]:
+        if self.device == "bad" and samples and not list(tmp_path.glob("*.damaged*")):
+            raise error
+        return filtered(self, samples)
+
+    async def start(part: int, n_parts: int) -> OfPart:
+        nonlocal n_starts
+        n_starts += 1
+        return OfPart(tmp_path)
+
+    async def run() -> list[int]:
+        workers = Workers(start, 1, lambda _: None)
+        await workers.start()
+        sent = [("good", 0), ("bad", 0), ("good", 1), ("bad", 1), ("good", 2)]
+        answers = [await asyncio.wait_for(workers.take(still(*one)), 10.0) for one in sent]
+        await workers.close()
+        return [answer.status for answer in answers]
+
+    monkeypatch.setattr(DeviceSession, "_filtered", deadly)
+    assert asyncio.run(run()) == [200, 500, 200, 200, 200]
+    assert n_starts == 1 + n_died  # where memory alone is missing, the process lives on without the session
+    (aside,) = tmp_path.glob("bad-*.damaged1")
+    assert b'"number": 0' in (aside / "journal_0.json").read_bytes()
+
+
+def test_a_fix_whose_process_dies_before_its_answer_is_in_the_track_once_and_the_next_equal_one_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fix = json.dumps({"device": "p", "fix": {"east_m": 1.0, "north_m": 0.0, "time_s": 2.0}}).encode()
+    fixed, n_deaths = DeviceSession._fixed, 1
+
+    def deadly(self: DeviceSession, content: object) -> object:
+        nonlocal n_deaths
+        event, n_deaths = fixed(self, content), n_deaths - 1
+        if n_deaths >= 0:
+            raise Died
+        return event
+
+    async def start(part: int, n_parts: int) -> OfPart:
+        return OfPart(tmp_path)
+
+    async def run() -> list[int]:
+        workers = Workers(start, 1, lambda _: None)
+        await workers.start()
+        batches = [still("p", 0), *(MessageBatch("p", parse(fix), 0.0) for _ in range(2)), still("p", 1)]
+        answers = [await asyncio.wait_for(workers.take(batch), 10.0) for batch in batches]
+        await workers.close()
+        return [answer.status for answer in answers]
+
+    monkeypatch.setattr(DeviceSession, "_fixed", deadly)
+    assert asyncio.run(run()) == [200] * 4
+    (fixes,) = tmp_path.glob("*/fixes.csv")
+    assert len(fixes.read_text().splitlines()) == 1 + 2
