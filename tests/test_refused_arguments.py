@@ -221,6 +221,7 @@ FIXES: list[Refusal] = [
     *((Origin.of, {"place": p}, "must be") for p in (5, None, "ab", (1.0, 2.0, 3.0), ("48", "x"), (None, 11.0))),
     (Georeference, {"gnss": "on"}, "gnss must be one of"),
     (Georeference, {"north": "south"}, "north must be one of"),
+    (Georeference, {"origin": HERE, "plan": pdr.FloorPlan("", (), Origin(1.0, 2.0))}, "both define the frame"),
     (Georeference, {"start": "hall"}, "start is a position on a floor plan, got 'hall' without plan"),
     (Georeference, {"gnss": "align", "north": "magnetic"}, "both define north"),
     (Georeference, {"heading_rad": 0.1, "north": "magnetic"}, "both define north"),

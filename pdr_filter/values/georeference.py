@@ -41,7 +41,8 @@ class Georeference:
         `origin` or `heading_rad` is given. With "filter", positions in `fixes` must be in metres from the first usable
         location, too.
     origin : Origin or (latitude_deg, longitude_deg), optional
-        Geographic position of the origin of the track: the start of the walk, or the origin of the frame of `fixes`.
+        Geographic position of the origin of the track: the start of the walk, or the origin of the frame of `fixes`. A
+        plan in degrees must be read with the same origin.
     heading_rad : float, optional
         True heading of the person at the first sample, in rad, clockwise from north. The track is rotated by it. If the
         phone is moved before the first steps, as from the hand to an ear or into a pocket, its turn does not show that
@@ -84,7 +85,13 @@ class Georeference:
             raise ValueError(
                 f"start is a position on a floor plan, got {self.start!r} without plan: give plan, or leave start out"
             )
-        turn_rad = None if self.given_origin is None else self.given_origin.turn_rad
+        place, of_plan = self.given_origin, getattr(self.plan, "origin", None)  # a wrong plan is refused later
+        if place is not None and of_plan is not None and _degrees(place) != _degrees(of_plan):
+            raise ValueError(
+                f"origin {_degrees(place)} and plan, whose origin is {_degrees(of_plan)}, both define the frame of the "
+                "track: leave origin out, or read the plan with it, FloorPlan.read(path, origin)"
+            )
+        turn_rad = None if place is None else place.turn_rad
         if self.heading_rad is not None and turn_rad is not None:
             raise ValueError(
                 f"heading_rad ({self.heading_rad}) and turn_rad of origin ({turn_rad}) define the same angle: leave "
@@ -177,6 +184,10 @@ class Georeference:
         if recording.location is None or self.is_given or self.gnss == "off":
             return False
         return self.asks_for_locations or not (has_positions or has_headings or has_metres)
+
+
+def _degrees(place: Origin) -> tuple[float, float]:
+    return place.latitude_deg, place.longitude_deg
 
 
 def check_gnss(gnss: str | None) -> None:

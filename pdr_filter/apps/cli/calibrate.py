@@ -216,30 +216,30 @@ def smooth_command(
 
     before: dict[Path, int] = {}
     with console.one_line_errors(), console.progress("smoothing"):
-        marked = Marks(file) if no_marks else read_marks(file)
+        marked = Marks(file) if no_marks else read_marks(file, options.origin_deg(georeference.origin))
         if not no_marks and fixes is None:
             console.say_unused_fixes(unused_fixes([file]))
         recording = marked.recording(pdr.read(file, file_format))
         if height_m is not None:
             recording = recording.of_height(height_m)
-        where = {name: value for name, value in georeference.arguments().items() if value is not None}
         is_given = any(
             (fixes, loop_closures, radio, ranges, wifi_loops, loop, replace(georeference, plan=None).given())
         )
-        known: dict[str, Any] = marked.arguments(recording, not is_given)
-        closed = known.pop("loop_closures")
+        arguments = marked.arguments(recording, not is_given)
+        where = georeference.arguments(arguments.get("origin", marked.origin))
+        arguments |= {name: value for name, value in where.items() if value is not None}
+        closed = arguments.pop("loop_closures")
         if loop_closures is not None:
             closed = loop_closures_of_file(loop_closures)
         closed += wifi_loop_closures(recording) if wifi_loops else []
-        position_fixes: list[Any] = known.pop("fixes")
+        position_fixes: list[Any] = arguments.pop("fixes")
         if fixes is not None:
-            position_fixes = options.fixes_of(fixes, fix_std_m, recording, where)
+            position_fixes = options.fixes_of(fixes, fix_std_m, recording, arguments)
         if truth_as_fixes:
             position_fixes += waypoint_fixes(recording, fix_std_m)
         if radio is not None:
             position_fixes += options.wifi_fixes(pdr.RadioMap.load(radio), recording, georeference.plan is not None)
-        position_fixes += options.ranges_of(ranges, anchors, where.get("origin"))
-        arguments: dict[str, Any] = {**known, **where}
+        position_fixes += options.ranges_of(ranges, anchors, arguments)
         if person is not None:
             arguments["person"] = person
         if loop:

@@ -296,6 +296,18 @@ def in_m(value: float, spec: str = "z.1f") -> str:
     return f"{value:{spec}} m"
 
 
+def end_of(track: Track) -> tuple[str, str]:
+    """Return how far east and north a track ends as texts, or "unknown" if the direction from the start is unknown.
+
+    It is unknown if the standard deviation exceeds half of the walked distance, as without a gyroscope.
+    """
+    summary = track.summary()
+    is_from_start = track.n_steps > 0 and track.frame in ("start", "north")
+    if is_from_start and summary["end_std_m"] > 0.5 * track.distance_m:
+        return "unknown", "unknown"
+    return in_m(summary["end_east_m"]), in_m(summary["end_north_m"])
+
+
 def print_tracks(tracks: Sequence[Track], by_phone: Sequence[int | None] = ()) -> None:
     """Print a table with a row for each track, and the notes of the tracks below.
 
@@ -309,16 +321,14 @@ def print_tracks(tracks: Sequence[Track], by_phone: Sequence[int | None] = ()) -
     table = new_table("recording", *steps, "distance", "end east", "end north", "± at the end", "duration")
     table.add_column("contexts")
     for i, result in enumerate(tracks):
-        summary = result.summary()
         counted = [_or_blank(by_phone[i])] if is_counted else []
         table.add_row(
             escape(result.name),
             str(result.n_steps),
             *counted,
             result.how_far,
-            in_m(summary["end_east_m"]),
-            in_m(summary["end_north_m"]),
-            in_m(summary["end_std_m"]) if result.n_steps else "",
+            *end_of(result),
+            in_m(result.position_std_m[-1]) if result.n_steps else "",
             f"{result.duration_s:.1f} s",
             escape(context_durations(result)),
         )

@@ -31,7 +31,8 @@ def convert_command(
     """Convert a file to a recording, or join files that were cut in time, and show the column mapping.
 
     The column mapping of a table is written next to the recording, as NAME_recording.toml. If a column is mapped
-    wrongly, correct this file and pass it with --map. Existing files are never overwritten.
+    wrongly, correct this file and pass it with --map. Existing files are never overwritten. Of several files, the
+    mapping is written only if it fits each of them.
     """
     from pdr_filter.data.io.describe import reading_report
     from pdr_filter.data.io.detection import detect
@@ -48,7 +49,7 @@ def convert_command(
             raise ValueError(
                 f"--platform {platform} and --map {mapping} both set the sign of the acceleration: omit --platform"
             )
-        texts: dict[str, None] = {}
+        texts: dict[Path, str] = {}  # mappings of the files that are tables
         parts: list[Recording] = []
         files = [only_recording_in(file) for file in files]
         for file in files:
@@ -57,12 +58,12 @@ def convert_command(
             elif detect(file) == "table":
                 found = read_guessed(file, platform)
                 parts.append(found.recording)
-                texts[found.guess.mapping.toml()] = None
+                texts[file] = found.guess.mapping.toml()
             else:
                 parts.append(read(file, platform=platform))
         recording = joined(parts)
-        # One mapping is written, so that it fits each of the files.
-        text = next(iter(texts), "") if len(texts) == 1 else ""
+        fits_all = len(texts) == len(files) and len(set(texts.values())) == 1
+        text = texts[files[0]] if fits_all else ""
         to = out or outside(files[0].absolute())[0].with_name(f"{file_name(recording.name)}_recording.zip")
         mapping_path = to.with_suffix(".toml") if to.suffix else to.with_name(f"{to.name}.toml")
         for path in (to, *([mapping_path] if text else [])):
@@ -78,3 +79,8 @@ def convert_command(
             written.append(write_text(mapping_path, text))
     for path in written:
         console.say(f"written: {path}")
+    if texts and not fits_all:
+        console.say(
+            f"no column mapping was written, because none fits each of the {len(files)} files: convert them one by one "
+            "to see and correct the mapping of each"
+        )

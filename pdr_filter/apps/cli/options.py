@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_type_hints
@@ -21,6 +21,7 @@ from pdr_filter.values.recording import check_height
 if TYPE_CHECKING:
     from pdr_filter.apps.maps.radio.radio_map import RadioMap
     from pdr_filter.recipes.config import Config
+    from pdr_filter.values import Origin
     from pdr_filter.values.recording import Recording
 
 
@@ -84,7 +85,8 @@ FixesFile = Annotated[
     Path | None,
     typer.Option(
         help="CSV of position fixes with columns time_s, east_m, north_m and optionally std_m, floor, heading_deg and "
-        "heading_std_deg. Or latitude and longitude in degrees, with --origin or a recording that has locations."
+        "heading_std_deg. Or latitude and longitude in degrees, if --origin, the marks, the plan or locations of the "
+        "recording give the origin."
     ),
 ]
 Platform = Annotated[
@@ -137,16 +139,19 @@ class GeoreferenceOptions:
         """Return the values of the options that were given, by name such as "--origin"."""
         return {f"--{f.name}": value for f in fields(self) if (value := getattr(self, f.name)) is not None}
 
-    def arguments(self) -> dict[str, Any]:
-        """Return the keyword arguments for `pdr_filter.track` and `pdr_filter.smooth`."""
-        plan = None
+    def arguments(self, known: Origin | None = None) -> dict[str, Any]:
+        """Return the keyword arguments for `pdr_filter.track` and `pdr_filter.smooth`.
+
+        The origin of the plan is that of --origin, else `known`, the origin of the marks, so that there is one frame.
+        """
+        plan, origin = None, origin_deg(self.origin)
         if self.plan is not None:
             from pdr_filter.apps.maps.floor_plan import FloorPlan
 
-            plan = FloorPlan.read(self.plan)
+            plan = FloorPlan.read(self.plan, origin or known)
         georeference = Georeference(
             gnss=self.gnss,
-            origin=origin_deg(self.origin),
+            origin=origin,
             heading_rad=_heading_rad(self.heading),
             north=self.north,
             plan=plan,
@@ -225,29 +230,44 @@ def wifi_fixes(radio: RadioMap, recording: Recording, with_grids: bool) -> list[
 def fixes_of(fixes: Path, std_m: float, recording: Recording, where: dict[str, Any]) -> list[Any]:
     """Return the fixes of the file --fixes.
 
-    Positions in degrees are relative to the origin in the arguments `where` of the track, or to the first usable
-    location of the recording, which then becomes the origin of the track.
+    Positions in degrees are relative to the origin of the frame (`origin_of_frame`). Without one, and without a plan,
+    they are relative to the first usable location of the recording, which then becomes the origin of the track.
     """
     from pdr_filter.data.io.fix_files import degrees_in, fixes_of_file
     from pdr_filter.filter.fixes.gnss import origin_of
 
-    origin = where.get("origin")
-    if origin is None and recording.location is not None and degrees_in(fixes):
-        origin = origin_of(recording.location)
-        if origin is not None and where.get("gnss") not in ("filter", "align"):
+    origin = origin_of_frame(where)
+    if origin is None and degrees_in(fixes):
+        if where.get("plan") is None and recording.location is not None:
+            origin = origin_of(recording.location)
+        if origin is None:
+            raise ValueError(
+                f"{fixes}: the positions are in degrees, and the geographic origin of the track is unknown: give "
+                "--origin LAT,LON, such as the first position, or write east_m,north_m"
+            )
+        if where.get("gnss") not in ("filter", "align"):
             where["origin"] = origin
     return list(fixes_of_file(fixes, std_m, origin))
 
 
-def ranges_of(ranges: Path | None, anchors: Path | None, origin: tuple[float, float] | None) -> list[Any]:
-    """Return the range fixes of the files --ranges and --anchors. ValueError for anchors without ranges."""
+def origin_of_frame(where: Mapping[str, Any]) -> Origin | tuple[float, float] | None:
+    """Return the origin of positions in degrees: that in the arguments `where` of the track, or that of its plan."""
+    plan = where.get("plan")
+    return where.get("origin") or (None if plan is None else plan.origin)
+
+
+def ranges_of(ranges: Path | None, anchors: Path | None, where: Mapping[str, Any]) -> list[Any]:
+    """Return the range fixes of the files --ranges and --anchors, for the arguments `where` of the track.
+
+    ValueError for anchors without ranges.
+    """
     from pdr_filter.data.io.fix_files import ranges_of_file
 
     if ranges is None and anchors is not None:
         raise ValueError(
             f"--anchors {anchors} has no effect without --ranges, the distances to these anchors: give both"
         )
-    return [] if ranges is None else list(ranges_of_file(ranges, anchors, origin=origin))
+    return [] if ranges is None else list(ranges_of_file(ranges, anchors, origin=origin_of_frame(where)))
 
 
 def origin_deg(text: str | None) -> tuple[float, float] | None:

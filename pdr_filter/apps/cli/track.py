@@ -175,7 +175,7 @@ def track_command(
         changes = method.changes()
         where = georeference.arguments()
         radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
-        ranges = options.ranges_of(method.ranges, method.anchors, where.get("origin"))
+        ranges = options.ranges_of(method.ranges, method.anchors, where)
         if ranges and len(files) > 1:
             raise ValueError(
                 f"--ranges are measured in one recording, got {len(files)} recordings: track them one by one"

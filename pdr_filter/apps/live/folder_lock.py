@@ -7,10 +7,10 @@ import os
 import socket
 import sys
 from collections.abc import Generator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 NAME = ".lock"
 # Windows forbids reading of locked bytes, so the locked byte lies behind the text.
@@ -27,8 +27,13 @@ def folder_lock(folder: Path, owner: str) -> Generator[None]:
     """
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / NAME
-    with path.open("a+b") as file:
-        if not _is_locked(file):
+    with ExitStack() as opened:
+        file = opened.enter_context(path.open("a+b"))
+        locked = [file.fileno()]
+        if sys.platform != "win32":  # there, a file in use cannot be deleted; elsewhere, the folder is locked as well
+            locked.append(os.open(folder, os.O_RDONLY))
+            opened.callback(os.close, locked[-1])
+        if not all(map(_is_locked, locked)):
             raise ValueError(
                 f"{folder} is in use by {_owner(path)}: two servers on one folder would lose samples; stop the other "
                 "one, or give another folder"
@@ -50,14 +55,14 @@ def _owner(path: Path) -> str:
         return "another process"
 
 
-def _is_locked(file: IO[bytes]) -> bool:
-    """Lock a file without waiting, and return False if another process holds the lock."""
+def _is_locked(file: int) -> bool:
+    """Lock a file descriptor without waiting, and return False if another process holds the lock."""
     if sys.platform == "win32":
         import msvcrt
 
-        file.seek(_LOCKED_BYTE)
+        os.lseek(file, _LOCKED_BYTE, os.SEEK_SET)
         try:
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+            msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
         except OSError:
             return False
         return True

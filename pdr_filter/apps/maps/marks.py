@@ -72,6 +72,11 @@ class Marks:
         """Path of the floor plan that `walk.json` names, or None."""
         return (self.folder / self.walk["plan"]).resolve() if self.walk.get("plan") else None
 
+    @property
+    def origin(self) -> Origin | None:
+        """Origin of the positions that `walk.json` states, or None."""
+        return None if self.walk.get("origin") is None else Origin.of(tuple(self.walk["origin"]))
+
     def all_closures(self, recording: Recording) -> list[LoopClosure]:
         """Return the loop closures of a recording, with one from start to end for a walk that `walk.json` calls one."""
         whole = [LoopClosure(0.0, recording.duration_s)] if self.walk.get("is_loop") else []
@@ -94,7 +99,7 @@ class Marks:
             found["person"] = self.person
         if self.walk.get("is_loop"):
             found["loop"] = True
-        origin = None if self.walk.get("origin") is None else Origin.of(tuple(self.walk["origin"]))
+        origin = self.origin
         if self.plan is not None and (self.fixes or self.walk.get("keep_on_plan")):
             plan = FloorPlan.read(self.plan, origin)
             origin = origin or plan.origin
@@ -126,7 +131,7 @@ def marks_folder(recording: Path) -> Path:
     return path.parent if path.parent.name == path.stem else path.with_name(f"{path.name}.marks")
 
 
-def read_marks(recording: str | Path) -> Marks:
+def read_marks(recording: str | Path, origin: tuple[float, float] | None = None) -> Marks:
     r"""Read the marks of a recording from their files.
 
     Marks are positions, loop closures and the person that a user has set. The files are `fixes.csv`,
@@ -136,6 +141,8 @@ def read_marks(recording: str | Path) -> Marks:
     ----------
     recording : str or Path
         Path of the recording: a file or a folder.
+    origin : (latitude_deg, longitude_deg), optional
+        Geographic origin of the marks, which replaces the origin in `walk.json`.
 
     Returns
     -------
@@ -159,15 +166,17 @@ def read_marks(recording: str | Path) -> Marks:
     >>> [fix.position_m.tolist() for fix in marks.fixes]
     [[3.0, 4.0]]
     """
-    return marks_in(marks_folder(Path(recording)))
+    return marks_in(marks_folder(Path(recording)), origin)
 
 
-def marks_in(folder: Path) -> Marks:
-    """Return the marks of a walk from the files in a folder. ValueError names the file and the remedy."""
+def marks_in(folder: Path, origin: tuple[float, float] | None = None) -> Marks:
+    """Return the marks of a walk from the files in a folder, as `read_marks` does."""
     _finish(folder)
     found = [name for name in NAMES if (folder / name).exists()]
     walk = read_json(folder / WALK, limits.MAX_SMALL_BYTES) if WALK in found else {}
     _check_walk(walk, folder / WALK)
+    if origin is not None:
+        walk = {**walk, "origin": origin}
     return Marks(
         folder,
         tuple(fixes_of_file(folder / FIXES, origin=walk.get("origin"))) if FIXES in found else (),

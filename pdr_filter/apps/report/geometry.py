@@ -11,8 +11,11 @@ from pdr_filter.apps.maps.storey import Storey
 from pdr_filter.values import RADIUS_95, Cluster, FloatArray, IntArray, TrackRows, Windows
 
 _MAX_FIXES = 8
-# Maximum number of ellipses of a band, and corners of each: on a screen, neighbouring ellipses overlap.
+# Number of evenly spaced ellipses of a band, between which their axes change linearly, and corners of each.
 _MAX_BAND, _N_CORNERS = 300, 48
+# Distance of a step from the line between two ellipses: a share of its shorter half axis, so that the step lies in the
+# band, and at least 0.1 m, which is less than the error of any position and narrower than the drawn line.
+_MAX_OFF_SHARE, _MIN_OFF_M = 0.5, 0.1
 # Clusters of a floor plan with less probability are not drawn.
 _MIN_SHARE = 0.02
 # Minimum width of a map in metres. A smaller map of a short track would magnify noise.
@@ -32,9 +35,27 @@ def ellipse_rows(track: TrackRows) -> list[int]:
     return sorted({*shown.tolist(), track.n_steps - 1})
 
 
-def band_rows(n_steps: int) -> IntArray:
-    """Return indices of the steps whose ellipses make up the band of uncertainty: all, or about `_MAX_BAND`."""
-    return np.unique(np.linspace(0, n_steps - 1, min(n_steps, _MAX_BAND)).round().astype(int))
+def band_rows(position_m: FloatArray, minor_m: FloatArray) -> IntArray:
+    """Return indices of the steps whose ellipses make up the band of uncertainty of a path (N, 2), ascending.
+
+    `minor_m` (N,) are the shorter half axes of the ellipses, m. The rows are all steps, or 300 that are evenly spaced,
+    and those at which the path turns: no step is further from the line between two rows than half of its shorter half
+    axis, or 0.1 m.
+    """
+    step = np.arange(len(position_m))
+    rows = np.unique(np.linspace(0, len(step) - 1, min(len(step), _MAX_BAND)).round().astype(int))
+    while len(rows) > 1:
+        part = np.clip(np.searchsorted(rows, step, side="right") - 1, 0, len(rows) - 2)
+        start_m, along_m = position_m[rows[part]], np.diff(position_m[rows], axis=0)[part]
+        moved_m = position_m - start_m
+        share = (moved_m * along_m).sum(axis=1) / np.maximum((along_m**2).sum(axis=1), 1e-9)
+        off_m = np.linalg.norm(moved_m - np.clip(share, 0.0, 1.0)[:, np.newaxis] * along_m, axis=1)
+        excess = off_m / np.maximum(_MAX_OFF_SHARE * minor_m, _MIN_OFF_M)
+        is_worst = excess == np.fmax.reduceat(excess, rows[:-1])[part]
+        if not (turns := step[is_worst & (excess > 1.0)]).size:
+            break
+        rows = np.union1d(rows, turns)
+    return rows
 
 
 def band_rings(position_m: FloatArray, cov_m2: FloatArray) -> list[FloatArray]:

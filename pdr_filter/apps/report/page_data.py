@@ -63,7 +63,7 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         "minor": _column(minor_m, 2),
         "angle": _column(angle_rad, 3),
         "ellipses": _with_ellipse(track, shown, major_m),
-        "band": [int(row) for row in band_rows(len(shown)) if math.isfinite(major_m[row])],
+        "band": [int(row) for row in band_rows(position_m, minor_m) if math.isfinite(major_m[row])],
         "prob": _percent(track.context_prob[shown]),
         "contexts": list(track.contexts),
         "context_colours": list(palette.context_colours(track.contexts).values()),

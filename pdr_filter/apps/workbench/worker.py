@@ -65,7 +65,7 @@ def make_worker(cache: str) -> Callable[[tuple[str, Sequence[Any]]], Any]:
         try:
             return getattr(worker, method)(*arguments)
         except Exception as error:  # a damaged file can raise any error
-            if isinstance(error, FileNotFoundError) and str(error.filename).startswith(str(_PACKAGE)):
+            if isinstance(error, FileNotFoundError) and Path(str(error.filename)).is_relative_to(_PACKAGE):
                 words = "a file of pdr_filter is missing, because it was installed again: start the workbench again"
                 return {"error": words, "errno": error.errno}
             return {"error": reason_of(error), "errno": error.errno if isinstance(error, OSError) else None}

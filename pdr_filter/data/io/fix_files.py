@@ -102,9 +102,9 @@ def _in_metres(file: Path, rows: Sequence[_Row], origin: Origin | tuple[float, f
     if origin is None:
         _, latitude_deg, longitude_deg, *_ = rows[0].values
         raise ValueError(
-            f"{file}: the positions are in degrees, and the geographic origin of the track is unknown; give it, such "
-            f"as the first position: --origin {latitude_deg:.6f},{longitude_deg:.6f}, and in Python "
-            f"origin=({latitude_deg:.6f}, {longitude_deg:.6f}) both here and for the track, or write east_m,north_m"
+            f"{file}: the positions are in degrees, and the geographic origin of the track is unknown; give it here "
+            f"and to the track, such as the first position: origin=({latitude_deg:.6f}, {longitude_deg:.6f}), or write "
+            "east_m,north_m"
         )
     here = Origin.of(origin)
     return [

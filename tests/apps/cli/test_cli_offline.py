@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from commands import mark, one_line, refusal, run, short_walk, succeed
 from true_positions import HERE, located, true_m
 
 import pdr_filter as pdr
+from pdr_filter.apps.cli.options import fixes_of
 from pdr_filter.apps.maps.marks import read_marks
 from pdr_filter.data.io.files.own_format import write_recording
 from pdr_filter.data.io.fix_files import fixes_of_file
@@ -141,6 +143,73 @@ def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) 
     np.testing.assert_array_equal([*second.position_m, second.time_s], [3.0, 4.0, 9.0])
     with pytest.raises(ValueError, match="std_m must be a positive number, got 0"):
         fixes_of_file(tmp_path / "fixes.csv", 0.0)
+
+
+@pytest.mark.parametrize("has_locations", [True, False])
+@pytest.mark.parametrize(
+    ("settings", "options", "expected"),
+    [
+        ({"origin": [52.0, 13.0]}, "", (52.0, 13.0)),
+        ({"origin": [52.0, 13.0]}, "--origin 52.0005,13.0", (52.0005, 13.0)),
+        ({"origin": [52.0, 13.0]}, "--plan {plan}", (52.0, 13.0)),
+        ({"origin": [52.0, 13.0], "plan": "../hall.geojson", "keep_on_plan": True}, "--origin 52.002,13", (52.002, 13)),
+        ({}, "--plan {plan}", (52.001, 13.001)),
+        ({}, "--plan {plan} --origin 52.0005,13.0", (52.0005, 13.0)),
+        ({}, "", (52.003, 13.0)),
+    ],
+)
+def test_fixes_in_degrees_are_in_the_one_frame_of_origin_marks_or_plan(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    settings: dict[str, Any],
+    options: str,
+    expected: tuple[float, float],
+    has_locations: bool,
+) -> None:
+    walk = short_walk()
+    if has_locations:
+        walk = replace(walk, location=pdr.Samples([0.0, 1.0], [[52.003, 13.0, 0.0, 5.0]] * 2))
+    path, fixes = walk.save(tmp_path / "walk.zip"), tmp_path / "fixes.csv"
+    fixes.write_text("time_s,latitude,longitude\n2,52.0002,13.0001\n")
+    corners = [[13.0, 52.0], [13.002, 52.0], [13.002, 52.002], [13.0, 52.002], [13.0, 52.0]]
+    hall = {"properties": {"type": "floor"}, "geometry": {"type": "Polygon", "coordinates": [corners]}}
+    plan = tmp_path / "hall.geojson"
+    plan.write_text(json.dumps({"type": "FeatureCollection", "features": [hall]}))
+    mark(path, settings=json.dumps(settings))
+    given: dict[str, Any] = {}
+
+    def smooth(_: pdr.Recording, fixes: list[pdr.PositionFix], **arguments: Any) -> None:
+        given.update(arguments, fixes=fixes)
+        raise ValueError("seen")
+
+    monkeypatch.setattr(pdr, "smooth", smooth)
+    said = refusal("smooth", path, "--fixes", fixes, *options.format(plan=plan).split())
+    if not (has_locations or settings or options):
+        assert "origin of the track is unknown: give --origin LAT,LON" in said
+        return
+    frames = [given["plan"].origin] if "plan" in given else []
+    frames += [pdr.Origin.of(given["origin"])] if "origin" in given else []
+    assert frames
+    for frame in frames:
+        assert (frame.latitude_deg, frame.longitude_deg) == pytest.approx(expected, abs=1e-9)
+        np.testing.assert_allclose(given["fixes"][0].position_m, frame.east_north_m(52.0002, 13.0001), atol=1e-6)
+
+
+def test_fixes_in_degrees_are_not_placed_by_locations_on_a_plan_in_metres(tmp_path: Path) -> None:
+    walk = replace(short_walk(), location=pdr.Samples([0.0], [[52.0, 13.0, 0.0, 5.0]]))
+    (tmp_path / "fixes.csv").write_text("time_s,latitude,longitude\n2,52.0,13.0\n")
+    with pytest.raises(ValueError, match="unknown: give --origin"):
+        fixes_of(tmp_path / "fixes.csv", 1.0, walk, {"plan": pdr.FloorPlan("hall", ())})
+
+
+def test_marks_in_degrees_are_in_metres_from_a_given_origin(tmp_path: Path) -> None:
+    path = short_walk().save(tmp_path / "walk.zip")
+    mark(path, "time_s,latitude,longitude\n2,52.0002,13.0001\n", '{"origin": [52.0, 13.0]}')
+    for origin in (None, (52.0005, 13.0)):
+        marks = read_marks(path, origin)
+        expected_m = marks.arguments(pdr.read(path))["origin"].east_north_m(52.0002, 13.0001)
+        np.testing.assert_allclose(marks.fixes[0].position_m, expected_m, atol=1e-9)
+        assert marks.origin == pdr.Origin(*origin or (52.0, 13.0))
 
 
 def test_a_walk_is_smoothed_with_loop_closures_of_a_file(walk: Path, tmp_path: Path) -> None:

@@ -56,7 +56,9 @@ def test_track_prints_one_row_for_each_file(walk: Path) -> None:
 def test_notes_stand_below_the_table_and_with_json_in_the_object(tmp_path: Path) -> None:
     recording = replace(short_walk(), gyroscope=None, name="no_gyroscope")
     file = write_recording(recording, tmp_path / "no_gyroscope.zip")
-    assert "no gyroscope" in run("track", file).stdout
+    shown = run("track", file).stdout
+    assert "no gyroscope" in shown
+    assert shown.partition("±: one")[0].count(" unknown ") == 2  # its end to the east and to the north
     with_json = run("track", "--json", file)
     assert any("no gyroscope" in note for note in json.loads(with_json.stdout)["notes"])
     assert with_json.stderr == ""

@@ -46,6 +46,17 @@ def test_a_table_is_no_wider_than_the_terminal_and_breaks_no_word(
     assert all(f"{name} {s:.0f} s" in table for name, s in demo_track().context_seconds().items() if s >= 0.5)
 
 
+def test_the_end_of_a_track_is_unknown_if_its_direction_from_the_start_is(capsys: pytest.CaptureFixture[str]) -> None:
+    known = demo_track()
+    unsure = replace(known, position_cov_m2=1e4 * known.position_cov_m2)
+    assert console.end_of(unsure) == ("unknown", "unknown")
+    summary = known.summary()
+    expected = console.in_m(summary["end_east_m"]), console.in_m(summary["end_north_m"])
+    assert console.end_of(known) == console.end_of(replace(unsure, frame="fixes")) == expected
+    console.print_tracks([unsure])
+    assert console.in_m(unsure.position_std_m[-1]) in printed(capsys)
+
+
 def test_the_steps_of_the_phone_are_a_column_if_one_recording_has_them(capsys: pytest.CaptureFixture[str]) -> None:
     console.print_tracks([demo_track(), demo_track()], [None, 4321])
     shown = printed(capsys).partition("±: one")[0]

@@ -76,4 +76,14 @@ def test_files_that_were_cut_in_time_are_joined_in_any_order(tmp_path: Path) -> 
     succeed("convert", tmp_path / "b.csv", tmp_path / "a.csv", "--out", tmp_path / "joined.zip")
     np.testing.assert_allclose(read(tmp_path / "joined.zip").accelerometer.time_s, TIME_S, atol=1e-6)
     assert (tmp_path / "joined.toml").read_text().startswith('time = { column = "timestamp", unit = "ms" }')
+    # a mapping that does not fit each file is not written, which is said
+    renamed, recording = tmp_path / "c.csv", tmp_path / "d.zip"
+    renamed.write_text((tmp_path / "b.csv").read_text().replace("timestamp", "time_ms"))
+    succeed("convert", tmp_path / "b.csv", "--out", recording)
+    for other in (renamed, recording):
+        out = tmp_path / f"with_{other.stem}.zip"
+        said = succeed("convert", tmp_path / "a.csv", other, "--out", out).stderr
+        assert "no column mapping was written, because none fits each of the 2 files" in said
+        assert out.exists()
+        assert not out.with_suffix(".toml").exists()
     assert "begins 3.0 s before the end" in refusal("convert", tmp_path / "a.csv", tmp_path / "a.csv")

@@ -36,6 +36,17 @@ def test_a_second_process_is_refused_with_the_name_of_the_first_until_that_is_ki
         assert "another" in (tmp_path / ".lock").read_text()
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not delete a file in use")
+def test_a_folder_whose_lock_file_was_deleted_is_still_refused_to_a_second_server(tmp_path: Path) -> None:
+    with folder_lock(tmp_path, "one"):
+        (tmp_path / ".lock").unlink()
+        for _ in range(2):
+            with pytest.raises(ValueError, match="is in use by another process"), folder_lock(tmp_path, "two"):
+                pass
+    with folder_lock(tmp_path, "two"):
+        assert "two" in (tmp_path / ".lock").read_text()
+
+
 @pytest.mark.parametrize(
     ("command", "written"),
     [

@@ -118,7 +118,11 @@ async def test_pages_are_served_after_another_version_was_installed(
         assert await client.get(path)
     # the worker processes may still need other files
     monkeypatch.setattr(worker.Worker, "walk", lambda *_: read_text(Path(server.__file__)))
-    assert "start the workbench again" in worker.make_worker(str(client.bench.cache))(("walk", [""]))["error"]
+    answer = worker.make_worker(str(client.bench.cache))
+    assert "start the workbench again" in answer(("walk", [""]))["error"]
+    package = Path(server.__file__).parents[2]  # a folder of recordings beside it may begin with the same name
+    monkeypatch.setattr(worker.Worker, "walk", lambda *_: read_text(Path(f"{package}_walks", "walk.csv")))
+    assert "start the workbench again" not in answer(("walk", [""]))["error"]
 
 
 async def test_a_zip_bomb_is_refused_with_its_reason_and_not_kept(client: Client, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.apps.cli.app import app
-from pdr_filter.apps.cli.options import fixes_of
+from pdr_filter.apps.cli.options import fixes_of, ranges_of
 from pdr_filter.data.io.fix_files import anchors_of_file, fixes_of_file, ranges_of_file
 
 ANCHORS = {"door": (-8.0, -6.0), "window": (45.0, -5.0, 1.5), "stairs": (5.0, 50.0)}
@@ -84,7 +84,7 @@ def test_fixes_in_degrees_are_metres_from_the_origin(tmp_path: Path, names: str)
     first, second = fixes_of_file(path, origin=origin)
     np.testing.assert_allclose(first.position_m, origin.east_north_m(10.0001, 20.0), atol=1e-9)
     np.testing.assert_allclose(second.position_m, origin.east_north_m(10.0, 19.9999), atol=1e-9)
-    with pytest.raises(ValueError, match=r"positions are in degrees.*--origin 10\.000100,20\.000000"):
+    with pytest.raises(ValueError, match=r"positions are in degrees.*: origin=\(10\.000100, 20\.000000\)"):
         fixes_of_file(path)
     path.write_text(f"time_s,{names}\n\n5,100,20\n", encoding="utf-8")
     with pytest.raises(ValueError, match=r"fixes\.csv, line 3: position must be \(latitude, longitude\)"):
@@ -106,8 +106,9 @@ def test_the_command_line_places_fixes_in_degrees_by_an_origin_or_the_first_loca
         (fix,) = fixes_of(tmp_path / "fixes.csv", 2.0, recording, where)
         np.testing.assert_allclose(fix.position_m, [0.0, 11.06], atol=0.01)
         assert (where.get("origin") is None) == (where.get("gnss") == "filter")  # its origin is the first location
-    with pytest.raises(ValueError, match="positions are in degrees"):
+    with pytest.raises(ValueError, match=r"positions are in degrees.*: give --origin LAT,LON, such") as refused:
         fixes_of(tmp_path / "fixes.csv", 2.0, walk, {})
+    assert "Python" not in str(refused.value)
 
 
 def test_anchors_in_degrees_become_metres_from_the_origin(tmp_path: Path) -> None:
@@ -116,6 +117,10 @@ def test_anchors_in_degrees_become_metres_from_the_origin(tmp_path: Path) -> Non
     np.testing.assert_allclose([found["a"], found["b"]], [[0.0, 0.0], [0.0, 22.25]], atol=0.05)
     with pytest.raises(ValueError, match="--origin LAT,LON"):
         anchors_of_file(path)
+    (tmp_path / "ranges.csv").write_text("time_s,anchor,range_m\n1.5,b,7.25\n")
+    plan = pdr.FloorPlan("hall", (), pdr.Origin(51.4779, -0.0015))
+    (measured,) = ranges_of(tmp_path / "ranges.csv", path, {"plan": plan})
+    np.testing.assert_array_equal(measured.anchor_m, found["b"])
 
 
 def test_one_anchor_is_in_degrees_if_it_is_near_the_origin(tmp_path: Path) -> None:

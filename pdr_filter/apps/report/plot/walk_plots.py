@@ -299,7 +299,7 @@ def _step_curve(track: TrackRows) -> tuple[FloatArray, FloatArray]:
 
 def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
     """Draw the band of the 95 % ellipses along the track, and those at fixes and at the end."""
-    band = band_rows(track.n_steps)
+    band = band_rows(track.position_m, ellipse_axes(track.position_cov_m2)[0][:, 0])
     # one path, so that places in several ellipses have the same colour as others
     rings = Rings.make_compound_path(*map(Rings, band_rings(track.position_m[band], track.position_cov_m2[band])))
     axes.add_patch(PathPatch(rings, facecolor=(palette.ELLIPSE, palette.BAND_ALPHA), linewidth=0, zorder=1))

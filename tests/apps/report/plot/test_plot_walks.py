@@ -19,6 +19,7 @@ from scipy.stats import chi2
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.report import plot
+from pdr_filter.apps.report.geometry import band_rings, band_rows, ellipse_axes
 from pdr_filter.apps.report.palette import context_colours
 from pdr_filter.values import CONTEXTS, FixOutcome, FixResult, RangeFix
 
@@ -114,6 +115,24 @@ def test_the_band_holds_the_ellipses_of_all_steps_and_the_places_between_them() 
     assert len(rings) == 40 + 39
     area = [0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) for x, y in (ring[:-1].T for ring in rings)]
     assert min(area) > 0  # in one direction: rings of both directions would cancel each other
+
+
+def test_every_step_of_a_long_walk_around_corners_lies_in_the_band() -> None:
+    corners_m = np.array([[0.0, 0.0], [20.0, 0.0], [20.0, 10.0], [0.0, 10.0], [0.0, 0.0]])
+    walked_m = 0.7 * np.arange(3000) % 60.0
+    position_m = np.column_stack([np.interp(walked_m, [0.0, 20.0, 30.0, 50.0, 60.0], side) for side in corners_m.T])
+    cov_m2 = np.broadcast_to(0.3**2 * np.eye(2), (3000, 2, 2))
+    minor_m = ellipse_axes(cov_m2)[0][:, 0]
+    rows = band_rows(position_m, minor_m)
+    assert len(rows) < 1200
+    for first in range(0, len(rows) - 8, 100):  # parts, so that a later round does not cover an earlier one
+        part = rows[first : first + 8]
+        rings = [Rings(ring) for ring in band_rings(position_m[part], cov_m2[part])]
+        steps_m = position_m[part[0] : part[-1] + 1]
+        assert np.any([ring.contains_points(steps_m) for ring in rings], axis=0).all()
+    straight_m = np.column_stack([0.7 * np.arange(3000), np.zeros(3000)])
+    assert len(band_rows(straight_m, minor_m)) == 300
+    assert [len(band_rows(straight_m[:n], minor_m[:n])) for n in (0, 1, 2)] == [0, 1, 2]
 
 
 def test_north_and_east_have_the_same_scale() -> None:
