@@ -151,6 +151,7 @@ _EPOCH_S = (1.1e9, 2.2e9)
 # Clocks of Windows count 100 ns since 1601 (FILETIME) or since the year 1 (.NET), so many seconds before 1970.
 _ZEROS_S = {"100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0)}
 _TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
+_INTERVAL = re.compile(r"^dt|dt$|delta|interval|diff|period")
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
 _STEP_COUNTS = re.compile(r"(pedometer)?(numberof|n)?steps?(s|n|count(er)?|detected)?|schritte")
 _HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)(deg(rees)?)?")
@@ -403,6 +404,11 @@ def is_time(name: str) -> bool:
     letter, _, unit = bare.strip().lower().partition("_")  # as in t_ms
     is_letter = stem in ("t", "ts", "dt") or (letter in ("t", "ts") and unit in TIME_UNITS)
     return is_word or is_unit or is_letter or _TIME.search(stem) is not None
+
+
+def is_interval(name: str) -> bool:
+    """Return True if the name of a column of times is that of the times between samples."""
+    return _INTERVAL.search(letters(_UNIT.sub("", name))) is not None
 
 
 def column_of_nanoseconds(fields: Sequence[str], place: int) -> int | None:
