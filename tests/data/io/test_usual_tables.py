@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from app_files import axes, refusal, table_text
-from table_cases import FORCE, RATE, TIME_S
+import pytest
+from app_files import assert_same_streams, axes, refusal, table_text
+from table_cases import FORCE, RATE, TIME_S, WALK
 
 from pdr_filter.data.io.formats import read
 
@@ -30,3 +31,24 @@ def test_times_in_the_order_of_arrival_are_no_times_between_samples(tmp_path: Pa
 
 def test_a_time_that_a_spreadsheet_rounded_to_a_constant_is_no_time_between_samples(tmp_path: Path) -> None:
     assert "the times may be rounded" in refusal(write(tmp_path, table_text({"timestamp": ["1E+05"] * N} | BOTH)))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"date": [f"2024-05-01 10:00:{t:09.6f}" for t in TIME_S], "gps": ["52.10 13.20"] * N},
+        {"date": [f"01/05/2024 10:00:{t:09.6f}" for t in TIME_S], "gps": ["52.10/13.20"] * N},
+        {"t": TIME_S, "activity": ["walking fast"] * N, "gps": ["52.10 13.20"] * N},
+        {"t": TIME_S, "gps": ["52.10 13.20", "", *["52.10 13.20"] * (N - 2)]},
+    ],
+)
+def test_numbers_in_one_field_leave_the_other_columns_as_they_are(
+    tmp_path: Path, more: dict[str, np.ndarray | list[str]]
+) -> None:
+    recording = read(write(tmp_path, table_text(more | BOTH)))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=2e-6, rtol=1e-12)
+
+
+def test_a_mark_between_thousands_is_none_between_numbers(tmp_path: Path) -> None:
+    text = table_text({"Zeit": TIME_S} | BOTH | {"Luftdruck": ["1.013,25"] * N}, ";", ",")
+    assert_same_streams(read(write(tmp_path, text)), WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
