@@ -52,3 +52,8 @@ def test_numbers_in_one_field_leave_the_other_columns_as_they_are(
 def test_a_mark_between_thousands_is_none_between_numbers(tmp_path: Path) -> None:
     text = table_text({"Zeit": TIME_S} | BOTH | {"Luftdruck": ["1.013,25"] * N}, ";", ",")
     assert_same_streams(read(write(tmp_path, text)), WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
+
+
+def test_counts_beside_an_acceleration_with_gravity_are_left_out(tmp_path: Path) -> None:
+    path = write(tmp_path, table_text({"timestamp_ms": MS} | BOTH | axes("acc_raw_%", 835 * FORCE)))
+    assert_same_streams(read(path), WALK, "accelerometer gyroscope", time_s=1e-3, rtol=1e-12)

@@ -111,13 +111,16 @@ def guess(
     usual = next(filter(None, units), "s")
     streams = [s if s.time_unit else replace(s, time_unit=usual, time_s=s.time_s * TIME_UNITS[usual]) for s in streams]
     streams = [s for s in streams if len(s.values)]
-    for s in streams:
-        if s.group.quantity == ACCELERATION and not s.is_unit_declared and s.constant > _MOST_GRAVITY_MPS2:
-            raise RecordingError(
-                f"{where}: {s.group.name} are counts of the sensor, or in an unknown unit: their constant part is "
-                f"{s.constant:.4g}, and gravity is 9.8 m/s2 or 1 g; a mapping gives their scale. "
-                f"{asked()}"
-            )
+    counted = [s for s in streams if _is_counted(s)]
+    streams = [s for s in streams if s not in counted]
+    for s in counted:
+        words = (
+            f"{s.group.name} are counts of the sensor, or in an unknown unit: their constant part is {s.constant:.4g}, "
+            "and gravity is 9.8 m/s2 or 1 g"
+        )
+        if not _show_gravity(streams):
+            raise RecordingError(f"{where}: {words}; a mapping gives their scale. {asked()}")
+        result.evidence.append(f"not used: {words}")
     forces = _forces(streams, dialect, result, where, asked)
     is_linear = len(forces) == 1 and not _has_gravity(forces[0])
     time_s, force = forces[0].time_s, _force(forces)
@@ -295,6 +298,18 @@ def _with_force_unit(s: _Stream) -> _Stream:
         return replace(s, unit="g")
     is_mps2 = constant >= _LEAST_GRAVITY_MPS2 or s.group.quantity == LINEAR
     return replace(s, unit="m/s2" if is_mps2 else "")
+
+
+def _is_counted(s: _Stream) -> bool:
+    """Return True for an acceleration that is larger than gravity in any unit that a table leaves out."""
+    return s.group.quantity == ACCELERATION and not s.is_unit_declared and s.constant > _MOST_GRAVITY_MPS2
+
+
+def _show_gravity(streams: Sequence[_Stream]) -> bool:
+    """Return True if one of the streams is an acceleration with gravity, or linear acceleration and gravity are."""
+    quantities = {s.group.quantity for s in streams}
+    known = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR)]
+    return {LINEAR, GRAVITY} <= quantities or any(s.unit and _has_gravity(s) for s in known)
 
 
 def _has_gravity(s: _Stream) -> bool:
