@@ -57,3 +57,15 @@ def test_a_mark_between_thousands_is_none_between_numbers(tmp_path: Path) -> Non
 def test_counts_beside_an_acceleration_with_gravity_are_left_out(tmp_path: Path) -> None:
     path = write(tmp_path, table_text({"timestamp_ms": MS} | BOTH | axes("acc_raw_%", 835 * FORCE)))
     assert_same_streams(read(path), WALK, "accelerometer gyroscope", time_s=1e-3, rtol=1e-12)
+
+
+@pytest.mark.parametrize("platform", [None, "android"])
+def test_a_pitch_with_the_sign_of_android_does_not_mirror_an_upright_phone(
+    tmp_path: Path, platform: str | None
+) -> None:
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # z up becomes y up
+    upright = axes("acc_%", FORCE @ turn.T) | axes("gyro_%", RATE @ turn.T)
+    angles = {f"attitude_{name}": np.full(N, value) for name, value in (("roll", 0.0), ("pitch", -1.4), ("yaw", 0.3))}
+    recording = read(write(tmp_path, table_text({"t": TIME_S} | upright | angles)), platform=platform)
+    np.testing.assert_allclose(recording.accelerometer.values, FORCE @ turn.T, rtol=1e-12)
+    assert any("nothing in the file shows its sign" in note for note in recording.notes) == (platform is None)

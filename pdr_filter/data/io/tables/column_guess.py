@@ -144,12 +144,14 @@ def guess(
     left_out = sorted({s.sheet.name for s in streams} - {s.sheet.name for s in chosen})
     if left_out:
         result.notes.append(f"left out: {', '.join(left_out)[:200]}")
-    cosine = math.nan
-    for s in chosen if not is_linear else ():
-        if s.group.quantity == ANGLES:
-            attitude = quaternion_of(*(s.values * s.factor).T)
-            cosine = up_cosine(Samples(time_s, force), Samples(s.time_s, attitude))
-    sign = _sign(dialect, platform, forces, cosine, result, where)
+    angles = next((s for s in chosen if s.group.quantity == ANGLES and not is_linear), None)
+    cosine, of_other_pitch = (math.nan, math.nan) if angles is None else _up_cosines(angles, Samples(time_s, force))
+    limit = limits.UP_COSINE_DOUBTFUL
+    is_either = min(cosine, of_other_pitch) < -limit and max(cosine, of_other_pitch) > limit
+    sign = _sign(dialect, platform, forces, math.nan if is_either else cosine, result, where)
+    if is_either and sign * cosine < 0:
+        chosen = [s for s in chosen if s is not angles]
+        result.evidence.append("angles: not used, because pitch or acceleration has the opposite sign")
     many = len(sheets) > 1
     result.mapping = Mapping(
         tuple(
@@ -394,6 +396,16 @@ def _is_of_earth(s: _Stream) -> bool:
     """Return False for a magnetic field that is not as strong as the Earth's, such as with a magnet in the phone."""
     low, high = limits.MAGNETIC_FIELD_RANGE_UT
     return s.group.quantity != FIELD or low <= median_norm(s.values) * s.factor <= high
+
+
+def _up_cosines(angles: _Stream, force: Samples) -> list[float]:
+    """Return the mean cosine between the acceleration and up in the attitude, with the pitch as it is and negated.
+
+    Android's pitch has the opposite sign to CoreMotion's.
+    """
+    pitches = (np.array([1.0, sign, 1.0]) for sign in (1.0, -1.0))
+    attitudes = (quaternion_of(*(angles.values * angles.factor * pitch).T) for pitch in pitches)
+    return [up_cosine(force, Samples(angles.time_s, attitude)) for attitude in attitudes]
 
 
 def _sign(
