@@ -332,7 +332,9 @@ def column_of(place: int, name: str) -> Column:
     quantity, preference = quantity_of_words(words)
     if not quantity and words[-1:] in (["deg"], ["degrees"], ["m"]):  # latitude_deg
         shorter, _ = quantity_of_words(words[:-1])
-        quantity = shorter if shorter in LOCATION else ""
+        quantity, unit = (shorter, normal_unit(words[-1])) if shorter in LOCATION else ("", unit)
+    if quantity in ("latitude", "longitude") and unit == "m":  # of a frame of its own
+        quantity = ""
     axis_found = _AXIS_ALONE.search(bare)
     if not quantity and axis_found:  # the chip behind the word, as in accelerometer_lsm6ds3_c.x
         word = bare[: axis_found.start()]

@@ -9,6 +9,7 @@ import pytest
 from app_files import assert_same_streams, axes, refusal, table_text
 from table_cases import FORCE, RATE, TIME_S, WALK
 
+from pdr_filter.data.io.column_names import column_of
 from pdr_filter.data.io.formats import read
 
 N = len(TIME_S)
@@ -69,3 +70,8 @@ def test_a_pitch_with_the_sign_of_android_does_not_mirror_an_upright_phone(
     recording = read(write(tmp_path, table_text({"t": TIME_S} | upright | angles)), platform=platform)
     np.testing.assert_allclose(recording.accelerometer.values, FORCE @ turn.T, rtol=1e-12)
     assert any("nothing in the file shows its sign" in note for note in recording.notes) == (platform is None)
+
+
+@pytest.mark.parametrize(("name", "quantity"), [("lat_m", ""), ("lon (m)", ""), ("lat_deg", "latitude")])
+def test_a_latitude_is_not_in_metres(name: str, quantity: str) -> None:
+    assert column_of(0, name).quantity == quantity
