@@ -152,6 +152,9 @@ def guess(
     if is_either and sign * cosine < 0:
         chosen = [s for s in chosen if s is not angles]
         result.evidence.append("angles: not used, because pitch or acceleration has the opposite sign")
+    for s in chosen:
+        if bias := ", ".join(s.sheet.fields[p] for p in s.group.bias):
+            result.evidence.append(f"{s.group.quantity}: its biases {bias} are subtracted")
     many = len(sheets) > 1
     result.mapping = Mapping(
         tuple(
