@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -75,3 +76,15 @@ def test_a_pitch_with_the_sign_of_android_does_not_mirror_an_upright_phone(
 @pytest.mark.parametrize(("name", "quantity"), [("lat_m", ""), ("lon (m)", ""), ("lat_deg", "latitude")])
 def test_a_latitude_is_not_in_metres(name: str, quantity: str) -> None:
     assert column_of(0, name).quantity == quantity
+
+
+@pytest.mark.parametrize("sizes", [[1], [1, 2, 3]])
+def test_packets_of_one_sample_for_each_axis_are_read(tmp_path: Path, sizes: list[int]) -> None:
+    packets: list[dict[str, object]] = []
+    end = 0
+    while end < 60:
+        begin, end = end, end + sizes[len(packets) % len(sizes)]
+        samples = dict(zip(("accX", "accY", "accZ"), FORCE[begin:end].T.tolist(), strict=True))
+        packets.append({"timestamp": MS[begin] - MS[0], **samples})
+    path = write(tmp_path, json.dumps(packets), "walk.json")
+    np.testing.assert_array_equal(read(path).accelerometer.values, FORCE[:end])

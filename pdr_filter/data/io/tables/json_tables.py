@@ -183,7 +183,7 @@ def _as_rows(values: list[Any]) -> list[Row]:
 
 def _is_column(key: str, values: list[Any]) -> bool:
     """Return True for a list that holds the values of a column. Short ones are a packet of one axis."""
-    return len(values) >= limits.MIN_SAMPLES or (len(values) > 1 and column_of(0, key).axis != "")
+    return len(values) >= limits.MIN_SAMPLES or (values != [] and column_of(0, key).axis != "")
 
 
 def _holds_samples(item: Row) -> bool:
