@@ -88,3 +88,15 @@ def test_packets_of_one_sample_for_each_axis_are_read(tmp_path: Path, sizes: lis
         packets.append({"timestamp": MS[begin] - MS[0], **samples})
     path = write(tmp_path, json.dumps(packets), "walk.json")
     np.testing.assert_array_equal(read(path).accelerometer.values, FORCE[:end])
+
+
+def test_a_list_of_times_belongs_to_the_lists_of_the_same_length_beside_it(tmp_path: Path) -> None:
+    force, rate = FORCE.tolist(), RATE.tolist()
+    damaged = {"time": TIME_S.tolist(), "acc": [*force[:7], [1.0], *force[8:]], "gyro": rate}
+    recording = read(write(tmp_path, json.dumps(damaged), "walk.json"))
+    np.testing.assert_allclose(recording.accelerometer.time_s, np.delete(TIME_S, 7), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(recording.accelerometer.values, np.delete(FORCE, 7, axis=0))
+    np.testing.assert_array_equal(recording.gyroscope.values, RATE)
+    inside = {"time": TIME_S.tolist(), "acc": dict(zip("xyz", FORCE.T.tolist(), strict=True))}
+    recording = read(write(tmp_path, json.dumps(inside), "inside.json"))
+    np.testing.assert_array_equal(recording.accelerometer.values, FORCE)
