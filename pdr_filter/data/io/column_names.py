@@ -153,7 +153,7 @@ _ZEROS_S = {"100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0)}
 _TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
 _INTERVAL = re.compile(r"^dt|dt$|delta|interval|diff|period")
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
-_STEP_COUNTS = re.compile(r"(pedometer)?(numberof|n)?steps?(s|n|count(er)?|detected)?|schritte")
+_STEP_COUNTS = re.compile(r"(pedometer)?((numberof|n)steps?|steps|steps?(n|count(er)?))|schritte")
 _HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)(deg(rees)?)?")
 _TIME_WORDS = {  # in other languages
     *("tiempo", "temps", "tempo", "tijd", "czas", "aika", "tid", "hora", "heure", "ora", "uhr", "zaman", "waktu"),
@@ -378,7 +378,9 @@ def is_step_count(name: str) -> bool:
 
 def is_heading(name: str) -> bool:
     """Return True if a column has the name of the phone's own heading in degrees."""
-    return _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
+    unit = _UNIT.search(name)
+    is_in_degrees = unit is None or normal_unit(unit[1]) in ("deg", "\u00b0")
+    return is_in_degrees and _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
 
 
 def bias_of(name: str) -> tuple[str, str] | None:

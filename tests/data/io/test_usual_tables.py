@@ -100,3 +100,21 @@ def test_a_list_of_times_belongs_to_the_lists_of_the_same_length_beside_it(tmp_p
     inside = {"time": TIME_S.tolist(), "acc": dict(zip("xyz", FORCE.T.tolist(), strict=True))}
     recording = read(write(tmp_path, json.dumps(inside), "inside.json"))
     np.testing.assert_array_equal(recording.accelerometer.values, FORCE)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "phone"),
+    [
+        ("heading(rad)", np.full(N, 3.1), None),
+        ("locationTrueHeading", np.append(-1.0, np.full(N - 1, 20.0)), {"heading_deg": [20.0, 20.0]}),
+        ("step", np.arange(N) // 100, None),
+        ("stepsDetected", np.arange(N) // 100, None),
+        ("steps", np.arange(N), None),
+        ("steps", (np.arange(N) // 100) % 2, None),
+        ("nSteps", np.arange(N) // 100, {"n_steps": (N - 1) // 100}),
+    ],
+)
+def test_only_steps_and_degrees_are_those_of_the_phone(
+    tmp_path: Path, name: str, values: np.ndarray, phone: dict[str, object] | None
+) -> None:
+    assert read(write(tmp_path, table_text({"t": TIME_S} | BOTH | {name: values}))).meta.get("phone") == phone
