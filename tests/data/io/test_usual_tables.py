@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import assert_same_streams, axes, refusal, table_text
+from app_files import assert_same_streams, axes, refusal, table_text, wall_clock
 from table_cases import FORCE, RATE, TIME_S, WALK
 
 from pdr_filter.data.io.column_names import column_of
@@ -118,3 +118,14 @@ def test_only_steps_and_degrees_are_those_of_the_phone(
     tmp_path: Path, name: str, values: np.ndarray, phone: dict[str, object] | None
 ) -> None:
     assert read(write(tmp_path, table_text({"t": TIME_S} | BOTH | {name: values}))).meta.get("phone") == phone
+
+
+@pytest.mark.parametrize("row", ["{x},{y},{z},3,{t}", "{i},{x},{y},{z},{t}", "{i},{x},{y},{z},{date}"])
+def test_without_names_the_first_three_columns_before_the_time_are_the_axes(tmp_path: Path, row: str) -> None:
+    dates = wall_clock(TIME_S)
+    lines = [
+        row.format(i=i, t=int(1e12) + round(1e9 * t), x=x, y=y, z=z, date=dates[i])
+        for i, (t, (x, y, z)) in enumerate(zip(TIME_S.tolist(), FORCE.tolist(), strict=True))
+    ]
+    path = write(tmp_path, "\n".join([*lines, ""]), "accelerometer.csv")
+    assert_same_streams(read(path), WALK, "accelerometer", time_s=2e-3, rtol=1e-12)
