@@ -62,7 +62,7 @@ CASES: dict[str, tuple[Files, dict[str, str], str, float]] = {
     "no times, known names": (
         lambda: table_text(axes("acc_%", FORCE) | axes("gyro_%", RATE)),
         {'column = "?", unit = "s"': "rate_hz = 50"},
-        "accelerometer",
+        BOTH,
         1e-6,
     ),
     "an accelerometer under other names": (

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pdr_filter.data.io.column_names import ACCELERATION, RATE, TIME_UNITS, quantity_of_file
+from pdr_filter.data.io.column_names import ACCELERATION, RATE, TIME_UNITS, column_of, quantity_of_file
 from pdr_filter.data.io.describe import median_norm
 from pdr_filter.data.io.tables.column_groups import Group
 from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
@@ -117,8 +117,10 @@ def _streams(
         scales = {triple: _rate_scale(force, at_s, values[:, [*triple]]) for triple in rates}
         fitting = {triple: scale for triple, scale in scales.items() if scale is not None}
         if not fitting and RATE in known:
-            is_counted = median_norm(values[:, [*known[RATE]]]) > _LEAST_COUNTS
-            fitting = {known[RATE]: ("deg/s", math.nan if is_counted else 1.0)}
+            norm = median_norm(values[:, [*known[RATE]]])
+            unit = column_of(0, sheet.fields[known[RATE][0]]).unit
+            unit = unit or ("deg/s" if norm > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS else "rad/s")
+            fitting = {known[RATE]: (unit, math.nan if norm > _LEAST_COUNTS else 1.0)}
         if fitting:
             triple = max(fitting, key=lambda triple: _likeness(sheet, triple))
             add("gyroscope", triple, *fitting[triple])
