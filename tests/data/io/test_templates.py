@@ -104,6 +104,15 @@ def test_a_template_reads_its_file_when_it_is_filled_in(tmp_path: Path, case: st
         assert_same_streams(read(path), WALK, streams, time_s=3e-2, rtol=rtol)
 
 
+@pytest.mark.parametrize("scale", [4096 / STANDARD_GRAVITY_MPS2, 1.0])
+def test_without_names_the_columns_behind_the_clock_are_the_accelerometer(tmp_path: Path, scale: float) -> None:
+    """The first axis is level, and the next column, a gyroscope that turns, is as constant."""
+    force = scale * np.column_stack([0 * TIME_S, FORCE[:, 1:]])
+    text = table_text({"jetzt": 1000 * TIME_S} | axes("eins_%", force) | axes("zwei_%", RATE + 0.1 * scale))
+    message = refusal(write_text(tmp_path / "walk.csv", text.partition("\n")[2]))
+    assert 'accelerometer = { columns = ["column 2", "column 3", "column 4"]' in message
+
+
 def test_a_template_that_is_given_as_it_stands_is_refused_with_what_is_missing(tmp_path: Path) -> None:
     path = write_text(tmp_path / "walk.csv", counts())
     write_text(tmp_path / "walk.toml", refusal(path).partition("MAP.toml:\n")[2])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
@@ -103,7 +103,8 @@ def _streams(
         names = tuple(sheet.fields[place] for place in places)
         streams.append(StreamMap(stream, names, unit, 1, counts, (), *times))
 
-    best = _best_force(sheet, at_s, values, [known[ACCELERATION]] if ACCELERATION in known else triples)
+    of_force = [known[ACCELERATION]] if ACCELERATION in known else triples
+    best = _best_force(sheet, at_s, values, of_force, {*clocks, *sheet.dates})
     if best is None and ACCELERATION in known:
         best = known[ACCELERATION], "m/s2", 1.0
     if best is not None and force is None and quantity_of_file(sheet.name)[0] != RATE:
@@ -135,23 +136,30 @@ def _time_of(sheet: Sheet, values: FloatArray) -> tuple[str, str]:
 
 
 def _best_force(
-    sheet: Sheet, at_s: FloatArray, values: FloatArray, triples: Sequence[tuple[int, ...]]
+    sheet: Sheet, at_s: FloatArray, values: FloatArray, triples: Sequence[tuple[int, ...]], times: Set[int]
 ) -> tuple[tuple[int, ...], str, float] | None:
     """Return the columns of an accelerometer with gravity, their unit, and the counts for one unit, or None.
 
     Axes have names of one length that differ at their end. With another column in place of an axis, less of gravity is
-    constant.
+    constant, unless that axis has hardly any: then the columns behind one of `times` are taken.
     """
+
+    def best_of(fitting: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
+        likeness = max(_likeness(sheet, triple) for triple in fitting)
+        alike = [triple for triple in fitting if _likeness(sheet, triple) == likeness]
+        best = max(alike, key=lambda triple: parts[triple])
+        behind = [triple for triple in alike if triple[0] - 1 in times and parts[triple] * _NEAR > parts[best]]
+        return behind[0] if behind else best
+
     parts = {triple: constant_part(at_s, values[:, [*triple]]) for triple in triples}
     low, high = G_OF_GRAVITY
     for unit, gravity in (("m/s2", STANDARD_GRAVITY_MPS2), ("g", 1.0)):
         if fitting := [triple for triple in triples if low <= parts[triple] / gravity <= high]:
-            best = max(fitting, key=lambda triple: (*_likeness(sheet, triple), parts[triple]))
-            return best, unit, 1.0
+            return best_of(fitting), unit, 1.0
     counting = [triple for triple in triples if parts[triple] > _LEAST_COUNTS and _likeness(sheet, triple)[0] == -1]
     if not counting:
         return None
-    best = max(counting, key=lambda triple: (*_likeness(sheet, triple), parts[triple]))
+    best = best_of(counting)
     return best, "g", _usual(parts[best], _COUNTS_PER_G)
 
 
