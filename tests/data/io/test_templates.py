@@ -65,6 +65,12 @@ CASES: dict[str, tuple[Files, dict[str, str], str, float]] = {
         BOTH,
         1e-6,
     ),
+    "no times, known names with a unit": (
+        lambda: table_text(axes("acc_%", FORCE) | axes("gyro_%_dps", np.degrees(RATE))),
+        {'column = "?", unit = "s"': "rate_hz = 50"},
+        BOTH,
+        1e-6,
+    ),
     "an accelerometer under other names": (
         lambda: table_text({"t": TIME_S} | axes("f%", FORCE) | axes("gyro_%", RATE)),
         {},

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pdr_filter.data.io.column_names import ACCELERATION, RATE, TIME_UNITS, column_of, quantity_of_file
+from pdr_filter.data.io.column_names import ACCELERATION, RATE, TIME_UNITS, UNITS, column_of, quantity_of_file
 from pdr_filter.data.io.describe import median_norm
 from pdr_filter.data.io.tables.column_groups import Group
-from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
+from pdr_filter.data.io.tables.column_mapping import STREAMS, Mapping, StreamMap
 from pdr_filter.data.io.tables.column_values import clocks_in, constant_part, time_unit_of_values, turning
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, limits
@@ -119,9 +119,10 @@ def _streams(
         fitting = {triple: scale for triple, scale in scales.items() if scale is not None}
         if not fitting and RATE in known:
             norm = median_norm(values[:, [*known[RATE]]])
-            unit = column_of(0, sheet.fields[known[RATE][0]]).unit
-            unit = unit or ("deg/s" if norm > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS else "rad/s")
-            fitting = {known[RATE]: (unit, math.nan if norm > _LEAST_COUNTS else 1.0)}
+            said = UNITS[RATE].get(column_of(0, sheet.fields[known[RATE][0]]).unit)
+            by_size = "deg/s" if norm > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS else "rad/s"
+            unit = next((unit for unit in STREAMS["gyroscope"][1] if UNITS[RATE][unit] == said), by_size)
+            fitting = {known[RATE]: (unit, math.nan if said is None and norm > _LEAST_COUNTS else 1.0)}
         if fitting:
             triple = max(fitting, key=lambda triple: _likeness(sheet, triple))
             add("gyroscope", triple, *fitting[triple])
