@@ -21,6 +21,7 @@ from pdr_filter.values.recording import Recording, Truth
 
 # A phone reports its first steps in groups of some seconds.
 _MOST_FIRST_STEPS = 50
+_MOST_STEPS_PER_S = 5.0  # sprinters take 4 to 5; what grows faster numbers rows
 
 
 @dataclass
@@ -46,13 +47,19 @@ class Parsed:
     def set_phone(self, counts: FloatArray | None, heading_deg: FloatArray | None) -> None:
         """Store the steps that the phone counted, and its heading at the start and the end, in `meta`.
 
-        A counter that begins above 50 counts since the phone was started.
+        A counter that begins above 50 counts since the phone was started. Numbers that fall, or grow faster than steps,
+        are no counter.
         """
         phone: dict[str, Any] = {}
         counts, heading_deg = (
             np.empty(0) if values is None else values[np.isfinite(values)] for values in (counts, heading_deg)
         )
-        if len(counts) and 0 <= counts[0] <= counts[-1] <= limits.LARGEST_VALUE:
+        heading_deg = heading_deg[heading_deg != -1]  # which iOS writes for unknown
+        time_s = self.streams["accelerometer"][0] if "accelerometer" in self.streams else np.empty(0)
+        known_s = time_s[np.isfinite(time_s)]
+        most = _MOST_STEPS_PER_S * float(np.ptp(known_s)) if len(known_s) else 0.0
+        is_counter = len(counts) > 0 and 0 <= counts[0] <= counts[-1] <= min(counts[0] + most, limits.LARGEST_VALUE)
+        if is_counter and (np.diff(counts) >= 0).all():
             phone["n_steps"] = int(counts[-1] - (counts[0] if counts[0] > _MOST_FIRST_STEPS else 0))
             self.found.append(f"steps counted by the phone: {phone['n_steps']}")
         if len(heading_deg) and np.abs(heading_deg).max() <= 360:

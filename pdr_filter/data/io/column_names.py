@@ -151,8 +151,9 @@ _EPOCH_S = (1.1e9, 2.2e9)
 # Clocks of Windows count 100 ns since 1601 (FILETIME) or since the year 1 (.NET), so many seconds before 1970.
 _ZEROS_S = {"100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0)}
 _TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
+_INTERVAL = re.compile(r"^dt|dt$|delta|interval|diff|period")
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
-_STEP_COUNTS = re.compile(r"(pedometer)?(numberof|n)?steps?(s|n|count(er)?|detected)?|schritte")
+_STEP_COUNTS = re.compile(r"(pedometer)?((numberof|n)steps?|steps|steps?(n|count(er)?))|schritte")
 _HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)(deg(rees)?)?")
 _TIME_WORDS = {  # in other languages
     *("tiempo", "temps", "tempo", "tijd", "czas", "aika", "tid", "hora", "heure", "ora", "uhr", "zaman", "waktu"),
@@ -331,7 +332,9 @@ def column_of(place: int, name: str) -> Column:
     quantity, preference = quantity_of_words(words)
     if not quantity and words[-1:] in (["deg"], ["degrees"], ["m"]):  # latitude_deg
         shorter, _ = quantity_of_words(words[:-1])
-        quantity = shorter if shorter in LOCATION else ""
+        quantity, unit = (shorter, normal_unit(words[-1])) if shorter in LOCATION else ("", unit)
+    if quantity in ("latitude", "longitude") and unit == "m":  # of a frame of its own
+        quantity = ""
     axis_found = _AXIS_ALONE.search(bare)
     if not quantity and axis_found:  # the chip behind the word, as in accelerometer_lsm6ds3_c.x
         word = bare[: axis_found.start()]
@@ -375,7 +378,9 @@ def is_step_count(name: str) -> bool:
 
 def is_heading(name: str) -> bool:
     """Return True if a column has the name of the phone's own heading in degrees."""
-    return _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
+    unit = _UNIT.search(name)
+    is_in_degrees = unit is None or normal_unit(unit[1]) in ("deg", "\u00b0")
+    return is_in_degrees and _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
 
 
 def bias_of(name: str) -> tuple[str, str] | None:
@@ -403,6 +408,11 @@ def is_time(name: str) -> bool:
     letter, _, unit = bare.strip().lower().partition("_")  # as in t_ms
     is_letter = stem in ("t", "ts", "dt") or (letter in ("t", "ts") and unit in TIME_UNITS)
     return is_word or is_unit or is_letter or _TIME.search(stem) is not None
+
+
+def is_interval(name: str) -> bool:
+    """Return True if the name of a column of times is that of the times between samples."""
+    return _INTERVAL.search(letters(_UNIT.sub("", name))) is not None
 
 
 def column_of_nanoseconds(fields: Sequence[str], place: int) -> int | None:

@@ -316,6 +316,7 @@ def test_the_biases_of_uncalibrated_sensors_are_subtracted_each_from_its_own(tmp
         columns |= axes(f"{name}_bias_%", np.tile(offsets[name], (len(TIME_S), 1)))
     found = read_guessed(write_text(tmp_path / "walk.csv", table_text(columns)))
     assert_same_streams(found.recording, WALK, BOTH, time_s=1e-6, rtol=1e-9)
+    assert "gyroscope: its biases gyro_bias_x, gyro_bias_y, gyro_bias_z are subtracted" in found.guess.evidence
     (tmp_path / "map.toml").write_text(found.guess.mapping.toml(), encoding="utf-8")
     again = read_mapped(tmp_path / "walk.csv", read_mapping(tmp_path / "map.toml"))
     assert_same_streams(again, WALK, BOTH, time_s=1e-6, rtol=1e-9)

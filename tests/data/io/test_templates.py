@@ -62,7 +62,13 @@ CASES: dict[str, tuple[Files, dict[str, str], str, float]] = {
     "no times, known names": (
         lambda: table_text(axes("acc_%", FORCE) | axes("gyro_%", RATE)),
         {'column = "?", unit = "s"': "rate_hz = 50"},
-        "accelerometer",
+        BOTH,
+        1e-6,
+    ),
+    "no times, known names with a unit": (
+        lambda: table_text(axes("acc_%", FORCE) | axes("gyro_%_dps", np.degrees(RATE))),
+        {'column = "?", unit = "s"': "rate_hz = 50"},
+        BOTH,
         1e-6,
     ),
     "an accelerometer under other names": (
@@ -102,6 +108,15 @@ def test_a_template_reads_its_file_when_it_is_filled_in(tmp_path: Path, case: st
     if path.suffix == ".csv":
         write_text(path.with_suffix(".toml"), text)
         assert_same_streams(read(path), WALK, streams, time_s=3e-2, rtol=rtol)
+
+
+@pytest.mark.parametrize("scale", [4096 / STANDARD_GRAVITY_MPS2, 1.0])
+def test_without_names_the_columns_behind_the_clock_are_the_accelerometer(tmp_path: Path, scale: float) -> None:
+    """The first axis is level, and the next column, a gyroscope that turns, is as constant."""
+    force = scale * np.column_stack([0 * TIME_S, FORCE[:, 1:]])
+    text = table_text({"jetzt": 1000 * TIME_S} | axes("eins_%", force) | axes("zwei_%", RATE + 0.1 * scale))
+    message = refusal(write_text(tmp_path / "walk.csv", text.partition("\n")[2]))
+    assert 'accelerometer = { columns = ["column 2", "column 3", "column 4"]' in message
 
 
 def test_a_template_that_is_given_as_it_stands_is_refused_with_what_is_missing(tmp_path: Path) -> None:

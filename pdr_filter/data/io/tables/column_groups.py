@@ -60,10 +60,9 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
     if is_named:
         columns = _named_columns(sheet)
     else:
-        rows = first_rows(sheet)
-        clocks = [] if times or sheet.rate_hz else clocks_in(rows) or _numbers(sheet)[:1]
-        columns = _without_names(sheet, times or clocks)
-        times = times or clocks[:1]
+        clocks = [] if sheet.rate_hz else clocks_in(first_rows(sheet))
+        times = times or clocks[:1] or ([] if sheet.rate_hz else _numbers(sheet)[:1])
+        columns = _without_names(sheet, [*times, *clocks])
     columns = [column for column in columns if column.place not in times]
 
     biases = {bias: i for i, name in enumerate(sheet.fields) if is_named and (bias := bias_of(name)) is not None}
@@ -125,13 +124,13 @@ def _numbers(sheet: Sheet) -> list[int]:
 def _without_names(sheet: Sheet, times: Sequence[int]) -> list[Column]:
     """Return the columns of a table without column names: those after the times, for the sensor of the file name.
 
-    They are those before the times if none are behind them.
+    They are the first ones if too few are behind them. A clock or a count of the rows is a time, too.
     """
     quantity, _ = quantity_of_file(sheet.name)
     axes = _AXES if quantity in VECTORS else ("",)
     others = [i for i in _numbers(sheet) if i not in times]
     after = [i for i in others if not times or i > max(times)][: len(axes)]
-    places = after if len(after) == len(axes) else others[-len(axes) :]
+    places = after if len(after) == len(axes) else others[: len(axes)]
     if not quantity or len(places) < len(axes):
         return []
     bare = "" if quantity in VECTORS else quantity

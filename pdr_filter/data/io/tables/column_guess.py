@@ -111,13 +111,16 @@ def guess(
     usual = next(filter(None, units), "s")
     streams = [s if s.time_unit else replace(s, time_unit=usual, time_s=s.time_s * TIME_UNITS[usual]) for s in streams]
     streams = [s for s in streams if len(s.values)]
-    for s in streams:
-        if s.group.quantity == ACCELERATION and not s.is_unit_declared and s.constant > _MOST_GRAVITY_MPS2:
-            raise RecordingError(
-                f"{where}: {s.group.name} are counts of the sensor, or in an unknown unit: their constant part is "
-                f"{s.constant:.4g}, and gravity is 9.8 m/s2 or 1 g; a mapping gives their scale. "
-                f"{asked()}"
-            )
+    counted = [s for s in streams if _is_counted(s)]
+    streams = [s for s in streams if s not in counted]
+    for s in counted:
+        words = (
+            f"{s.group.name} are counts of the sensor, or in an unknown unit: their constant part is {s.constant:.4g}, "
+            "and gravity is 9.8 m/s2 or 1 g"
+        )
+        if not _show_gravity(streams):
+            raise RecordingError(f"{where}: {words}; a mapping gives their scale. {asked()}")
+        result.evidence.append(f"not used: {words}")
     forces = _forces(streams, dialect, result, where, asked)
     is_linear = len(forces) == 1 and not _has_gravity(forces[0])
     time_s, force = forces[0].time_s, _force(forces)
@@ -141,12 +144,17 @@ def guess(
     left_out = sorted({s.sheet.name for s in streams} - {s.sheet.name for s in chosen})
     if left_out:
         result.notes.append(f"left out: {', '.join(left_out)[:200]}")
-    cosine = math.nan
-    for s in chosen if not is_linear else ():
-        if s.group.quantity == ANGLES:
-            attitude = quaternion_of(*(s.values * s.factor).T)
-            cosine = up_cosine(Samples(time_s, force), Samples(s.time_s, attitude))
-    sign = _sign(dialect, platform, forces, cosine, result, where)
+    angles = next((s for s in chosen if s.group.quantity == ANGLES and not is_linear), None)
+    cosine, of_other_pitch = (math.nan, math.nan) if angles is None else _up_cosines(angles, Samples(time_s, force))
+    limit = limits.UP_COSINE_DOUBTFUL
+    is_either = min(cosine, of_other_pitch) < -limit and max(cosine, of_other_pitch) > limit
+    sign = _sign(dialect, platform, forces, math.nan if is_either else cosine, result, where)
+    if is_either and sign * cosine < 0:
+        chosen = [s for s in chosen if s is not angles]
+        result.evidence.append("angles: not used, because pitch or acceleration has the opposite sign")
+    for s in chosen:
+        if bias := ", ".join(s.sheet.fields[p] for p in s.group.bias):
+            result.evidence.append(f"{s.group.quantity}: its biases {bias} are subtracted")
     many = len(sheets) > 1
     result.mapping = Mapping(
         tuple(
@@ -297,6 +305,18 @@ def _with_force_unit(s: _Stream) -> _Stream:
     return replace(s, unit="m/s2" if is_mps2 else "")
 
 
+def _is_counted(s: _Stream) -> bool:
+    """Return True for an acceleration that is larger than gravity in any unit that a table leaves out."""
+    return s.group.quantity == ACCELERATION and not s.is_unit_declared and s.constant > _MOST_GRAVITY_MPS2
+
+
+def _show_gravity(streams: Sequence[_Stream]) -> bool:
+    """Return True if one of the streams is an acceleration with gravity, or linear acceleration and gravity are."""
+    quantities = {s.group.quantity for s in streams}
+    known = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR)]
+    return {LINEAR, GRAVITY} <= quantities or any(s.unit and _has_gravity(s) for s in known)
+
+
 def _has_gravity(s: _Stream) -> bool:
     """Return True if an acceleration contains gravity.
 
@@ -379,6 +399,16 @@ def _is_of_earth(s: _Stream) -> bool:
     """Return False for a magnetic field that is not as strong as the Earth's, such as with a magnet in the phone."""
     low, high = limits.MAGNETIC_FIELD_RANGE_UT
     return s.group.quantity != FIELD or low <= median_norm(s.values) * s.factor <= high
+
+
+def _up_cosines(angles: _Stream, force: Samples) -> list[float]:
+    """Return the mean cosine between the acceleration and up in the attitude, with the pitch as it is and negated.
+
+    Android's pitch has the opposite sign to CoreMotion's.
+    """
+    pitches = (np.array([1.0, sign, 1.0]) for sign in (1.0, -1.0))
+    attitudes = (quaternion_of(*(angles.values * angles.factor * pitch).T) for pitch in pitches)
+    return [up_cosine(force, Samples(angles.time_s, attitude)) for attitude in attitudes]
 
 
 def _sign(

@@ -7,17 +7,17 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from pdr_filter.data.io.column_names import ACCELERATION, RATE, TIME_UNITS, quantity_of_file
+from pdr_filter.data.io.column_names import ACCELERATION, RATE, TIME_UNITS, UNITS, column_of, quantity_of_file
 from pdr_filter.data.io.describe import median_norm
 from pdr_filter.data.io.tables.column_groups import Group
-from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
+from pdr_filter.data.io.tables.column_mapping import STREAMS, Mapping, StreamMap
 from pdr_filter.data.io.tables.column_values import clocks_in, constant_part, time_unit_of_values, turning
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, limits
@@ -103,7 +103,8 @@ def _streams(
         names = tuple(sheet.fields[place] for place in places)
         streams.append(StreamMap(stream, names, unit, 1, counts, (), *times))
 
-    best = _best_force(sheet, at_s, values, [known[ACCELERATION]] if ACCELERATION in known else triples)
+    of_force = [known[ACCELERATION]] if ACCELERATION in known else triples
+    best = _best_force(sheet, at_s, values, of_force, {*clocks, *sheet.dates})
     if best is None and ACCELERATION in known:
         best = known[ACCELERATION], "m/s2", 1.0
     if best is not None and force is None and quantity_of_file(sheet.name)[0] != RATE:
@@ -117,8 +118,11 @@ def _streams(
         scales = {triple: _rate_scale(force, at_s, values[:, [*triple]]) for triple in rates}
         fitting = {triple: scale for triple, scale in scales.items() if scale is not None}
         if not fitting and RATE in known:
-            is_counted = median_norm(values[:, [*known[RATE]]]) > _LEAST_COUNTS
-            fitting = {known[RATE]: ("deg/s", math.nan if is_counted else 1.0)}
+            norm = median_norm(values[:, [*known[RATE]]])
+            said = UNITS[RATE].get(column_of(0, sheet.fields[known[RATE][0]]).unit)
+            by_size = "deg/s" if norm > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS else "rad/s"
+            unit = next((unit for unit in STREAMS["gyroscope"][1] if UNITS[RATE][unit] == said), by_size)
+            fitting = {known[RATE]: (unit, math.nan if said is None and norm > _LEAST_COUNTS else 1.0)}
         if fitting:
             triple = max(fitting, key=lambda triple: _likeness(sheet, triple))
             add("gyroscope", triple, *fitting[triple])
@@ -133,23 +137,30 @@ def _time_of(sheet: Sheet, values: FloatArray) -> tuple[str, str]:
 
 
 def _best_force(
-    sheet: Sheet, at_s: FloatArray, values: FloatArray, triples: Sequence[tuple[int, ...]]
+    sheet: Sheet, at_s: FloatArray, values: FloatArray, triples: Sequence[tuple[int, ...]], times: Set[int]
 ) -> tuple[tuple[int, ...], str, float] | None:
     """Return the columns of an accelerometer with gravity, their unit, and the counts for one unit, or None.
 
     Axes have names of one length that differ at their end. With another column in place of an axis, less of gravity is
-    constant.
+    constant, unless that axis has hardly any: then the columns behind one of `times` are taken.
     """
+
+    def best_of(fitting: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
+        likeness = max(_likeness(sheet, triple) for triple in fitting)
+        alike = [triple for triple in fitting if _likeness(sheet, triple) == likeness]
+        best = max(alike, key=lambda triple: parts[triple])
+        behind = [triple for triple in alike if triple[0] - 1 in times and parts[triple] * _NEAR > parts[best]]
+        return behind[0] if behind else best
+
     parts = {triple: constant_part(at_s, values[:, [*triple]]) for triple in triples}
     low, high = G_OF_GRAVITY
     for unit, gravity in (("m/s2", STANDARD_GRAVITY_MPS2), ("g", 1.0)):
         if fitting := [triple for triple in triples if low <= parts[triple] / gravity <= high]:
-            best = max(fitting, key=lambda triple: (*_likeness(sheet, triple), parts[triple]))
-            return best, unit, 1.0
+            return best_of(fitting), unit, 1.0
     counting = [triple for triple in triples if parts[triple] > _LEAST_COUNTS and _likeness(sheet, triple)[0] == -1]
     if not counting:
         return None
-    best = max(counting, key=lambda triple: (*_likeness(sheet, triple), parts[triple]))
+    best = best_of(counting)
     return best, "g", _usual(parts[best], _COUNTS_PER_G)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.data.io.column_names import TIME_UNITS, since_1970
+from pdr_filter.data.io.column_names import TIME_UNITS, is_interval, since_1970
 from pdr_filter.values import FloatArray, interpolated_rows, limits
 
 # Walking turns the phone by some ten degrees within a step and back; over this time gravity stays and steps cancel.
@@ -106,22 +106,31 @@ def clocks_in(columns: FloatArray) -> list[int]:
     return sorted(found, key=lambda i: found[i])
 
 
-def are_differences(ticks: FloatArray) -> bool:
+def are_differences(ticks: FloatArray, name: str) -> bool:
     """Return True for the times between samples, in place of the times of the samples.
 
-    They go up and down, or are constant, near one value that is the period of a usual sampling rate. Rounded times of
-    samples never go down.
+    They go up and down without a trend, near one value that is the period of a usual sampling rate. Constant ones may
+    also be rounded times of samples, so that `name`, that of the column, decides.
     """
     found = ticks[1:_TICKS_LOOKED_AT]  # the first one may be zero
     found = found[np.isfinite(found)]
     if len(found) < limits.MIN_SAMPLES or not found.min() > 0:
         return False
     steps = np.diff(found)
-    if (steps < 0).mean() < _LEAST_FALLS and steps.any():
+    if not steps.any():
+        if not is_interval(name):
+            return False
+    elif (steps < 0).mean() < _LEAST_FALLS or _has_trend(found):
         return False
     low, high = np.median(found) * np.array(_NEAR)
     is_near = np.mean((found >= low) & (found <= high)) >= _NEAR_SHARE
     return bool(is_near) and time_unit_of_values(np.cumsum(found)) != ""
+
+
+def _has_trend(ticks: FloatArray) -> bool:
+    """Return True if the median of one half of the numbers is outside the range of the other, as of unsorted times."""
+    halves = np.array_split(ticks, 2)
+    return any(not b.min() <= np.median(a) <= b.max() for a, b in (halves, halves[::-1]))
 
 
 def _complete(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

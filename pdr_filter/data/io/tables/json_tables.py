@@ -131,29 +131,31 @@ def _rows_of(
 
     The name is the sensor that a row or the object names, else the key, or `name` for keys such as "data". An object
     that is a row itself is a table of one row. Nested objects are searched, too, and so are packets: objects with the
-    time of several samples, which then all have this time. `times` are those of the objects around this one.
+    time of several samples, which then all have this time. `times` are those of the objects around this one; a list of
+    times belongs to the lists that are as long.
     """
     if _is_plain(item):
         yield _sensor_of(item) or name, [_flat(item)]
         return
     lists = {key: cast("list[Any]", value) for key, value in item.items() if isinstance(value, list)}
-    tables = {key: rows for key, values in lists.items() if (rows := _as_rows(values))}
+    times = {**(times or {}), **{key: v for key, v in item.items() if is_time(key) and not isinstance(v, dict)}}
+    tables = {key: rows for key, values in lists.items() if (rows := _as_rows(values, times))}
     columns = {key: rows for key, rows in lists.items() if key not in tables and _is_column(key, rows)}
     name = _sensor_of(item) or name
-    times = {**(times or {}), **{key: v for key, v in item.items() if is_time(key) and not isinstance(v, list | dict)}}
+    of_rows = {key: v for key, v in times.items() if not isinstance(v, list)}
     for key, rows in tables.items():
         by_sensor: dict[str, list[Row]] = {}
         is_packed = depth < _MAX_DEPTH and _is_packet(rows[0])
         for row in rows:
             if is_packed:
-                yield from _rows_of(row, name if key in _PLAIN else key, depth + 1, times)
+                yield from _rows_of(row, name if key in _PLAIN else key, depth + 1, of_rows)
             else:
                 by_sensor.setdefault(_sensor_of(row) or (name if key in _PLAIN else key), []).append(_flat(row))
         for sensor, found in by_sensor.items():
-            yield sensor, _with_times(found, times)
-    if columns:
+            yield sensor, _with_times(found, of_rows)
+    if not all(map(is_time, columns)):
         n = max(map(len, columns.values()))
-        yield name, columns if any(map(is_time, columns)) else {key: [t] * n for key, t in times.items()} | columns
+        yield name, columns if any(map(is_time, columns)) else _repeated(times, n) | columns
     inner = {key: cast("Row", value) for key, value in item.items() if isinstance(value, dict)}
     if not tables and not columns and not _is_packet(item):
         yield name, [_flat(item)]
@@ -173,17 +175,33 @@ def _is_plain(item: Row) -> bool:
     return True
 
 
-def _as_rows(values: list[Any]) -> list[Row]:
-    """Return the objects in a list, or its lists of three values as x, y and z. Empty for another list."""
+def _as_rows(values: list[Any], times: Row) -> list[Row]:
+    """Return the objects in a list, or its lists of three values as x, y and z. Empty for another list.
+
+    They get the times of a list that is as long, unless they have times of their own.
+    """
     if values and isinstance(values[0], list):
-        vectors = [cast("list[Any]", value) for value in values if isinstance(value, list)]
-        return [dict(zip(_AXES, vector, strict=True)) for vector in vectors if len(vector) == len(_AXES)]
-    return [cast("Row", row) for row in values if isinstance(row, dict)]
+        vectors = [cast("list[Any]", value) if isinstance(value, list) else [] for value in values]
+        rows: list[Row] = [dict(zip(_AXES, v, strict=True)) if len(v) == len(_AXES) else {} for v in vectors]
+    else:
+        rows = [cast("Row", row) if isinstance(row, dict) else {} for row in values]
+    found = [row for row in rows if row]
+    lists = {key: v for key, v in times.items() if isinstance(v, list)}
+    if not found or any(map(is_time, found[0])) or not (columns := _repeated(lists, len(rows))):
+        return found
+    at = (dict(zip(columns, now, strict=True)) for now in zip(*columns.values(), strict=True))
+    return [time | row for time, row in zip(at, rows, strict=True) if row]
+
+
+def _repeated(times: Row, n: int) -> dict[str, list[Any]]:
+    """Return columns of n times: lists of that length, and single times that are repeated."""
+    lists = {key: cast("list[Any]", t) if isinstance(t, list) else [t] * n for key, t in times.items()}
+    return {key: column for key, column in lists.items() if len(column) == n}
 
 
 def _is_column(key: str, values: list[Any]) -> bool:
     """Return True for a list that holds the values of a column. Short ones are a packet of one axis."""
-    return len(values) >= limits.MIN_SAMPLES or (len(values) > 1 and column_of(0, key).axis != "")
+    return len(values) >= limits.MIN_SAMPLES or (values != [] and column_of(0, key).axis != "")
 
 
 def _holds_samples(item: Row) -> bool:

@@ -87,8 +87,8 @@ class Sheet:
             ticks = table.values[:, [numbers.index(time), numbers.index(nanoseconds)]] @ [1.0, 1e-9]
         else:
             ticks = table.whole if exact is not None else table.values[:, numbers.index(time)]
-            if exact is None and are_differences(table.values[:, numbers.index(time)]):
-                ticks = np.nancumsum(table.values[:, numbers.index(time)], dtype=np.float64)
+            if exact is None and are_differences(ticks.astype(np.float64), self.fields[time]):
+                ticks = np.nancumsum(ticks, dtype=np.float64)
                 words = f"column {self.fields[time]!r} has the times between the samples, which are summed"
                 self.notes.append(words)
         known = ~np.isnan(values).all(axis=1)

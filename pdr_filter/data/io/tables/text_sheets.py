@@ -6,8 +6,10 @@ begin; the line above them, if it has as many fields, names the columns.
 
 from __future__ import annotations
 
+import csv
+import io
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -27,6 +29,7 @@ _SEPARATORS = (",", ";", "\t", "|", "/", " ")
 # A field with several numbers, in brackets or with another mark between them, and a number with a mark at the line end.
 _ONE = r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _PACKED = re.compile(rf"[\[({{]?\s*{_ONE}(?:[\s,;|/]+{_ONE})+\s*[\])}}]?;?|{_ONE};")
+_MARKS = re.compile(r"[\s,;|/\[\](){}]")
 _LONGEST_PACKED = 200
 _AXES = ("x", "y", "z")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|None|#?N/?A|-?inf|-?Infinity")
@@ -53,7 +56,7 @@ class TextRows:
     decimal: str
     n_before: int  # lines before the first row
     blocks: Callable[[], Iterator[bytes]] = field(repr=False)
-    marks: str = ""  # characters beside the separator that separate or enclose numbers
+    packed: tuple[tuple[int, int], ...] = ()  # columns with several numbers in a field, and how many
     only: tuple[int, str] | None = None  # a column and its text in the selected rows
 
     def __call__(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
@@ -98,9 +101,9 @@ class TextRows:
                 continue
             if b"#" in rows:
                 rows = re.sub(rb"(?m)^#(?!N/?A).*", b"", rows)  # comments between rows
-            if self.marks:
-                rows = _without_marks(rows, self.separator, self.marks)
             rows = re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows)) if self.separator == " " else rows
+            if self.packed:
+                rows = _unpacked_rows(rows, self.separator, dict(self.packed), self.where)
             if self.only is not None:
                 column, text = self.only
                 pattern = (
@@ -207,7 +210,7 @@ def text_sheet(
     found = max(layouts, key=lambda f: f.score, default=None)
     if found is None:
         return None
-    named, row, marks = _unpacked(found)
+    named, row, packed = _unpacked(found)
     if len(row) > limits.MAX_COLUMNS:
         raise RecordingError(f"{members.where(member)}: {len(row)} columns, over {limits.MAX_COLUMNS}; export fewer")
     before = [line for i, line in enumerate(lines[: found.first]) if i != found.at_header and line.strip()]
@@ -222,7 +225,7 @@ def text_sheet(
         name=stem,
         where=where,
         fields=fields,
-        parse=TextRows(where, fields, dates, found.separator, found.decimal, n_before, blocks, marks),
+        parse=TextRows(where, fields, dates, found.separator, found.decimal, n_before, blocks, packed),
         about="\n".join(before),
         dates=dates,
         exact=frozenset(i for i, text in enumerate(row) if text.isdecimal() and int(text[:40]) > LARGEST_FLOAT_WHOLE),
@@ -231,39 +234,52 @@ def text_sheet(
     )
 
 
-def _unpacked(found: _Found) -> tuple[list[str], list[str], str]:
-    """Return header and first row of a table with one number in each field, and the marks to remove for that.
+def _unpacked(found: _Found) -> tuple[list[str], list[str], tuple[tuple[int, int], ...]]:
+    """Return header and first row of a table with one number in each field, and the columns with several.
 
     A name above three numbers in one field is that of three axes, unless it has as many parts as they have.
     """
-    packed = [text for text in found.row if _is_packed(text)]
-    marks = "".join({c for text in packed for c in text if not (c.isalnum() or c in ".+-")} - {found.separator})
-    if not marks:
-        return found.header, found.row, ""
     header: list[str] = []
     row: list[str] = []
-    split = re.compile(f"[{re.escape(marks + found.separator)}]+")
-    for name, text in zip(found.header or [""] * len(found.row), found.row, strict=True):
-        numbers = [part for part in split.split(text) if part] if text in packed else [text]
-        names = [part for part in split.split(name) if part]
+    packed: list[tuple[int, int]] = []
+    for i, (name, text) in enumerate(zip(found.header or [""] * len(found.row), found.row, strict=True)):
+        is_packed = _is_packed(text) and not (found.decimal == "," and "," in text)
+        numbers = _parts(text) if is_packed else [text]
+        marks = re.escape("".join(_MARKS.findall(text)))
+        names = [part for part in re.split(f"[{marks}]+", name) if part] if is_packed else [name]
         if len(names) != len(numbers):
             names = [f"{name} {axis}".strip() for axis in _AXES] if len(numbers) == len(_AXES) and name else [name]
             names = (names + [""] * len(numbers))[: len(numbers)]
         header += names if found.header else []
         row += numbers
-    return header, row, marks
+        packed += [(i, len(numbers))] if is_packed else []
+    return header, row, tuple(packed)
 
 
-def _without_marks(rows: bytes, separator: str, marks: str) -> bytes:
-    """Return rows in which marks between numbers are the separator, and marks around them and at line ends are gone."""
-    rows = re.sub(rb'[\[\](){}"]', b"", rows)
-    kept, mark = re.escape(marks.strip("[](){}").encode()), re.escape(separator.encode())
-    rows = re.sub(mark + rb"[ \t]+", separator.encode(), rows)
-    if not kept:
-        return rows
-    # Each match begins at the first of several such characters, so that a long run of them takes linear time.
-    rows = re.sub(rb"(?m)(?<![%b])[%b]++$" % (kept, kept), b"", rows)
-    return re.sub(rb"(?<![ \t])[ \t]*+[%b]+[ \t]*+|[%b]+[ \t]*+" % (kept, kept), separator.encode(), rows)
+def _parts(text: str) -> list[str]:
+    """Return the numbers in a field, without the marks between, around and behind them."""
+    return [part for part in _MARKS.split(text) if part]
+
+
+def _unpacked_rows(rows: bytes, separator: str, packed: Mapping[int, int], where: str) -> bytes:
+    """Return rows with a field for each number in the columns that hold several, `packed`.
+
+    Fields with another number of them are kept, so that they are named where they are used.
+    """
+    found = io.StringIO()
+    writer = csv.writer(found, delimiter=separator, lineterminator="\n")
+    try:
+        for row in csv.reader(io.StringIO(rows.decode("utf-8", "surrogateescape")), delimiter=separator):
+            fields: list[str] = []
+            for i, text in enumerate(row):
+                n = packed.get(i, 0)
+                parts = _parts(text) if n else [text]
+                fields += parts if len(parts) == n or not n else [text, *[""] * (n - 1)]
+            writer.writerow(fields)
+    except csv.Error as error:
+        raise RecordingError(f"{where}: not CSV text ({error}); export again") from error
+    text = found.getvalue() if rows.endswith(b"\n") else found.getvalue().removesuffix("\n")
+    return text.encode("utf-8", "surrogateescape")
 
 
 def _rate_in(rows: Sequence[set[str]]) -> float:

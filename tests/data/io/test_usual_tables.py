@@ -1,0 +1,131 @@
+"""Usual tables that look like odd ones are read as what they are."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from app_files import assert_same_streams, axes, refusal, table_text, wall_clock
+from table_cases import FORCE, RATE, TIME_S, WALK
+
+from pdr_filter.data.io.column_names import column_of
+from pdr_filter.data.io.formats import read
+
+N = len(TIME_S)
+MS = np.round(1000 * TIME_S) + 100_000
+BOTH = axes("acc_%", FORCE) | axes("gyro_%", RATE)
+
+
+def write(folder: Path, text: str, name: str = "walk.csv") -> Path:
+    (folder / name).write_text(text, encoding="utf-8")
+    return folder / name
+
+
+def test_times_in_the_order_of_arrival_are_no_times_between_samples(tmp_path: Path) -> None:
+    swapped = np.arange(N)
+    swapped[5:-1:14], swapped[6::14] = swapped[6::14].copy(), swapped[5:-1:14].copy()
+    columns = {"timestamp": MS} | BOTH
+    path = write(tmp_path, table_text({name: values[swapped] for name, values in columns.items()}))
+    np.testing.assert_allclose(np.sort(read(path).accelerometer.time_s), TIME_S, atol=1e-3)
+
+
+def test_a_time_that_a_spreadsheet_rounded_to_a_constant_is_no_time_between_samples(tmp_path: Path) -> None:
+    assert "the times may be rounded" in refusal(write(tmp_path, table_text({"timestamp": ["1E+05"] * N} | BOTH)))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"date": [f"2024-05-01 10:00:{t:09.6f}" for t in TIME_S], "gps": ["52.10 13.20"] * N},
+        {"date": [f"01/05/2024 10:00:{t:09.6f}" for t in TIME_S], "gps": ["52.10/13.20"] * N},
+        {"t": TIME_S, "activity": ["walking fast"] * N, "gps": ["52.10 13.20"] * N},
+        {"t": TIME_S, "gps": ["52.10 13.20", "", *["52.10 13.20"] * (N - 2)]},
+    ],
+)
+def test_numbers_in_one_field_leave_the_other_columns_as_they_are(
+    tmp_path: Path, more: dict[str, np.ndarray | list[str]]
+) -> None:
+    recording = read(write(tmp_path, table_text(more | BOTH)))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=2e-6, rtol=1e-12)
+
+
+def test_a_mark_between_thousands_is_none_between_numbers(tmp_path: Path) -> None:
+    text = table_text({"Zeit": TIME_S} | BOTH | {"Luftdruck": ["1.013,25"] * N}, ";", ",")
+    assert_same_streams(read(write(tmp_path, text)), WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
+
+
+def test_counts_beside_an_acceleration_with_gravity_are_left_out(tmp_path: Path) -> None:
+    path = write(tmp_path, table_text({"timestamp_ms": MS} | BOTH | axes("acc_raw_%", 835 * FORCE)))
+    assert_same_streams(read(path), WALK, "accelerometer gyroscope", time_s=1e-3, rtol=1e-12)
+
+
+@pytest.mark.parametrize("platform", [None, "android"])
+def test_a_pitch_with_the_sign_of_android_does_not_mirror_an_upright_phone(
+    tmp_path: Path, platform: str | None
+) -> None:
+    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # z up becomes y up
+    upright = axes("acc_%", FORCE @ turn.T) | axes("gyro_%", RATE @ turn.T)
+    angles = {f"attitude_{name}": np.full(N, value) for name, value in (("roll", 0.0), ("pitch", -1.4), ("yaw", 0.3))}
+    recording = read(write(tmp_path, table_text({"t": TIME_S} | upright | angles)), platform=platform)
+    np.testing.assert_allclose(recording.accelerometer.values, FORCE @ turn.T, rtol=1e-12)
+    assert any("nothing in the file shows its sign" in note for note in recording.notes) == (platform is None)
+
+
+@pytest.mark.parametrize(("name", "quantity"), [("lat_m", ""), ("lon (m)", ""), ("lat_deg", "latitude")])
+def test_a_latitude_is_not_in_metres(name: str, quantity: str) -> None:
+    assert column_of(0, name).quantity == quantity
+
+
+@pytest.mark.parametrize("sizes", [[1], [1, 2, 3]])
+def test_packets_of_one_sample_for_each_axis_are_read(tmp_path: Path, sizes: list[int]) -> None:
+    packets: list[dict[str, object]] = []
+    end = 0
+    while end < 60:
+        begin, end = end, end + sizes[len(packets) % len(sizes)]
+        samples = dict(zip(("accX", "accY", "accZ"), FORCE[begin:end].T.tolist(), strict=True))
+        packets.append({"timestamp": MS[begin] - MS[0], **samples})
+    path = write(tmp_path, json.dumps(packets), "walk.json")
+    np.testing.assert_array_equal(read(path).accelerometer.values, FORCE[:end])
+
+
+def test_a_list_of_times_belongs_to_the_lists_of_the_same_length_beside_it(tmp_path: Path) -> None:
+    force, rate = FORCE.tolist(), RATE.tolist()
+    damaged = {"time": TIME_S.tolist(), "acc": [*force[:7], [1.0], *force[8:]], "gyro": rate}
+    recording = read(write(tmp_path, json.dumps(damaged), "walk.json"))
+    np.testing.assert_allclose(recording.accelerometer.time_s, np.delete(TIME_S, 7), rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(recording.accelerometer.values, np.delete(FORCE, 7, axis=0))
+    np.testing.assert_array_equal(recording.gyroscope.values, RATE)
+    inside = {"time": TIME_S.tolist(), "acc": dict(zip("xyz", FORCE.T.tolist(), strict=True))}
+    recording = read(write(tmp_path, json.dumps(inside), "inside.json"))
+    np.testing.assert_array_equal(recording.accelerometer.values, FORCE)
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "phone"),
+    [
+        ("heading(rad)", np.full(N, 3.1), None),
+        ("locationTrueHeading", np.append(-1.0, np.full(N - 1, 20.0)), {"heading_deg": [20.0, 20.0]}),
+        ("step", np.arange(N) // 100, None),
+        ("stepsDetected", np.arange(N) // 100, None),
+        ("steps", np.arange(N), None),
+        ("steps", (np.arange(N) // 100) % 2, None),
+        ("nSteps", np.arange(N) // 100, {"n_steps": (N - 1) // 100}),
+    ],
+)
+def test_only_steps_and_degrees_are_those_of_the_phone(
+    tmp_path: Path, name: str, values: np.ndarray, phone: dict[str, object] | None
+) -> None:
+    assert read(write(tmp_path, table_text({"t": TIME_S} | BOTH | {name: values}))).meta.get("phone") == phone
+
+
+@pytest.mark.parametrize("row", ["{x},{y},{z},3,{t}", "{i},{x},{y},{z},{t}", "{i},{x},{y},{z},{date}"])
+def test_without_names_the_first_three_columns_before_the_time_are_the_axes(tmp_path: Path, row: str) -> None:
+    dates = wall_clock(TIME_S)
+    lines = [
+        row.format(i=i, t=int(1e12) + round(1e9 * t), x=x, y=y, z=z, date=dates[i])
+        for i, (t, (x, y, z)) in enumerate(zip(TIME_S.tolist(), FORCE.tolist(), strict=True))
+    ]
+    path = write(tmp_path, "\n".join([*lines, ""]), "accelerometer.csv")
+    assert_same_streams(read(path), WALK, "accelerometer", time_s=2e-3, rtol=1e-12)
