@@ -10,9 +10,9 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from pdr_filter.data.io.apps import sensor_logger
-from pdr_filter.data.io.column_names import ACCELERATION, GRAVITY, LINEAR, RATE, VECTORS, quantity_of_file, trial_of
+from pdr_filter.data.io.column_names import ACCELERATION, GRAVITY, LINEAR, RATE, VECTORS, trial_of
 from pdr_filter.data.io.detection import BINARIES, detect, detect_file
-from pdr_filter.data.io.files.archive import IN_PLACE, Members, open_members, zips_among
+from pdr_filter.data.io.files.archive import IN_PLACE, Members, open_members, sensor_folders, zips_among
 from pdr_filter.data.io.tables.any_table import TEXTS, sensors_of
 from pdr_filter.data.io.tables.column_mapping import mapping_beside
 from pdr_filter.data.io.tables.cut_files import in_time, is_numbered
@@ -83,7 +83,8 @@ def _has_people(folder: Path, suffix: str, *version: int) -> bool:
 def recordings_in(folder: str | Path) -> list[Path]:
     """Return the sorted paths of the recordings in a folder and in its subfolders.
 
-    If the folder itself is one recording, the result is its path. Hidden files and linked folders are skipped. Every
+    If the folder itself is one recording, the result is its path, with the recordings beside its folders of sensors, if
+    it has such. Hidden files and linked folders are skipped. Every
     zip and hdf5 file counts, so that a broken one is reported later. A text file counts if it looks like a known
     format, or if a TOML file beside it describes its columns. A file with several recordings gives a path for each,
     such as `export.zip/walk_2`, and files such as `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` give
@@ -97,13 +98,17 @@ def recordings_in(folder: str | Path) -> list[Path]:
         mapping_beside(path).is_file() for path in inside if path.suffix.lower() in _TEXTS and path.is_file()
     )
     parts = [] if is_mapped else _parts_in(folder)
-    if "." in parts:
+    is_one = "." in parts
+    of_sensors = sensor_folders(path.name for path in inside if path.is_dir()) if parts else set[str]()
+    if is_one and not of_sensors:
         return [folder]
     trials = [part for part in parts if not (folder / part).exists()]
-    found = [folder / trial for trial in trials]
+    found = [folder / part for part in parts if part == "." or part in trials]
     for path in inside:
         if path.is_dir() and not path.is_symlink():
-            found += [] if trials and quantity_of_file(path.name)[0] else recordings_in(path)
+            found += [] if path.name in of_sensors and (trials or is_one) else recordings_in(path)
+        elif is_one:
+            continue
         elif (
             path.is_file() and (path.suffix.lower() in _FILES or _is_known(path)) and trial_of(path.name) not in trials
         ):
@@ -130,9 +135,10 @@ def only_recording_in(path: Path) -> Path:
     if not parts:
         return path
     listed = ", ".join(parts[:3])
+    first = next(part for part in parts if part != ".")  # which is `path` again
     raise RecordingError(
         f"{path}: holds {len(parts)} recordings ({listed}{', ...' if parts[3:] else ''}); read one, such as "
-        f"{path / parts[0]}, or each that pdr_filter.data.io.folders.recordings_in lists"
+        f"{path / first}, or each that pdr_filter.data.io.folders.recordings_in lists"
     )
 
 

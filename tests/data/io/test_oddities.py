@@ -7,7 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import assert_same_streams, axes, on_one_clock, refusal, table_text, write_folder, write_text, write_zip
+from app_files import (
+    assert_same_streams,
+    axes,
+    on_one_clock,
+    physics_toolbox_text,
+    refusal,
+    table_text,
+    write_folder,
+    write_text,
+    write_zip,
+)
 from helpers import resumed
 from oddities import (
     ACCURACY_M,
@@ -253,6 +263,30 @@ def test_pairs_of_files_of_two_trials_are_two_recordings(tmp_path: Path, names: 
     message = refusal(path)
     assert "holds 2 recordings" in message
     assert found[0].name in message
+
+
+@pytest.mark.parametrize("packed", [True, False])
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        ("acc/data gyro/data walk_2/acc walk_2/gyro", ". walk_2"),
+        ("acc/walk1 acc/walk2 gyro/walk1 gyro/walk2 others/full", "walk1 walk2 others/full.csv"),
+        ("walk1_acc walk1_gyro walk2_acc walk2_gyro acc_tests/full", "walk1 walk2 acc_tests/full.csv"),
+        ("raw_acc/1 gyro/1 gps/1", "."),
+    ],
+)
+def test_a_folder_beside_those_of_sensors_is_a_recording_of_its_own(
+    tmp_path: Path, names: str, expected: str, packed: bool
+) -> None:
+    texts = {"full": physics_toolbox_text(WALK), "gyro": trials()["walk1_gyro.csv"], "acc": trials()["walk1_acc.csv"]}
+    texts["gps"] = "time,latitude,longitude\n" + "".join(f"{k},48.0,11.{k:05d}\n" for k in range(10))
+    files = {f"{name}.csv": next(text for key, text in texts.items() if key in name) for name in names.split()}
+    path = write_zip(tmp_path / "w.zip", files) if packed else write_folder(tmp_path / "w", files)
+    assert {str(found.relative_to(path)) for found in recordings_in(path)} == {*expected.split()}
+    if expected == ".":
+        assert read(path).location is not None
+    else:
+        assert f"read one, such as {path}/walk" in refusal(path)
 
 
 @pytest.mark.parametrize(
