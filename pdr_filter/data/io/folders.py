@@ -84,11 +84,10 @@ def recordings_in(folder: str | Path) -> list[Path]:
     """Return the sorted paths of the recordings in a folder and in its subfolders.
 
     If the folder itself is one recording, the result is its path, with the recordings beside its folders of sensors, if
-    it has such. Hidden files and linked folders are skipped. Every
-    zip and hdf5 file counts, so that a broken one is reported later. A text file counts if it looks like a known
-    format, or if a TOML file beside it describes its columns. A file with several recordings gives a path for each,
-    such as `export.zip/walk_2`, and files such as `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` give
-    `walk1` and `walk2`.
+    it has such. Hidden files and linked folders are skipped. Every zip and hdf5 file counts, so that a broken one is
+    reported later. A text file counts if it looks like a known format, or if a TOML file beside it describes its
+    columns. A file with several recordings gives a path for each, such as `export.zip/walk_2`, and files such as
+    `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` give `walk1` and `walk2`.
     """
     folder = Path(folder)
     if folder.is_file():

@@ -28,6 +28,7 @@ from oddities import (
     clock_set_back,
     columns,
     event_rows,
+    hourly,
     lines_of,
     moved_rows,
     packs,
@@ -171,6 +172,17 @@ def test_moved_rows_have_the_track_of_the_sorted_ones_and_a_clock_that_was_set_b
     hour = read(write_text(tmp_path / "hour.csv", table_text({"time (s)": far, **others})))
     assert not any("out of order" in note for note in hour.notes)
     np.testing.assert_array_equal(hour.accelerometer.values, FORCE)
+
+
+def test_a_slow_sensor_may_lose_two_samples_between_files_of_an_hour(tmp_path: Path) -> None:
+    def fixes(begin_s: float) -> str:
+        rows = (f"{1_664_625_600_000 + 1000 * (begin_s + k):.0f},48.0,11.{k:05.0f}\n" for k in (0.0, 7.0, 14.0))
+        return "timestamp,latitude,longitude\n" + "".join(rows)
+
+    files = hourly() | {"gps/2022-10-01 11_00_00.csv": fixes(-15.0), "gps/2022-10-01 12_00_00.csv": fixes(19.0)}
+    location = read(write_folder(tmp_path / "w", files)).location
+    assert location is not None
+    assert len(location) == 6
 
 
 def test_the_unix_time_of_a_sorted_recording_is_that_of_its_first_sample(tmp_path: Path) -> None:

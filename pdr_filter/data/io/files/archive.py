@@ -44,7 +44,7 @@ _OTHERS = {
 _ABOUT = re.compile(r"(?i)(readme|licen[cs]e|notes?)[^/]*$|\.(md|pdf|html?|png|jpe?g|docx?|mp4|m4a)$|(^|/)\.[^/]*$")
 _TABLES = (".csv", ".txt", ".tsv", ".log", ".dat", ".json", ".jsonl", ".ndjson")
 # Words of folder names that are of a sensor and not of a trial.
-_LOCATIONS, _OF_KINDS = {"gps", "gnss", "location", "locations"}, {"raw", "uncal", "game"}
+LOCATIONS, _OF_KINDS = {"gps", "gnss", "location", "locations"}, {"raw", "uncal", "game"}
 _TAR_AT, _TAR, _BEGIN_BYTES = 257, b"ustar", 512
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
@@ -364,8 +364,8 @@ def sensor_folders(names: Iterable[str]) -> set[str]:
     by_trial: dict[str, dict[str, str]] = {}
     for name in names:
         words = trial_of(name).lower().split("_")
-        if quantity := quantity_of_file(name)[0] or "".join(_LOCATIONS.intersection(words)):
-            trial = "_".join(word for word in words if word not in _LOCATIONS and word not in _OF_KINDS)
+        if quantity := quantity_of_file(name)[0] or "".join(LOCATIONS.intersection(words)):
+            trial = "_".join(word for word in words if word not in LOCATIONS and word not in _OF_KINDS)
             by_trial.setdefault(trial, {})[name] = quantity
     found = set[str]()
     for sensors in by_trial.values():
