@@ -147,7 +147,8 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
     """Return the tables among the files of a recording: text, JSON, spreadsheet or MATLAB.
 
     A text with rows of several sensors gives a table for each. `separator` is that of texts, detected if None. `notes`
-    get what was skipped. RecordingError if there is no table, or if one has rows of several devices.
+    get what was skipped. RecordingError if there is no table, if there are too many, or if one has rows of several
+    devices.
     """
     found: Sequence[Sheet]
     if is_spreadsheet(members):
@@ -155,7 +156,13 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
     elif not members.is_container and is_matlab(members.head(members.names[0], 128)):
         found = matlab_sheets(members, members.names[0])
     else:
-        texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
+        texts = [name for name in members.names if _is_text(name, members)]
+        if len(texts) > limits.MAX_FILES_LOOKED_AT:
+            raise RecordingError(
+                f"{members.path}: {len(texts)} tables, and at most {limits.MAX_FILES_LOOKED_AT} are read; leave out "
+                "those of other recordings, or divide the files into folders by time and read these as parts: "
+                "pdr_filter.read([folder, folder])"
+            )
         of_json = [name for name in texts if is_json(members.head(name, 4096))]
         whole = [sheet for name in texts if name not in of_json for sheet in text_sheets(members, name, separator)]
         for sheet in whole:
