@@ -105,7 +105,8 @@ def recordings_in(folder: str | Path) -> list[Path]:
     found = [folder / part for part in parts if part == "." or part in trials]
     for path in inside:
         if path.is_dir() and not path.is_symlink():
-            found += [] if path.name in of_sensors and (trials or is_one) else recordings_in(path)
+            if path.name not in of_sensors or not (trials or is_one):
+                found += [path / part for part in _parts_in(path)] if is_one else recordings_in(path)
         elif is_one:
             continue
         elif (

@@ -43,8 +43,10 @@ _OTHERS = {
 }
 _ABOUT = re.compile(r"(?i)(readme|licen[cs]e|notes?)[^/]*$|\.(md|pdf|html?|png|jpe?g|docx?|mp4|m4a)$|(^|/)\.[^/]*$")
 _TABLES = (".csv", ".txt", ".tsv", ".log", ".dat", ".json", ".jsonl", ".ndjson")
-# Words of folder names that are of a sensor and not of a trial.
-LOCATIONS, _OF_KINDS = {"gps", "gnss", "location", "locations"}, {"raw", "uncal", "game"}
+LOCATIONS = {"gps", "gnss", "location", "locations"}
+# Further words of folder names that are of a sensor, or of what belongs to all sensors, and not of a trial.
+_BESIDE = LOCATIONS | {"metadata", "annotation", "annotations", "pedometer", "steps", "heading"}
+_OF_KINDS = {"raw", "uncal", "game"}
 _TAR_AT, _TAR, _BEGIN_BYTES = 257, b"ustar", 512
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
@@ -359,17 +361,19 @@ def _path_of_trial(name: str) -> str:
 def sensor_folders(names: Iterable[str]) -> set[str]:
     """Return those names of folders that are of one recording with a folder for each sensor.
 
-    These are names of an accelerometer and of other sensors with equal other words, such as `left_acc` and `left_gyro`.
+    These are names of an accelerometer, of other sensors and of metadata, with equal other words, such as `left_acc`
+    and `left_gyro`.
     """
     by_trial: dict[str, dict[str, str]] = {}
     for name in names:
         words = trial_of(name).lower().split("_")
-        if quantity := quantity_of_file(name)[0] or "".join(LOCATIONS.intersection(words)):
-            trial = "_".join(word for word in words if word not in LOCATIONS and word not in _OF_KINDS)
+        quantity, _ = quantity_of_file(name)
+        if quantity or not _BESIDE.isdisjoint(words):
+            trial = "_".join(word for word in words if word not in _BESIDE and word not in _OF_KINDS)
             by_trial.setdefault(trial, {})[name] = quantity
     found = set[str]()
     for sensors in by_trial.values():
-        kinds = set(sensors.values())
+        kinds = set(sensors.values()) - {""}
         if len(kinds) > 1 and not kinds.isdisjoint((ACCELERATION, LINEAR)):
             found.update(sensors)
     return found
