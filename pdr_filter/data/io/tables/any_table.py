@@ -224,17 +224,24 @@ def _by_phone(sheets: Sequence[Sheet], is_named: Callable[[str], bool]) -> Float
 
 
 def _folder_of_recording(members: Members) -> Path | None:
-    """Return the folder of a file that was given alone if other files in it have an accelerometer, or None."""
+    """Return the folder of a file of one sensor that was given alone if the accelerometer is in it, or None.
+
+    The names of the file, or of its folder, and of that of the accelerometer are equal but for the sensor.
+    """
     if members.is_container or members.inside:
         return None
     path = members.path
     is_sensor = quantity_of_file(path.parent.name)[0] and not trial_of(path.parent.name)
     up = path.parent.parent if is_sensor else path.parent
+    sensor, _ = quantity_of_file(path.parent.name if is_sensor else path.name)
+    trials = {trial_of(path.name)} | ({""} if is_sensor else set())  # one file alone in its folder has no trial
     with suppress(RecordingError, OSError):
         beside = Members(up)
-        others = [name for name in beside.names if not path.as_posix().endswith(f"/{name}") and _is_text(name, beside)]
-        if any(ACCELERATION in sensors_of(beside, name) for name in others[: limits.MAX_FILES_LOOKED_AT]):
-            return up
+        others = [name for name in beside.names if trial_of(name) in trials and _is_text(name, beside)]
+        for name in others[: limits.MAX_FILES_LOOKED_AT] if sensor else ():
+            sensors = sensors_of(beside, name)
+            if ACCELERATION in sensors and sensor not in sensors:
+                return up
     return None
 
 
