@@ -33,6 +33,7 @@ _NO_PERSON = re.compile(
     r"|untitled|track|way|upstairs|downstairs|standing|stationary|elevator|escalator|texting|pocket|swinging|calling|bag"
     r"|hand|jog(ging)?|sit(ting)?|iphone|phone|android|samsung|pixel)\d*"
 )
+_PEOPLE = "people from the names of files:"
 _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 
 
@@ -55,29 +56,41 @@ def absolute_recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str
 
 
 def with_person_of_file(recording: Recording, path: str | Path) -> Recording:
-    """Return a recording that names no person with the person in the name of its file, if it has one."""
+    """Return a recording that names no person with the person in the name of its file, if it has one, and a note."""
     path = Path(path)
     own = _PERSON.match(path.name)
     if recording.subject.id or own is None or not path.is_file():
         return recording
-    if not _has_people(path.parent, path.suffix, path.parent.stat().st_mtime_ns):
+    people = _people_in(path.parent, path.suffix, path.parent.stat().st_mtime_ns)
+    if not people:
         return recording
     subject = {**(recording.meta.get("subject") or {}), "id": own[1].lower()}
-    return replace(recording, meta={**recording.meta, "subject": subject})
+    note = (
+        f"{_PEOPLE} {', '.join(people[:8])}{', ...' if people[8:] else ''} ({path.parent}), because they begin with "
+        "several words; if these are no people, write a word such as walk_ in front of each name, or subject.id in the "
+        "metadata"
+    )
+    return replace(recording, meta={**recording.meta, "subject": subject}, notes=(*recording.notes, note))
+
+
+def notes_on_people(recordings: Iterable[Recording]) -> list[str]:
+    """Return the different notes of `with_person_of_file` on recordings."""
+    return list(dict.fromkeys(note for one in recordings for note in one.notes if note.startswith(_PEOPLE)))
 
 
 @lru_cache(maxsize=1000)
-def _has_people(folder: Path, suffix: str, *version: int) -> bool:
-    """Return True if the files of a kind in a folder begin with names of people, as in `anna_walk1-2024-05-01.zip`.
+def _people_in(folder: Path, suffix: str, *version: int) -> tuple[str, ...]:
+    """Return the names of people with which the files of a kind in a folder begin, as in `anna_walk1-2024-05-01.zip`.
 
     They begin with different names, of which one is there again or all have the date of an export. Words such as walk
     or trial are no names.
     """
     names = [entry.name for entry in folder.iterdir() if entry.suffix == suffix]
     found = [match[1].lower() for name in names if (match := _PERSON.match(name)) is not None]
-    if len(found) < len(names) or any(map(_NO_PERSON.fullmatch, found)):
-        return False
-    return len(set(found)) > 1 and (len(set(found)) < len(found) or all(map(_DATE.search, names)))
+    people = tuple(sorted(set(found)))
+    if len(found) < len(names) or any(map(_NO_PERSON.fullmatch, found)) or len(people) < 2:
+        return ()
+    return people if len(people) < len(found) or all(map(_DATE.search, names)) else ()
 
 
 def recordings_in(folder: str | Path) -> list[Path]:
