@@ -178,7 +178,8 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
 
     Coordinates are metres east and north, or longitude and latitude, which are converted to metres from `origin`. A
     third coordinate is the height of the anchor above the phone in m. Anchors that span at most 0.05 are taken as
-    degrees; a single anchor only within 0.05 of `origin`. ValueError names the file, the point and the remedy.
+    degrees; a single anchor, and anchors on both sides of 180 degrees, only within 0.05 of `origin`. ValueError names
+    the file, the point and the remedy.
     """
     file = Path(path)
     content: Any = read_json(file, limits.MAX_PLAN_BYTES)
@@ -201,10 +202,12 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
         ) from None
     flat = np.array([place[:2] for place in found.values()])
     here = None if origin is None else Origin.of(origin)
-    if np.ptp(flat[:, 0]) > 360 - _MOST_DEG and np.abs(flat[:, 0]).max() <= 180:  # on both sides of 180 degrees
-        flat[:, 0] %= 360
-    is_near = here is not None and bool(np.abs(flat - (here.longitude_deg, here.latitude_deg)).max() <= _MOST_DEG)
-    if float(np.ptp(flat, axis=0).max()) > _MOST_DEG or (len(flat) == 1 and not is_near):
+    is_near = False
+    if here is not None:
+        from_origin = flat - (here.longitude_deg, here.latitude_deg)
+        from_origin[:, 0] = (from_origin[:, 0] + 180) % 360 - 180  # which may be on the other side of 180 degrees
+        is_near = bool(np.abs(from_origin).max() <= _MOST_DEG)
+    if not is_near and (len(flat) == 1 or float(np.ptp(flat, axis=0).max()) > _MOST_DEG):
         return found
     if here is None:
         raise ValueError(

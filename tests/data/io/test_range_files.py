@@ -115,6 +115,11 @@ def test_anchors_on_both_sides_of_180_degrees_are_near_each_other(tmp_path: Path
     path = anchors_file(tmp_path / "a.geojson", {"a": (179.9999, -16.8), "b": (-179.9999, -16.8)})
     found = anchors_of_file(path, origin=(-16.8, 179.9999))
     np.testing.assert_allclose([found["a"], found["b"]], [[0.0, 0.0], [21.32, 0.0]], atol=0.05)
+    one = anchors_file(tmp_path / "one.geojson", {"a": (179.9999, -16.8)})
+    np.testing.assert_allclose(anchors_of_file(one, origin=(-16.8, -179.9999))["a"], [-21.32, 0.0], atol=0.05)
+    in_metres = anchors_file(tmp_path / "metres.geojson", {"a": (-180.0, 0.0), "b": (180.0, 0.0)})
+    for origin in (None, (48.0, 11.0)):
+        np.testing.assert_array_equal(anchors_of_file(in_metres, origin=origin)["a"], [-180.0, 0.0])
 
 
 def test_the_command_line_places_fixes_in_degrees_by_an_origin_or_the_first_location(tmp_path: Path) -> None:
