@@ -408,6 +408,7 @@ FACES: list[Refusal] = [
     *of(partial(pdr.batch.calibrate, ["/nowhere.zip"]), "anchor_std_m must", anchor_std_m=(-1.0, NAN)),
     (partial(pdr.batch.calibrate, ["/nowhere.zip"]), {"loss": "l1"}, "loss must"),
     (partial(pdr.batch.calibrate, ["/nowhere.zip"]), {"file_format": "x"}, "format is"),
+    *of(pdr.read, "path is .* give the path of a file", path=(5, None, [5], b"walk.zip")),
 ]
 # Calls of a filter: the name of the method, its arguments, and a part of the message.
 PUSHES: list[tuple[str, tuple[Any, ...], str]] = [

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pdr_filter.apps.batch.workers import Failure, each
-from pdr_filter.data.io.folders import absolute_recordings_of, with_person_of_file
+from pdr_filter.data.io.folders import absolute_recordings_of, notes_on_people, with_person_of_file
 from pdr_filter.data.io.formats import known_format, read
 from pdr_filter.offline.calibration.segments import Segment, segments_of, with_distinct_names
 from pdr_filter.offline.robust_loss import LOSSES
@@ -163,7 +163,7 @@ def calibrate(
             progress(len(found) / len(files))
     in_order = [found[i] for i in range(len(files))]
     segments = with_distinct_names((one.segments, each_a_person and one.is_nameless) for one in in_order)
-    notes = [note for one in in_order for note in one.notes]
+    notes = list(dict.fromkeys(note for one in in_order for note in one.notes))
     if not segments:
         raise ValueError("no usable segments to calibrate with: " + ("; ".join(notes) or "no recordings"))
     name_notes = without_name(sum(one.is_nameless for one in in_order), subject, each_a_person)
@@ -186,7 +186,8 @@ def read_segments(
         recording = with_person_of_file(recording, path)
     name = recording.name if each_a_person else subject
     segments, notes = segments_of(recording, recording_run.track(recording, gnss="off"), anchor_std_m, measure, name)
-    return Reduced(tuple(segments), tuple(notes), bool(segments) and not recording.subject.id)
+    notes = (*notes, *notes_on_people([recording]))
+    return Reduced(tuple(segments), notes, bool(segments) and not recording.subject.id)
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,7 +80,7 @@ def calibrate_command(
     from pdr_filter.apps.maps.marks import read_marks
     from pdr_filter.apps.report.plot.figures import check_picture
     from pdr_filter.classifiers.model_files import file_pair
-    from pdr_filter.data.io.folders import with_person_of_file
+    from pdr_filter.data.io.folders import notes_on_people, with_person_of_file
 
     with console.one_line_errors(), console.progress("calibrating") as show:
         if figure is not None:
@@ -99,8 +99,10 @@ def calibrate_command(
         if jobs is None and scheduler is None and resume is None:
             paths = console.recording_paths(files)
             recordings = [pdr.read(file) for file in paths]
-            if how.subject is None:
+            if how.subject is None and not how.each_a_person:
                 recordings = [with_person_of_file(r, file) for r, file in zip(recordings, paths, strict=True)]
+                for note in notes_on_people(recordings):
+                    console.say(note)
             if smooth:
                 marked = [read_marks(file) for file in paths]
                 recordings = [m.recording(recording) for m, recording in zip(marked, recordings, strict=True)]

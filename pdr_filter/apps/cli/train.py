@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from pdr_filter.apps.cli import console
 from pdr_filter.apps.cli.options import Classifier
-
-if TYPE_CHECKING:
-    from pdr_filter.values.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -64,14 +61,22 @@ def train_command(
 def _fit(folder: Path, out: Path, how: Fitting) -> None:
     """Fit a model on the recordings in a folder, write it and print its report."""
     import pdr_filter as pdr
+    from pdr_filter.data.io.folders import notes_on_people, with_person_of_file
 
     with console.one_line_errors(), console.progress("fitting") as show:
         paths = console.recording_paths([folder])
         recordings = [pdr.read(path) for path in paths]
-        people = [
-            str(recording.subject.id) if recording.subject.id else _person_of(recording, path, folder)
-            for path, recording in zip(paths, recordings, strict=True)
+        folders = [path.resolve().relative_to(folder.resolve()).parts[:-1] for path in paths]
+        recordings = [
+            recording if parts else with_person_of_file(recording, path)
+            for recording, path, parts in zip(recordings, paths, folders, strict=True)
         ]
+        people = [
+            str(recording.subject.id or (parts[0] if parts else "unnamed"))
+            for recording, parts in zip(recordings, folders, strict=True)
+        ]
+        for note in notes_on_people(recordings):
+            console.say(note)
         model = pdr.fit_contexts(
             recordings,
             how.classifier,
@@ -83,17 +88,6 @@ def _fit(folder: Path, out: Path, how: Fitting) -> None:
         path = model.save(out)
     console.print_lines(model.report())
     console.say(f"written: {path}")
-
-
-def _person_of(recording: Recording, path: Path, folder: Path) -> str:
-    """Return the name of the subfolder of `folder` that contains a recording, or the person in the name of its file.
-
-    It is "unnamed" for a file directly in `folder` without such a name.
-    """
-    from pdr_filter.data.io.folders import with_person_of_file
-
-    parts = path.resolve().relative_to(folder.resolve()).parts
-    return parts[0] if len(parts) > 1 else str(with_person_of_file(recording, path).subject.id or "unnamed")
 
 
 def _estimate_transitions(sequences: Path, out: Path) -> None:

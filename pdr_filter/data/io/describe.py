@@ -279,8 +279,8 @@ def reading_report(recording: Recording) -> ReadingReport:
     >>> reading_report(walk).lines()[0]
     'read as own format'
     """
-    reading = _dict_of(recording.meta.get(READING_KEY))
-    requested = _dict_of(reading.get("requested_hz")) or {"accelerometer": recording.meta.get("nominal_rate_hz")}
+    reading = dict_of(recording.meta.get(READING_KEY))
+    requested = dict_of(reading.get("requested_hz")) or {"accelerometer": recording.meta.get("nominal_rate_hz")}
     found: Any = reading.get("found")
     sentences = cast("list[Any]", found) if isinstance(found, list) else ["SI units, specific force +9.81 on z face up"]
     most = limits.MAX_TEXT_CHARS
@@ -363,6 +363,6 @@ def _unit_sentences(recording: Recording) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _dict_of(value: Any) -> dict[str, Any]:
+def dict_of(value: Any) -> dict[str, Any]:
     """Return the value if it is a dict, else an empty one: untrusted files may hold anything."""
     return cast("dict[str, Any]", value) if isinstance(value, dict) else {}

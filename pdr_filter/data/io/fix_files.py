@@ -15,6 +15,7 @@ from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.values import FloatArray, HeadingFix, Origin, PositionFix, RangeFix, limits
 from pdr_filter.values.origin import check_coordinates
 from pdr_filter.values.safe_files import read_json, read_small
+from pdr_filter.values.uncertainty import RADIUS_68
 
 # Standard deviations in m of fixes and loop closures in files without the column std_m.
 FIX_STD_M, LOOP_CLOSURE_STD_M = 1.0, 0.5
@@ -34,9 +35,10 @@ def fixes_of_file(
         CSV file with columns `time_s`, `east_m`, `north_m` and optionally `std_m`. Columns of latitude and longitude
         in degrees may replace `east_m` and `north_m`. Times are on the clock of the samples. Two optional columns,
         `heading_deg` and `heading_std_deg`, give the walking heading at the time of a fix, clockwise from north. The
-        optional column `floor` gives the storey. Cells of optional columns are empty where the value is not known.
+        optional column `floor` gives the storey. Cells of optional columns are empty where the value is not known. In a
+        file without `std_m`, a column of horizontal accuracy, such as `accuracy_m`, has the radius of 68 %.
     std_m : float, default 1.0
-        Standard deviation in m of fixes without a value in the column `std_m`.
+        Standard deviation in m of fixes without a value in the column `std_m` or of accuracy.
     origin : Origin or (latitude_deg, longitude_deg), optional
         Geographic origin of the track, for positions in degrees.
 
@@ -63,14 +65,16 @@ def fixes_of_file(
     [(12.5, [3.0, 4.0])]
     """
     file = Path(path)
-    optional = (("floor",), ("heading_deg", "heading_std_deg"))
+    optional = (("floor",), ("heading_deg", "heading_std_deg"), *_accuracy_in(file))
     degrees = degrees_in(file)
     rows = _rows(file, ("time_s", *(degrees or ("east_m", "north_m"))), "fixes", std_m, optional)
     if degrees:
         rows = _in_metres(file, rows, origin)
     fixes: list[PositionFix] = []
     headings: list[HeadingFix] = []
-    for line, (t, east, north, std, floor, heading_deg, heading_std_deg), _ in rows:
+    for line, (t, east, north, std, floor, heading_deg, heading_std_deg, *accuracy_m), _ in rows:
+        if accuracy_m and 0 < accuracy_m[0] < math.inf:  # iOS writes -1 for unknown
+            std = accuracy_m[0] / RADIUS_68
         if math.isfinite(floor) and (floor != round(floor) or abs(floor) > _MOST_FLOORS):
             raise ValueError(
                 f"{file}, line {line}: floor is {floor:g}; write the number of the storey, such as 0, or leave it empty"
@@ -85,6 +89,14 @@ def fixes_of_file(
                     f"{file}, line {line}: heading_std_deg must be positive and finite ({error})"
                 ) from None
     return [*fixes, *headings]
+
+
+def _accuracy_in(path: Path) -> list[tuple[str]]:
+    """Return the name of the column of horizontal accuracy in m, none if there is none or the file has `std_m`."""
+    fields = TextTable([read_small(path, limits.MAX_WHOLE_BYTES)], str(path)).fields
+    found = [column for i, name in enumerate(fields) if (column := column_of(i, name)).quantity == "accuracy"]
+    found.sort(key=lambda column: -column.preference)
+    return [(column.name,) for column in found[:1] if "std_m" not in fields]
 
 
 def degrees_in(path: str | Path) -> tuple[str, str] | None:
@@ -166,7 +178,8 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
 
     Coordinates are metres east and north, or longitude and latitude, which are converted to metres from `origin`. A
     third coordinate is the height of the anchor above the phone in m. Anchors that span at most 0.05 are taken as
-    degrees; a single anchor only within 0.05 of `origin`. ValueError names the file, the point and the remedy.
+    degrees; a single anchor, and anchors on both sides of 180 degrees, only within 0.05 of `origin`. ValueError names
+    the file, the point and the remedy.
     """
     file = Path(path)
     content: Any = read_json(file, limits.MAX_PLAN_BYTES)
@@ -189,10 +202,12 @@ def anchors_of_file(path: str | Path, origin: Origin | tuple[float, float] | Non
         ) from None
     flat = np.array([place[:2] for place in found.values()])
     here = None if origin is None else Origin.of(origin)
-    if np.ptp(flat[:, 0]) > 360 - _MOST_DEG and np.abs(flat[:, 0]).max() <= 180:  # on both sides of 180 degrees
-        flat[:, 0] %= 360
-    is_near = here is not None and bool(np.abs(flat - (here.longitude_deg, here.latitude_deg)).max() <= _MOST_DEG)
-    if float(np.ptp(flat, axis=0).max()) > _MOST_DEG or (len(flat) == 1 and not is_near):
+    is_near = False
+    if here is not None:
+        from_origin = flat - (here.longitude_deg, here.latitude_deg)
+        from_origin[:, 0] = (from_origin[:, 0] + 180) % 360 - 180  # which may be on the other side of 180 degrees
+        is_near = bool(np.abs(from_origin).max() <= _MOST_DEG)
+    if not is_near and (len(flat) == 1 or float(np.ptp(flat, axis=0).max()) > _MOST_DEG):
         return found
     if here is None:
         raise ValueError(

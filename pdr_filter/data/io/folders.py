@@ -10,9 +10,9 @@ from itertools import islice
 from pathlib import Path, PurePosixPath
 
 from pdr_filter.data.io.apps import sensor_logger
-from pdr_filter.data.io.column_names import ACCELERATION, GRAVITY, LINEAR, RATE, VECTORS, quantity_of_file, trial_of
+from pdr_filter.data.io.column_names import ACCELERATION, GRAVITY, LINEAR, RATE, VECTORS, trial_of
 from pdr_filter.data.io.detection import BINARIES, detect, detect_file
-from pdr_filter.data.io.files.archive import IN_PLACE, Members, open_members, zips_among
+from pdr_filter.data.io.files.archive import IN_PLACE, Members, open_members, sensor_folders, zips_among
 from pdr_filter.data.io.tables.any_table import TEXTS, sensors_of
 from pdr_filter.data.io.tables.column_mapping import mapping_beside
 from pdr_filter.data.io.tables.cut_files import in_time, is_numbered
@@ -33,6 +33,7 @@ _NO_PERSON = re.compile(
     r"|untitled|track|way|upstairs|downstairs|standing|stationary|elevator|escalator|texting|pocket|swinging|calling|bag"
     r"|hand|jog(ging)?|sit(ting)?|iphone|phone|android|samsung|pixel)\d*"
 )
+_PEOPLE = "people from the names of files:"
 _WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 
 
@@ -55,39 +56,51 @@ def absolute_recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str
 
 
 def with_person_of_file(recording: Recording, path: str | Path) -> Recording:
-    """Return a recording that names no person with the person in the name of its file, if it has one."""
+    """Return a recording that names no person with the person in the name of its file, if it has one, and a note."""
     path = Path(path)
     own = _PERSON.match(path.name)
     if recording.subject.id or own is None or not path.is_file():
         return recording
-    if not _has_people(path.parent, path.suffix, path.parent.stat().st_mtime_ns):
+    people = _people_in(path.parent, path.suffix, path.parent.stat().st_mtime_ns)
+    if not people:
         return recording
     subject = {**(recording.meta.get("subject") or {}), "id": own[1].lower()}
-    return replace(recording, meta={**recording.meta, "subject": subject})
+    note = (
+        f"{_PEOPLE} {', '.join(people[:8])}{', ...' if people[8:] else ''} ({path.parent}), because they begin with "
+        "several words; if these are no people, write a word such as walk_ in front of each name, or subject.id in the "
+        "metadata"
+    )
+    return replace(recording, meta={**recording.meta, "subject": subject}, notes=(*recording.notes, note))
+
+
+def notes_on_people(recordings: Iterable[Recording]) -> list[str]:
+    """Return the different notes of `with_person_of_file` on recordings."""
+    return list(dict.fromkeys(note for one in recordings for note in one.notes if note.startswith(_PEOPLE)))
 
 
 @lru_cache(maxsize=1000)
-def _has_people(folder: Path, suffix: str, *version: int) -> bool:
-    """Return True if the files of a kind in a folder begin with names of people, as in `anna_walk1-2024-05-01.zip`.
+def _people_in(folder: Path, suffix: str, *version: int) -> tuple[str, ...]:
+    """Return the names of people with which the files of a kind in a folder begin, as in `anna_walk1-2024-05-01.zip`.
 
     They begin with different names, of which one is there again or all have the date of an export. Words such as walk
     or trial are no names.
     """
     names = [entry.name for entry in folder.iterdir() if entry.suffix == suffix]
     found = [match[1].lower() for name in names if (match := _PERSON.match(name)) is not None]
-    if len(found) < len(names) or any(map(_NO_PERSON.fullmatch, found)):
-        return False
-    return len(set(found)) > 1 and (len(set(found)) < len(found) or all(map(_DATE.search, names)))
+    people = tuple(sorted(set(found)))
+    if len(found) < len(names) or any(map(_NO_PERSON.fullmatch, found)) or len(people) < 2:
+        return ()
+    return people if len(people) < len(found) or all(map(_DATE.search, names)) else ()
 
 
 def recordings_in(folder: str | Path) -> list[Path]:
     """Return the sorted paths of the recordings in a folder and in its subfolders.
 
-    If the folder itself is one recording, the result is its path. Hidden files and linked folders are skipped. Every
-    zip and hdf5 file counts, so that a broken one is reported later. A text file counts if it looks like a known
-    format, or if a TOML file beside it describes its columns. A file with several recordings gives a path for each,
-    such as `export.zip/walk_2`, and files such as `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` give
-    `walk1` and `walk2`.
+    If the folder itself is one recording, the result is its path, with the recordings beside its folders of sensors, if
+    it has such. Hidden files and linked folders are skipped. Every zip and hdf5 file counts, so that a broken one is
+    reported later. A text file counts if it looks like a known format, or if a TOML file beside it describes its
+    columns. A file with several recordings gives a path for each, such as `export.zip/walk_2`, and files such as
+    `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` give `walk1` and `walk2`.
     """
     folder = Path(folder)
     if folder.is_file():
@@ -97,13 +110,18 @@ def recordings_in(folder: str | Path) -> list[Path]:
         mapping_beside(path).is_file() for path in inside if path.suffix.lower() in _TEXTS and path.is_file()
     )
     parts = [] if is_mapped else _parts_in(folder)
-    if "." in parts:
+    is_one = "." in parts
+    of_sensors = sensor_folders(path.name for path in inside if path.is_dir()) if parts else set[str]()
+    if is_one and not of_sensors:
         return [folder]
     trials = [part for part in parts if not (folder / part).exists()]
-    found = [folder / trial for trial in trials]
+    found = [folder / part for part in parts if part == "." or part in trials]
     for path in inside:
         if path.is_dir() and not path.is_symlink():
-            found += [] if trials and quantity_of_file(path.name)[0] else recordings_in(path)
+            if path.name not in of_sensors or not (trials or is_one):
+                found += [path / part for part in _parts_in(path)] if is_one else recordings_in(path)
+        elif is_one:
+            continue
         elif (
             path.is_file() and (path.suffix.lower() in _FILES or _is_known(path)) and trial_of(path.name) not in trials
         ):
@@ -130,9 +148,10 @@ def only_recording_in(path: Path) -> Path:
     if not parts:
         return path
     listed = ", ".join(parts[:3])
+    first = next(part for part in parts if part != ".")  # which is `path` again
     raise RecordingError(
         f"{path}: holds {len(parts)} recordings ({listed}{', ...' if parts[3:] else ''}); read one, such as "
-        f"{path / parts[0]}, or each that pdr_filter.data.io.folders.recordings_in lists"
+        f"{path / first}, or each that pdr_filter.data.io.folders.recordings_in lists"
     )
 
 

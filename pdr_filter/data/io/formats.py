@@ -75,7 +75,7 @@ def read(path: str | Path | Iterable[str | Path], format: str | None = None, pla
         If the file cannot be used. The message names the file, the column, the value and the remedy. It is a
         ValueError.
     ValueError
-        If `format` or `platform` is unknown.
+        If `format` or `platform` is unknown, or if `path` is no path.
 
     See Also
     --------
@@ -100,7 +100,11 @@ def read(path: str | Path | Iterable[str | Path], format: str | None = None, pla
     pdr_filter.values.errors.RecordingError: walk_2.zip: no such file or folder; check the path
     """
     if not isinstance(path, str | Path):
-        return joined([read(part, format, platform) for part in path])
+        try:
+            parts = [Path(part) for part in path]
+        except TypeError:
+            raise ValueError(f"path is {path!r}; give the path of a file or folder, or a list of paths") from None
+        return joined([read(part, format, platform) for part in parts])
     path = Path(path)
     if platform is not None and platform not in PLATFORMS:
         raise ValueError(f"platform is {platform!r}; give one of {', '.join(PLATFORMS)}")

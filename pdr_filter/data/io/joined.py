@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any, cast
 
 import numpy as np
 
+from pdr_filter.data.io.describe import READING_KEY, dict_of
 from pdr_filter.data.io.files.own_format_writer import TIME_COLUMNS
 from pdr_filter.values import FloatArray, Samples, Table, Wifi, table
 from pdr_filter.values.errors import RecordingError
@@ -20,7 +22,8 @@ _MOST_OVERLAP_S = 1.0
 def joined(parts: Sequence[Recording]) -> Recording:
     """Return the recording of which the given ones are parts, in any order, with the meta data of the first in time.
 
-    Times are those since the first sample of the first part. RecordingError if a part has no Unix time, or if parts
+    Times are those since the first sample of the first part. Annotations, and steps and heading of the phone, are those
+    of all parts. RecordingError if a part has no Unix time, or if parts
     overlap.
     """
     if not parts:
@@ -58,9 +61,37 @@ def joined(parts: Sequence[Recording]) -> Recording:
         **{name: _samples(parts, shifts_s, name) for name in names},
         wifi=wifi,
         truth=Truth(**{name: _truth(parts, shifts_s, name) for name in truths}),
+        meta=_meta(parts, shifts_s),
         source=", ".join(part.source for part in parts),
         notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
+
+
+def _meta(parts: Sequence[Recording], shifts_s: Sequence[float]) -> dict[str, Any]:
+    """Return the meta data of the first part, in which what was found in the time of one part is that of all."""
+    meta = {key: value for key, value in parts[0].meta.items() if key not in ("phone", "annotations")}
+    phone: dict[str, Any] = {}
+    counts = [part.phone_steps for part in parts if part.phone_steps is not None]
+    if len(counts) == len(parts):
+        phone["n_steps"] = sum(counts)
+    begin, end = (_list_of(dict_of(part.meta.get("phone")).get("heading_deg")) for part in (parts[0], parts[-1]))
+    if begin and end:
+        phone["heading_deg"] = [begin[0], end[-1]]
+    annotations: list[dict[str, Any]] = []
+    for part, shift_s in zip(parts, shifts_s, strict=True):
+        for annotation in map(dict_of, _list_of(part.meta.get("annotations"))):
+            if isinstance(time_s := annotation.get("time_s"), int | float):
+                annotations.append({**annotation, "time_s": time_s + shift_s})
+    reading = dict_of(meta.get(READING_KEY))
+    if reading:  # its sentences on the phone are of one part
+        found = [str(sentence) for sentence in _list_of(reading.get("found"))]
+        meta[READING_KEY] = {**reading, "found": [sentence for sentence in found if "by the phone: " not in sentence]}
+    return meta | {key: value for key, value in (("phone", phone), ("annotations", annotations)) if value}
+
+
+def _list_of(value: Any) -> list[Any]:
+    """Return the value if it is a list, else an empty one: untrusted files may hold anything."""
+    return cast("list[Any]", value) if isinstance(value, list) else []
 
 
 def _samples(parts: Sequence[Recording], shifts_s: Sequence[float], name: str) -> Samples:

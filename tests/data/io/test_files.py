@@ -17,7 +17,7 @@ from test_writers import small_track
 
 from pdr_filter.apps.report.html import write_report
 from pdr_filter.data.io.files import track_writers as writers
-from pdr_filter.data.io.folders import with_person_of_file
+from pdr_filter.data.io.folders import notes_on_people, with_person_of_file
 from pdr_filter.sensing.device import Device
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
@@ -211,7 +211,9 @@ def test_people_are_known_by_file_names_of_a_study(tmp_path: Path, names: str, p
     for name in names.split():
         write_text(tmp_path / name, "")
     nameless = replace(WALK, meta={})
-    found = [with_person_of_file(nameless, tmp_path / name).subject.id or "" for name in names.split()]
-    assert found == people.split(" ")
+    recordings = [with_person_of_file(nameless, tmp_path / name) for name in names.split()]
+    assert [recording.subject.id or "" for recording in recordings] == people.split(" ")
+    listed = ", ".join(sorted({*people.split()}))
+    assert [f"names of files: {listed} (" in note for note in notes_on_people(recordings)] == [True][: len(listed)]
     named = replace(WALK, meta={"subject": {"id": "p1"}})
     assert with_person_of_file(named, tmp_path / names.split()[0]).subject.id == "p1"

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from app_files import a_walk, phyphox_files, refusal, write_folder, write_zip
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, of_another_kind
+from oddities import N, hourly
 
 from pdr_filter import batch
 from pdr_filter.data.io.detection import detect
@@ -125,6 +126,13 @@ def test_what_is_read_of_one_recording_is_bounded_as_a_whole(tmp_path: Path, mon
     read(path)
     monkeypatch.setattr(limits, "MAX_READ_BYTES", 2 * len(ROWS))
     assert f"more than {2 * len(ROWS)} bytes" in refusal(path)
+
+
+def test_more_tables_than_are_read_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_folder(tmp_path / "a", hourly())
+    assert len(read(path).accelerometer) == N
+    monkeypatch.setattr(limits, "MAX_FILES_LOOKED_AT", 3)
+    assert "4 tables, and at most 3 are read" in refusal(path)
 
 
 def test_a_name_that_no_file_could_have_is_not_taken(tmp_path: Path) -> None:

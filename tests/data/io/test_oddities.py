@@ -7,7 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import assert_same_streams, axes, on_one_clock, refusal, table_text, write_folder, write_text, write_zip
+from app_files import (
+    assert_same_streams,
+    axes,
+    on_one_clock,
+    physics_toolbox_text,
+    refusal,
+    table_text,
+    write_folder,
+    write_text,
+    write_zip,
+)
 from helpers import resumed
 from oddities import (
     ACCURACY_M,
@@ -18,6 +28,7 @@ from oddities import (
     clock_set_back,
     columns,
     event_rows,
+    hourly,
     lines_of,
     moved_rows,
     packs,
@@ -163,6 +174,17 @@ def test_moved_rows_have_the_track_of_the_sorted_ones_and_a_clock_that_was_set_b
     np.testing.assert_array_equal(hour.accelerometer.values, FORCE)
 
 
+def test_a_slow_sensor_may_lose_two_samples_between_files_of_an_hour(tmp_path: Path) -> None:
+    def fixes(begin_s: float) -> str:
+        rows = (f"{1_664_625_600_000 + 1000 * (begin_s + k):.0f},48.0,11.{k:05.0f}\n" for k in (0.0, 7.0, 14.0))
+        return "timestamp,latitude,longitude\n" + "".join(rows)
+
+    files = hourly() | {"gps/2022-10-01 11_00_00.csv": fixes(-15.0), "gps/2022-10-01 12_00_00.csv": fixes(19.0)}
+    location = read(write_folder(tmp_path / "w", files)).location
+    assert location is not None
+    assert len(location) == 6
+
+
 def test_the_unix_time_of_a_sorted_recording_is_that_of_its_first_sample(tmp_path: Path) -> None:
     ns: dict[str, np.ndarray | list[str]] = {"time": [str(1_700_000_000_000_000_000 + round(t * 1e9)) for t in TIME_S]}
     header, rows = lines_of(table_text(ns | axes("acc_%", FORCE)))
@@ -253,6 +275,30 @@ def test_pairs_of_files_of_two_trials_are_two_recordings(tmp_path: Path, names: 
     message = refusal(path)
     assert "holds 2 recordings" in message
     assert found[0].name in message
+
+
+@pytest.mark.parametrize("packed", [True, False])
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        ("acc/data gyro/data walk_2/acc walk_2/gyro", ". walk_2"),
+        ("acc/walk1 acc/walk2 gyro/walk1 gyro/walk2 others/full", "walk1 walk2 others/full.csv"),
+        ("walk1_acc walk1_gyro walk2_acc walk2_gyro acc_tests/full", "walk1 walk2 acc_tests/full.csv"),
+        ("raw_acc/1 gyro/1 gps/1", "."),
+    ],
+)
+def test_a_folder_beside_those_of_sensors_is_a_recording_of_its_own(
+    tmp_path: Path, names: str, expected: str, packed: bool
+) -> None:
+    texts = {"full": physics_toolbox_text(WALK), "gyro": trials()["walk1_gyro.csv"], "acc": trials()["walk1_acc.csv"]}
+    texts["gps"] = "time,latitude,longitude\n" + "".join(f"{k},48.0,11.{k:05d}\n" for k in range(10))
+    files = {f"{name}.csv": next(text for key, text in texts.items() if key in name) for name in names.split()}
+    path = write_zip(tmp_path / "w.zip", files) if packed else write_folder(tmp_path / "w", files)
+    assert {str(found.relative_to(path)) for found in recordings_in(path)} == {*expected.split()}
+    if expected == ".":
+        assert read(path).location is not None
+    else:
+        assert f"read one, such as {path}/walk" in refusal(path)
 
 
 @pytest.mark.parametrize(

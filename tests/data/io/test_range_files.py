@@ -15,6 +15,7 @@ import pdr_filter as pdr
 from pdr_filter.apps.cli.app import app
 from pdr_filter.apps.cli.options import fixes_of, ranges_of
 from pdr_filter.data.io.fix_files import anchors_of_file, fixes_of_file, ranges_of_file
+from pdr_filter.values.uncertainty import RADIUS_68
 
 ANCHORS = {"door": (-8.0, -6.0), "window": (45.0, -5.0, 1.5), "stairs": (5.0, 50.0)}
 
@@ -91,10 +92,34 @@ def test_fixes_in_degrees_are_metres_from_the_origin(tmp_path: Path, names: str)
         fixes_of_file(path, origin=origin)
 
 
+@pytest.mark.parametrize(
+    ("names", "cell", "std_m"),
+    [
+        ("horizontal_accuracy_m", "25", 25.0 / RADIUS_68),
+        ("speed_accuracy,vertical_accuracy,accuracy", "1,2,25", 25.0 / RADIUS_68),
+        ("accuracy", "", 1.0),
+        ("accuracy", "-1", 1.0),
+        ("accuracy,std_m", "25,3", 3.0),
+    ],
+)
+@pytest.mark.parametrize("place", ["latitude,longitude", "east_m,north_m"])
+def test_an_accuracy_is_the_radius_of_68_percent_of_a_fix(
+    tmp_path: Path, place: str, names: str, cell: str, std_m: float
+) -> None:
+    (tmp_path / "fixes.csv").write_text(f"time_s,{place},{names}\n1.5,10,20,{cell}\n")
+    (fix,) = fixes_of_file(tmp_path / "fixes.csv", origin=(10.0, 20.0))
+    np.testing.assert_allclose(fix.cov_m2, std_m**2 * np.eye(2))
+
+
 def test_anchors_on_both_sides_of_180_degrees_are_near_each_other(tmp_path: Path) -> None:
     path = anchors_file(tmp_path / "a.geojson", {"a": (179.9999, -16.8), "b": (-179.9999, -16.8)})
     found = anchors_of_file(path, origin=(-16.8, 179.9999))
     np.testing.assert_allclose([found["a"], found["b"]], [[0.0, 0.0], [21.32, 0.0]], atol=0.05)
+    one = anchors_file(tmp_path / "one.geojson", {"a": (179.9999, -16.8)})
+    np.testing.assert_allclose(anchors_of_file(one, origin=(-16.8, -179.9999))["a"], [-21.32, 0.0], atol=0.05)
+    in_metres = anchors_file(tmp_path / "metres.geojson", {"a": (-180.0, 0.0), "b": (180.0, 0.0)})
+    for origin in (None, (48.0, 11.0)):
+        np.testing.assert_array_equal(anchors_of_file(in_metres, origin=origin)["a"], [-180.0, 0.0])
 
 
 def test_the_command_line_places_fixes_in_degrees_by_an_origin_or_the_first_location(tmp_path: Path) -> None:

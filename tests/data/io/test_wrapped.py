@@ -14,6 +14,7 @@ from app_files import (
     axes,
     phyphox_files,
     phyphox_sheets,
+    physics_toolbox_text,
     refusal,
     sensor_logger_files,
     table_text,
@@ -56,6 +57,7 @@ def test_what_lies_beside_the_folders_of_sensors_in_one_of_its_own_is_read(tmp_p
     files = sensor_logger_files(WALK)
     read_together = read(write_folder(tmp_path / "together", files))
     apart = {f"{Path(name).stem}/{name}": text for name, text in files.items()}
+    apart["Microphone/Microphone.csv"] = "time,seconds_elapsed,dBFS\n" + "1700000000000000000,0.0,-40.0\n" * 20
     for path in (write_folder(tmp_path / "apart", apart), write_zip(tmp_path / "apart.zip", apart)):
         recording = read(path)
         assert recording.streams.keys() == read_together.streams.keys()
@@ -121,6 +123,10 @@ def test_one_sensor_of_a_recording_is_refused_with_the_folder_to_give(tmp_path: 
     assert f"give its folder {path}" in refusal(path / "gyro" / f"{HOURS[0]}.csv")
     path = write_folder(tmp_path / "walk", FILES)
     assert f"give its folder {path}" in refusal(path / "Gyroscope.csv")
+    path = write_folder(tmp_path / "others", {f"{name}.csv": FILES["Gyroscope.csv"] for name in ("gyro_desk", "turn")})
+    write_folder(path, {"gyro_hike.csv": physics_toolbox_text(WALK), "acc_hike.csv": FILES["Accelerometer.csv"]})
+    for name in ("gyro_desk", "turn"):
+        assert "record it and export again" in refusal(path / f"{name}.csv")
 
 
 @pytest.mark.parametrize(("names", "gap_s"), [(HOURS, 60.0), (("walk1", "walk2"), 0.0)])

@@ -43,6 +43,10 @@ _OTHERS = {
 }
 _ABOUT = re.compile(r"(?i)(readme|licen[cs]e|notes?)[^/]*$|\.(md|pdf|html?|png|jpe?g|docx?|mp4|m4a)$|(^|/)\.[^/]*$")
 _TABLES = (".csv", ".txt", ".tsv", ".log", ".dat", ".json", ".jsonl", ".ndjson")
+LOCATIONS = {"gps", "gnss", "location", "locations"}
+# Further words of folder names that are of a sensor, or of what belongs to all sensors, and not of a trial.
+_BESIDE = LOCATIONS | {"metadata", "annotation", "annotations", "pedometer", "steps", "heading"}
+_OF_KINDS = {"raw", "uncal", "game"}
 _TAR_AT, _TAR, _BEGIN_BYTES = 257, b"ustar", 512
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
@@ -313,7 +317,8 @@ def _files_below(path: Path) -> dict[str, Path]:
     """Return the files in a folder by path, with those in `meta` and in folders of sensors, but no deeper ones."""
     found: dict[str, Path] = {}
     below = [entry for entry in path.iterdir() if entry.is_dir() and not entry.is_symlink() and entry.name != "meta"]
-    for folder in (path, path / "meta", *(below if _are_of_sensors(entry.name for entry in below) else ())):
+    of_sensors = sensor_folders(entry.name for entry in below)
+    for folder in (path, path / "meta", *(entry for entry in below if entry.name in of_sensors)):
         if folder.is_dir():
             for entry in folder.iterdir():
                 if not entry.is_dir():  # a pipe or a device is refused when it is read, with its name
@@ -337,14 +342,14 @@ def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
             by_folder.setdefault(name.parent, []).append(name)
     found: dict[str, str] = {}
     for parent in {folder.parent for folder in by_folder}:
-        folders = {folder: files for folder, files in by_folder.items() if folder.parent == parent}
-        if _are_of_sensors(folder.name for folder in folders):
-            flat = {
-                str(file): str(parent / f"{f'{file.stem}_' if len(files) > 1 else ''}{folder.name}{file.suffix}")
-                for folder, files in folders.items()
-                for file in files
-            }
-            found |= {name: to for name, to in flat.items() if to not in names}
+        of_sensors = sensor_folders(folder.name for folder in by_folder if folder.parent == parent)
+        flat = {
+            str(file): str(parent / f"{f'{file.stem}_' if len(files) > 1 else ''}{folder.name}{file.suffix}")
+            for folder, files in by_folder.items()
+            if folder.parent == parent and folder.name in of_sensors
+            for file in files
+        }
+        found |= {name: to for name, to in flat.items() if to not in names}
     return found
 
 
@@ -353,10 +358,25 @@ def _path_of_trial(name: str) -> str:
     return str(PurePosixPath(name).parent / trial_of(name))
 
 
-def _are_of_sensors(folders: Iterable[str]) -> bool:
-    """Return True if folders are named after an accelerometer and another sensor."""
-    sensors = {quantity_of_file(name)[0] for name in folders} - {""}
-    return len(sensors) > 1 and not sensors.isdisjoint((ACCELERATION, LINEAR))
+def sensor_folders(names: Iterable[str]) -> set[str]:
+    """Return those names of folders that are of one recording with a folder for each sensor.
+
+    These are names of an accelerometer, of other sensors and of metadata, with equal other words, such as `left_acc`
+    and `left_gyro`.
+    """
+    by_trial: dict[str, dict[str, str]] = {}
+    for name in names:
+        words = trial_of(name).lower().split("_")
+        quantity, _ = quantity_of_file(name)
+        if quantity or not _BESIDE.isdisjoint(words):
+            trial = "_".join(word for word in words if word not in _BESIDE and word not in _OF_KINDS)
+            by_trial.setdefault(trial, {})[name] = quantity
+    found = set[str]()
+    for sensors in by_trial.values():
+        kinds = set(sensors.values()) - {""}
+        if len(kinds) > 1 and not kinds.isdisjoint((ACCELERATION, LINEAR)):
+            found.update(sensors)
+    return found
 
 
 def most_unpacked(size: int) -> int:

@@ -147,7 +147,8 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
     """Return the tables among the files of a recording: text, JSON, spreadsheet or MATLAB.
 
     A text with rows of several sensors gives a table for each. `separator` is that of texts, detected if None. `notes`
-    get what was skipped. RecordingError if there is no table, or if one has rows of several devices.
+    get what was skipped. RecordingError if there is no table, if there are too many, or if one has rows of several
+    devices.
     """
     found: Sequence[Sheet]
     if is_spreadsheet(members):
@@ -155,7 +156,13 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
     elif not members.is_container and is_matlab(members.head(members.names[0], 128)):
         found = matlab_sheets(members, members.names[0])
     else:
-        texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
+        texts = [name for name in members.names if _is_text(name, members)]
+        if len(texts) > limits.MAX_FILES_LOOKED_AT:
+            raise RecordingError(
+                f"{members.path}: {len(texts)} tables, and at most {limits.MAX_FILES_LOOKED_AT} are read; leave out "
+                "those of other recordings, or divide the files into folders by time and read these as parts: "
+                "pdr_filter.read([folder, folder])"
+            )
         of_json = [name for name in texts if is_json(members.head(name, 4096))]
         whole = [sheet for name in texts if name not in of_json for sheet in text_sheets(members, name, separator)]
         for sheet in whole:
@@ -217,17 +224,24 @@ def _by_phone(sheets: Sequence[Sheet], is_named: Callable[[str], bool]) -> Float
 
 
 def _folder_of_recording(members: Members) -> Path | None:
-    """Return the folder of a file that was given alone if other files in it have an accelerometer, or None."""
+    """Return the folder of a file of one sensor that was given alone if the accelerometer is in it, or None.
+
+    The names of the file, or of its folder, and of that of the accelerometer are equal but for the sensor.
+    """
     if members.is_container or members.inside:
         return None
     path = members.path
     is_sensor = quantity_of_file(path.parent.name)[0] and not trial_of(path.parent.name)
     up = path.parent.parent if is_sensor else path.parent
+    sensor, _ = quantity_of_file(path.parent.name if is_sensor else path.name)
+    trials = {trial_of(path.name)} | ({""} if is_sensor else set())  # one file alone in its folder has no trial
     with suppress(RecordingError, OSError):
         beside = Members(up)
-        others = [name for name in beside.names if not path.as_posix().endswith(f"/{name}") and _is_text(name, beside)]
-        if any(ACCELERATION in sensors_of(beside, name) for name in others[: limits.MAX_FILES_LOOKED_AT]):
-            return up
+        others = [name for name in beside.names if trial_of(name) in trials and _is_text(name, beside)]
+        for name in others[: limits.MAX_FILES_LOOKED_AT] if sensor else ():
+            sensors = sensors_of(beside, name)
+            if ACCELERATION in sensors and sensor not in sensors:
+                return up
     return None
 
 

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from pdr_filter.data.io.column_names import TIME_UNITS, quantity_of_file, trial_of
+from pdr_filter.data.io.files.archive import LOCATIONS
 from pdr_filter.data.io.tables.column_groups import groups_of
 from pdr_filter.data.io.tables.column_values import time_unit_of_values
 from pdr_filter.data.io.tables.sheet import Sheet
@@ -19,9 +20,10 @@ from pdr_filter.data.io.text_table import NumberTable, concatenated
 from pdr_filter.values import FloatArray
 from pdr_filter.values.errors import RecordingError
 
-# An app that begins a new file loses a few samples at most. A person who ends a recording and begins the next one
-# takes longer.
+# An app that begins a new file loses a few samples at most: up to 5 s of a fast sensor, and two of a slow one, such as
+# GNSS. A person who ends a recording and begins the next one takes longer.
 _LONGEST_CUT_S = 5.0
+_MOST_INTERVALS = 3.0
 _SHORTEST_CUT_S = -1.0  # sensors of one phone end and begin at other samples
 _WORD = re.compile(r"[A-Za-z]{2,}")
 
@@ -33,21 +35,27 @@ def with_cut_files_joined(sheets: Sequence[Sheet], notes: list[str] | None) -> l
     """
     groups: dict[object, list[Sheet]] = {}
     for i, sheet in enumerate(sheets):
-        quantity = quantity_of_file(sheet.name)
-        groups.setdefault((quantity, sheet.fields) if is_numbered(sheet.name) and quantity[0] else i, []).append(sheet)
+        sensor = _sensor_of(sheet.name)
+        groups.setdefault((sensor, sheet.fields) if is_numbered(sheet.name) and sensor[0] else i, []).append(sheet)
     found: list[Sheet] = []
     for parts in groups.values():
         ordered = in_time(parts) if len(parts) > 1 else None
         found += parts if ordered is None else [_joined(ordered)]
         if ordered is not None and notes is not None:
-            sensor, _ = quantity_of_file(ordered[0].name)
+            sensor, _ = _sensor_of(ordered[0].name)
             notes.append(f"{sensor}: {len(ordered)} files that continue each other in time are joined")
     return found
 
 
 def is_numbered(name: str) -> bool:
     """Return True if the name of a file has only dates or numbers beside that of its sensor, no word for a walk."""
-    return _WORD.search(trial_of(name)) is None
+    return LOCATIONS.issuperset(map(str.lower, _WORD.findall(trial_of(name))))
+
+
+def _sensor_of(name: str) -> tuple[str, int]:
+    """Return `quantity_of_file`, which is ("location", 1) for a file of locations."""
+    is_location = not LOCATIONS.isdisjoint(map(str.lower, _WORD.findall(name)))
+    return ("location", 1) if is_location else quantity_of_file(name)
 
 
 def in_time(sheets: Sequence[Sheet]) -> list[Sheet] | None:
@@ -63,11 +71,13 @@ def in_time(sheets: Sequence[Sheet]) -> list[Sheet] | None:
         order = sorted(range(len(sheets)), key=lambda i: begins[i])
         for k, after in pairwise(order):
             ticks = _ticks(sheets[k], times[k])
-            if not np.isfinite(ticks).any():
+            known = ticks[np.isfinite(ticks)]
+            if not len(known):
                 return None
             unit_s = TIME_UNITS["ns" if times[k] in sheets[k].dates else time_unit_of_values(ticks) or "s"]
-            gap_s = (begins[after] - float(np.nanmax(ticks))) * unit_s
-            if not _SHORTEST_CUT_S < gap_s < _LONGEST_CUT_S:
+            gap_s = (begins[after] - float(known.max())) * unit_s
+            usual_s = float(np.median(np.diff(known))) * unit_s if len(known) > 1 else 0.0
+            if not _SHORTEST_CUT_S < gap_s < max(_LONGEST_CUT_S, _MOST_INTERVALS * usual_s):
                 return None
         return [sheets[i] for i in order]
     return None
