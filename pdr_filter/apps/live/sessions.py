@@ -136,13 +136,14 @@ class Sessions:
         return self.sessions[key]
 
     def _opened(self, message: Message, received_s: float) -> DeviceSession:
-        names = self.folder / NAMES / f"{session_id(message.device, message.session)}.json"
+        key = session_id(message.device, message.session)
+        names, kept = self.folder / NAMES / f"{key}.json", self.folder / key
+        is_kept = kept.is_dir() and any(kept.iterdir())
+        session = (self._loaded if is_kept else self._new)(message.device, message.session)
         if names.exists():
             with suppress(ValueError):  # a damaged file seems to begin now
                 _, _, received_s = json.loads(names.read_text())
-            session = self._loaded(message.device, message.session)
         else:
-            session = self._new(message.device, message.session)
             write_text(names, json.dumps([message.device, message.session, received_s]))
         session.begun_unix_s = received_s
         return session

@@ -544,3 +544,14 @@ def test_a_session_whose_files_are_deleted_begins_again_or_is_set_aside(
     (again,) = devices.sessions.values()
     assert (again.refused, again.recorder._waiting) == ("", {})
     assert len(list(tmp_path.glob("*.damaged1"))) == (deleted == "gyroscope.csv")
+
+
+def test_a_session_without_the_file_of_its_names_goes_on_with_what_it_has(walk: Recording, tmp_path: Path) -> None:
+    devices, session, _, rest = on_the_way(walk, tmp_path, 20)
+    devices.close()
+    (names,) = (tmp_path / "sessions").iterdir()
+    names.unlink()
+    again, _ = taken(tmp_path, rest)
+    assert again.id == session.id
+    assert len(pdr.read(again.recorder.folder).accelerometer) == len(walk.accelerometer)
+    assert names.exists()
