@@ -90,6 +90,11 @@ class Members:
         self._infos = {flat.get(name, name): info for name, info in self._infos.items()}
         self.names = tuple(sorted(flat.get(name, name) for name in names))
 
+    def version(self) -> tuple[tuple[str, int, int], ...]:
+        """Return name, size and time of change of each file of a folder."""
+        found = {name: file.lstat() for name, file in sorted(self._files.items())}
+        return tuple((name, about.st_size, about.st_mtime_ns) for name, about in found.items())
+
     def where(self, name: str) -> str:
         """Return the name of a member for messages."""
         return f"{self.path}" if self.path.name == name else f"{self.path}: {name}"
