@@ -263,26 +263,30 @@ def _rows(
     for line, cells in table.numbered_rows():
         if len(found) == limits.MAX_FIXES:
             raise ValueError(f"{file}: more than {limits.MAX_FIXES} {what}; leave out some")
-
-        def value(name: str, line: int = line, cells: list[str] = cells) -> float:
-            cell = cells[place[name]] if name in place and place[name] < len(cells) else ""
-            number = to_number(cell)
-            if number is None:
-                raise ValueError(
-                    f"{file}, line {line}, column {name}: {cell.strip()[:60]!r} is not a number; use '.' as decimal "
-                    "point, and leave unknown values empty"
-                )
-            return number
-
-        values = [value(name) for name in names]
+        where = f"{file}, line {line}"
+        values = [_value(where, cells, name, place) for name in names]
         if not all(map(math.isfinite, values)):
-            raise ValueError(f"{file}, line {line}: {','.join(names)} must all be numbers; leave the row out")
-        own_m = value("std_m")
+            raise ValueError(f"{where}: {','.join(names)} must all be numbers; leave the row out")
+        own_m = _value(where, cells, "std_m", place)
         own_m = std_m if math.isnan(own_m) else own_m
         if not 0 < own_m < math.inf:
-            raise ValueError(f"{file}, line {line}: std_m is {own_m:g}; write a positive number")
-        more = [value(name) if group in known else math.nan for group in optional for name in group]
+            raise ValueError(f"{where}: std_m is {own_m:g}; write a positive number")
+        more = [
+            _value(where, cells, name, place) if group in known else math.nan for group in optional for name in group
+        ]
         found.append(_Row(line, [*values, own_m, *more], cells))
     if not found:
         raise ValueError(f"{file}: no {what} below the line {','.join(table.fields)[:160]}; write one in each line")
     return found
+
+
+def _value(where: str, cells: Sequence[str], name: str, place: Mapping[str, int]) -> float:
+    """Return the number in a column of a row, NaN if it is empty or missing. ValueError for other texts."""
+    cell = cells[place[name]] if name in place and place[name] < len(cells) else ""
+    number = to_number(cell)
+    if number is None:
+        raise ValueError(
+            f"{where}, column {name}: {cell.strip()[:60]!r} is not a number; use '.' as decimal point, and leave "
+            "unknown values empty"
+        )
+    return number

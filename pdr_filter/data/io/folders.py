@@ -240,8 +240,7 @@ def _parts_in(path: Path) -> list[str]:
         if path.is_file():
             found = path.stat()
             return list(_parts_of_version(path, found.st_size, found.st_mtime_ns))
-        members = Members(path)
-        return recordings_among(members, [name for name in members.names if name[0] != "."])
+        return list(_parts_of_folder(path, Members(path).version()))
     except Exception:
         return []  # something is wrong with one of them, which its row will say
 
@@ -250,6 +249,13 @@ def _parts_in(path: Path) -> list[str]:
 def _parts_of_version(path: Path, *version: int) -> tuple[str, ...]:
     """Return `parts_of` a file of this size and time of change, cached because folders are scanned repeatedly."""
     return tuple(parts_of(path))
+
+
+@lru_cache(maxsize=1000)
+def _parts_of_folder(path: Path, version: object) -> tuple[str, ...]:
+    """Return `recordings_among` the files in a folder of this `Members.version`, cached as files are."""
+    members = Members(path)
+    return tuple(recordings_among(members, [name for name in members.names if name[0] != "."]))
 
 
 def _is_known(path: Path) -> bool:

@@ -51,7 +51,11 @@ def joined(parts: Sequence[Recording]) -> Recording:
             )
     names = dict.fromkeys(name for part in parts for name in part.streams)
     truths = dict.fromkeys(name for part in parts for name in part.truth.present())
-    heard = [_moved(part.wifi, shift_s) for part, shift_s in zip(parts, shifts_s, strict=True) if part.wifi is not None]
+    heard = [
+        replace(part.wifi, time_s=part.wifi.time_s + shift_s)
+        for part, shift_s in zip(parts, shifts_s, strict=True)
+        if part.wifi is not None
+    ]
     wifi = None
     if heard:
         columns = ("time_s", "bssid", "rssi_dbm", "frequency_mhz")
@@ -109,7 +113,3 @@ def _truth(parts: Sequence[Recording], shifts_s: Sequence[float], name: str) -> 
         for key in found[0][0].dtype.names or ()
     }
     return table(columns)
-
-
-def _moved(wifi: Wifi, by_s: float) -> Wifi:
-    return replace(wifi, time_s=wifi.time_s + by_s)

@@ -285,6 +285,7 @@ def test_pairs_of_files_of_two_trials_are_two_recordings(tmp_path: Path, names: 
         ("acc/walk1 acc/walk2 gyro/walk1 gyro/walk2 others/full", "walk1 walk2 others/full.csv"),
         ("walk1_acc walk1_gyro walk2_acc walk2_gyro acc_tests/full", "walk1 walk2 acc_tests/full.csv"),
         ("raw_acc/1 gyro/1 gps/1", "."),
+        ("1_acc/1 2_gyro/1 gps/1", "."),
     ],
 )
 def test_a_folder_beside_those_of_sensors_is_a_recording_of_its_own(

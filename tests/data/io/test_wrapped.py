@@ -25,6 +25,7 @@ from app_files import (
 )
 from table_cases import FORCE, RATE, TIME_S, WALK
 
+from pdr_filter.data.io import folders
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
 from pdr_filter.values import limits
@@ -116,6 +117,17 @@ def test_files_of_each_hour_in_folders_of_sensors_are_one_walk(
     recording = read(path)
     assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-3, rtol=1e-9)
     assert recording.epoch_s == pytest.approx(1_664_625_543.0, abs=1e-3)
+
+
+def test_a_folder_is_parsed_again_only_after_a_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_folder(tmp_path / "walk", hourly(HOURS))
+    compared = list[int]()
+    monkeypatch.setattr(folders, "in_time", lambda sheets: compared.append(len(sheets)) or sheets)
+    for n_times, change in ((1, ""), (1, ""), (2, "\n")):
+        with (path / "gyro" / f"{HOURS[0]}.csv").open("a") as file:
+            file.write(change)
+        assert recordings_in(path) == [path]
+        assert len(compared) == n_times
 
 
 def test_one_sensor_of_a_recording_is_refused_with_the_folder_to_give(tmp_path: Path) -> None:

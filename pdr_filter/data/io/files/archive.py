@@ -11,7 +11,7 @@ import struct
 import tomllib
 import zipfile
 import zlib
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, cast
@@ -89,6 +89,11 @@ class Members:
         self._files = {flat.get(name, name): file for name, file in self._files.items()}
         self._infos = {flat.get(name, name): info for name, info in self._infos.items()}
         self.names = tuple(sorted(flat.get(name, name) for name in names))
+
+    def version(self) -> tuple[tuple[str, int, int], ...]:
+        """Return name, size and time of change of each file of a folder."""
+        found = {name: file.lstat() for name, file in sorted(self._files.items())}
+        return tuple((name, about.st_size, about.st_mtime_ns) for name, about in found.items())
 
     def where(self, name: str) -> str:
         """Return the name of a member for messages."""
@@ -362,21 +367,26 @@ def sensor_folders(names: Iterable[str]) -> set[str]:
     """Return those names of folders that are of one recording with a folder for each sensor.
 
     These are names of an accelerometer, of other sensors and of metadata, with equal other words, such as `left_acc`
-    and `left_gyro`.
+    and `left_gyro`. Numbers may differ if the sensors are numbered, as in `1_acc` and `2_gyro`.
     """
-    by_trial: dict[str, dict[str, str]] = {}
+    by_trial: dict[tuple[str, ...], dict[str, str]] = {}
     for name in names:
         words = trial_of(name).lower().split("_")
         quantity, _ = quantity_of_file(name)
         if quantity or not _BESIDE.isdisjoint(words):
-            trial = "_".join(word for word in words if word not in _BESIDE and word not in _OF_KINDS)
+            trial = tuple(word for word in words if word and word not in _BESIDE and word not in _OF_KINDS)
             by_trial.setdefault(trial, {})[name] = quantity
-    found = set[str]()
-    for sensors in by_trial.values():
-        kinds = set(sensors.values()) - {""}
-        if len(kinds) > 1 and not kinds.isdisjoint((ACCELERATION, LINEAR)):
-            found.update(sensors)
-    return found
+    found = [sensors for sensors in by_trial.values() if _has_force_and_more(sensors)]
+    if not found:
+        numbered = [sensors for trial, sensors in by_trial.items() if all(map(str.isdecimal, trial))]
+        together = {name: quantity for sensors in numbered for name, quantity in sensors.items()}
+        found = [together] if _has_force_and_more(together) else []
+    return {name for sensors in found for name in sensors}
+
+
+def _has_force_and_more(sensors: Mapping[str, str]) -> bool:
+    kinds = set(sensors.values()) - {""}
+    return len(kinds) > 1 and not kinds.isdisjoint((ACCELERATION, LINEAR))
 
 
 def most_unpacked(size: int) -> int:
