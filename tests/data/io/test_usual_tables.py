@@ -12,6 +12,7 @@ from table_cases import FORCE, RATE, TIME_S, WALK
 
 from pdr_filter.data.io.column_names import column_of
 from pdr_filter.data.io.formats import read
+from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 N = len(TIME_S)
 MS = np.round(1000 * TIME_S) + 100_000
@@ -61,15 +62,26 @@ def test_counts_beside_an_acceleration_with_gravity_are_left_out(tmp_path: Path)
     assert_same_streams(read(path), WALK, "accelerometer gyroscope", time_s=1e-3, rtol=1e-12)
 
 
+UPRIGHT = FORCE @ np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # z up becomes y up
+
+
+def upright(force: np.ndarray, pitch_rad: float) -> str:
+    angles = zip(("roll", "pitch", "yaw"), (0.0, pitch_rad, 0.3), strict=True)
+    attitude = {f"attitude_{name}": np.full(N, value) for name, value in angles}
+    return table_text({"t": TIME_S} | axes("acc_%", force) | axes("gyro_%", RATE) | attitude)
+
+
+def test_the_attitude_of_an_upright_iphone_shows_the_sign_of_an_acceleration_in_g(tmp_path: Path) -> None:
+    recording = read(write(tmp_path, upright(-UPRIGHT / STANDARD_GRAVITY_MPS2, 1.4)))
+    np.testing.assert_allclose(recording.accelerometer.values, UPRIGHT, rtol=1e-12)
+
+
 @pytest.mark.parametrize("platform", [None, "android"])
 def test_a_pitch_with_the_sign_of_android_does_not_mirror_an_upright_phone(
     tmp_path: Path, platform: str | None
 ) -> None:
-    turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # z up becomes y up
-    upright = axes("acc_%", FORCE @ turn.T) | axes("gyro_%", RATE @ turn.T)
-    angles = {f"attitude_{name}": np.full(N, value) for name, value in (("roll", 0.0), ("pitch", -1.4), ("yaw", 0.3))}
-    recording = read(write(tmp_path, table_text({"t": TIME_S} | upright | angles)), platform=platform)
-    np.testing.assert_allclose(recording.accelerometer.values, FORCE @ turn.T, rtol=1e-12)
+    recording = read(write(tmp_path, upright(UPRIGHT, -1.4)), platform=platform)
+    np.testing.assert_allclose(recording.accelerometer.values, UPRIGHT, rtol=1e-12)
     assert any("nothing in the file shows its sign" in note for note in recording.notes) == (platform is None)
 
 

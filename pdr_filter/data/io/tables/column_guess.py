@@ -147,7 +147,9 @@ def guess(
     angles = next((s for s in chosen if s.group.quantity == ANGLES and not is_linear), None)
     cosine, of_other_pitch = (math.nan, math.nan) if angles is None else _up_cosines(angles, Samples(time_s, force))
     limit = limits.UP_COSINE_DOUBTFUL
+    # Android's pitch has the opposite sign, and its acceleration is in m/s2; that of an iPhone is in g.
     is_either = min(cosine, of_other_pitch) < -limit and max(cosine, of_other_pitch) > limit
+    is_either = is_either and forces[0].unit not in ("g", "mg")
     sign = _sign(dialect, platform, forces, math.nan if is_either else cosine, result, where)
     if is_either and sign * cosine < 0:
         chosen = [s for s in chosen if s is not angles]
@@ -402,10 +404,7 @@ def _is_of_earth(s: _Stream) -> bool:
 
 
 def _up_cosines(angles: _Stream, force: Samples) -> list[float]:
-    """Return the mean cosine between the acceleration and up in the attitude, with the pitch as it is and negated.
-
-    Android's pitch has the opposite sign to CoreMotion's.
-    """
+    """Return the mean cosine between the acceleration and up in the attitude, with the pitch as it is and negated."""
     pitches = (np.array([1.0, sign, 1.0]) for sign in (1.0, -1.0))
     attitudes = (quaternion_of(*(angles.values * angles.factor * pitch).T) for pitch in pitches)
     return [up_cosine(force, Samples(angles.time_s, attitude)) for attitude in attitudes]
