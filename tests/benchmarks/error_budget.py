@@ -93,7 +93,6 @@ SOURCES: dict[str, Change] = {
     "gyroscope bias": known_bias,
     "drift": known_drift,
     "gyroscope scale": lambda c: with_corridors(c, scale_std=KNOWN * heading_of(c).corridors.scale_std),
-    "legs about axes": lambda c: with_corridors(c, leg_std_rad=KNOWN),
     "first direction": lambda c: with_noise(c, initial_heading_offset_std_rad=KNOWN),
     "walking direction": with_heading(systematic_std_rad=KNOWN, held_systematic_std_rad=KNOWN),
     "steps": known_steps,
