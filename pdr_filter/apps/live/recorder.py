@@ -170,7 +170,7 @@ class Recorder:
             mark.write_bytes(b"x" * (n + 1))
         try:
             yield
-        except OSError:  # of the disk, which says nothing about the session
+        except OSError:  # an error of the disk, which says nothing about the session
             with suppress(OSError):
                 mark.unlink(missing_ok=True)
             raise

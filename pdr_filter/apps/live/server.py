@@ -28,7 +28,7 @@ from pdr_filter.apps.live.parts import Answer
 from pdr_filter.apps.live.recorder import exported_files, zip_bytes
 
 APPS = Path(__file__).parents[1]
-# Of each file that a page can ask for, by suffix.
+# Media types of the files that a page can request, by suffix.
 _MEDIA_TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".txt": "text/plain"}
 
 

@@ -27,10 +27,10 @@ class Settings:
     """Tracking options of a server, and what is known about the person and placement of one phone (`of_phone`)."""
 
     recipe: str = "default"
-    height_m: float | None = None  # of all persons that are not named otherwise
+    height_m: float | None = None  # height of people without an entry in `heights_m`
     platform: str = ""  # "ios" or "android", for an app that does not say it
     max_devices: int = 64
-    heights_m: tuple[tuple[str, float], ...] = ()  # of persons, by the first letters of their phones' names
+    heights_m: tuple[tuple[str, float], ...] = ()  # heights of people, by the first letters of the names of their phones
     subject: Subject = _UNKNOWN
     placement: str = ""
 

@@ -333,7 +333,7 @@ def column_of(place: int, name: str) -> Column:
     if not quantity and words[-1:] in (["deg"], ["degrees"], ["m"]):  # latitude_deg
         shorter, _ = quantity_of_words(words[:-1])
         quantity, unit = (shorter, normal_unit(words[-1])) if shorter in LOCATION else ("", unit)
-    if quantity in ("latitude", "longitude") and unit == "m":  # of a frame of its own
+    if quantity in ("latitude", "longitude") and unit == "m":  # metres are coordinates of a local frame
         quantity = ""
     axis_found = _AXIS_ALONE.search(bare)
     if not quantity and axis_found:  # the chip behind the word, as in accelerometer_lsm6ds3_c.x

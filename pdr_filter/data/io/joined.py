@@ -72,7 +72,7 @@ def joined(parts: Sequence[Recording]) -> Recording:
 
 
 def _meta(parts: Sequence[Recording], shifts_s: Sequence[float]) -> dict[str, Any]:
-    """Return the meta data of the first part, in which what was found in the time of one part is that of all."""
+    """Return the meta data of the first part, with the phone's steps, headings and annotations of all parts."""
     meta = {key: value for key, value in parts[0].meta.items() if key not in ("phone", "annotations")}
     phone: dict[str, Any] = {}
     counts = [part.phone_steps for part in parts if part.phone_steps is not None]
@@ -87,7 +87,7 @@ def _meta(parts: Sequence[Recording], shifts_s: Sequence[float]) -> dict[str, An
             if isinstance(time_s := annotation.get("time_s"), int | float):
                 annotations.append({**annotation, "time_s": time_s + shift_s})
     reading = dict_of(meta.get(READING_KEY))
-    if reading:  # its sentences on the phone are of one part
+    if reading:  # its sentences about the phone describe one part only
         found = [str(sentence) for sentence in _list_of(reading.get("found"))]
         meta[READING_KEY] = {**reading, "found": [sentence for sentence in found if "by the phone: " not in sentence]}
     return meta | {key: value for key, value in (("phone", phone), ("annotations", annotations)) if value}

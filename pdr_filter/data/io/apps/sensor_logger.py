@@ -69,8 +69,8 @@ class _Export:
     metadata: dict[str, str] = field(default_factory=dict[str, str])
     annotations: list[tuple[int, str]] = field(default_factory=list[tuple[int, str]])
     notes: list[str] = field(default_factory=list[str])
-    step_counts: FloatArray | None = None  # of the phone's own counter
-    heading_deg: FloatArray | None = None  # of its compass
+    step_counts: FloatArray | None = None  # counts of the phone's own step counter
+    heading_deg: FloatArray | None = None  # headings of the phone's compass
 
     def about(self, key: str) -> str:
         """Return a value of the metadata without surrounding spaces, or an empty string if it does not exist."""
