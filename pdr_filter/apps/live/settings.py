@@ -30,7 +30,9 @@ class Settings:
     height_m: float | None = None  # height of people without an entry in `heights_m`
     platform: str = ""  # "ios" or "android", for an app that does not say it
     max_devices: int = 64
-    heights_m: tuple[tuple[str, float], ...] = ()  # heights of people, by the first letters of the names of their phones
+    heights_m: tuple[
+        tuple[str, float], ...
+    ] = ()  # heights of people, by the first letters of the names of their phones
     subject: Subject = _UNKNOWN
     placement: str = ""
 

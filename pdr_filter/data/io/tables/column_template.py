@@ -29,7 +29,7 @@ _COUNTS_PER_G = (*(2.0**k for k in range(5, 15)), 1000.0, 100.0)
 _COUNTS_PER_DEGREE = (131.0, 114.3, 65.5, 57.1, 32.8, 28.6, 16.4, 14.3, 100.0)
 _NEAR = 1.07  # a usual scale that is so near to the measured one is taken
 _LEAST_COUNTS = limits.SPECIFIC_FORCE_RANGE_MPS2[1]
-_RATE_AS_SAID = (0.5, 2.0)  # range of the measured turning of gravity over the one that an angular rate predicts
+_RATE_AS_SAID = (0.5, 2.0)  # limits of the measured turning of gravity over that of an angular rate
 NOT_SHOWN = 'columns = ["?", "?", "?"]'
 _AXIS = re.compile(r"[XYZxyz\d]\W*$")
 _ASK = (
