@@ -28,10 +28,7 @@ event, `/ws` sends an empty object and `/events` a comment.
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterable
-
-from pdr_filter.apps.live.settings import Event
 
 # Events that wait for one reader at most: some seconds of many phones. A slower reader gets the present state again.
 _MAX_WAITING = 500
@@ -64,7 +61,7 @@ class Broadcast:
         self._is_ending = True
         self.send("")
 
-    async def events(self, present: Callable[[], Awaitable[Iterable[Event]]]) -> AsyncIterator[str]:
+    async def events(self, present: Callable[[], Awaitable[Iterable[str]]]) -> AsyncIterator[str]:
         """Yield the events of `present`, then each event that is sent, and an empty text from time to time.
 
         `present` returns the present state as events. It is called again for a reader that was too slow.
@@ -75,8 +72,8 @@ class Broadcast:
             while not self._is_ending:
                 if reader.is_stale:
                     reader.clear()
-                    for event in await present():
-                        yield json.dumps(event, allow_nan=False)
+                    for text in await present():
+                        yield text
                 text = await reader.get()
                 if not self._is_ending:
                     yield text

@@ -49,14 +49,12 @@ class Live:
             start = self._cluster.start
         self._workers = Workers(start, self.n_workers, self._shown)
         await self._workers.start()
-        without = ("path", "history", "silent_s")
         self._reporting = asyncio.create_task(self._report())
-        for key, track in (await self.tracks()).items():
-            self.sessions[key] = {n: v for n, v in track.items() if n not in without} | {"event": "session"}
 
     async def tracks(self) -> dict[str, Event]:
         """`track` events of all sessions, by the id of the session."""
-        return {event["id"]: event for event in await self.workers.snapshots() if event["event"] == "track"}
+        events = map(json.loads, await self.workers.snapshots())
+        return {event["id"]: event for event in events if event["event"] == "track"}
 
     async def stop(self) -> None:
         """Save all sessions and end the workers."""

@@ -56,7 +56,7 @@ class Part:
         self._events: list[str] = []
 
         def emit(event: Event) -> None:
-            self._events.append(json.dumps(event, allow_nan=False))
+            self._events.append(_text(event))
 
         self._sessions = Sessions(settings, folder, emit, part, n_parts)
 
@@ -82,12 +82,16 @@ class Part:
     def _answer(self, command: Command) -> Answer:
         sessions = self._sessions
         if command is Command.LIST:
-            return Answer(200, sessions.snapshots())
+            return Answer(200, list(map(_text, sessions.snapshots())))
         if command is Command.MAINTAIN:
             sessions.maintain()
         else:
             sessions.close()
         return Answer(200, None)
+
+
+def _text(event: Event) -> str:
+    return json.dumps(event, allow_nan=False)
 
 
 def _answer_to(batch: MessageBatch, error: Exception | None) -> Answer:

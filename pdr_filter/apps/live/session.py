@@ -7,6 +7,7 @@ import json
 import logging
 import math
 import time
+from array import array
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -32,7 +33,7 @@ from pdr_filter.tracking.filtering import frame_name
 from pdr_filter.tracking.georeferencing import live_config
 from pdr_filter.tracking.online import OnlineFilter
 from pdr_filter.tracking.warnings import device_notes
-from pdr_filter.values import FixResult, PositionFix, RangeFix, Samples, interpolated_rows, limits
+from pdr_filter.values import FixResult, FloatArray, PositionFix, RangeFix, Samples, interpolated_rows, limits
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.sanitise import file_name
@@ -105,10 +106,10 @@ class DeviceSession:
         self._ready_s = 0.0  # time that they span
         self._received_s = math.nan  # unix time of the last message
         self._told: Event = {}  # by the last `session` event
-        self.path: list[list[float]] = []
+        self.path = Rows(6)  # time, east, north and the covariance ee, en, nn after each step
         # For each row of `path`: the place in the frame of the start, if the row still turns until north is settled.
-        self._starts: list[Pose | None] = []
-        self._drawn: list[list[float]] = []  # time, east and north of the path that pages draw
+        self._starts: deque[Pose | None] = deque(maxlen=_MAX_PATH)
+        self._drawn = Rows(3)  # time, east and north of the path that pages draw
         self._unsaved_at = math.inf  # monotonic time of the first change that is not saved
         self._history: deque[Event] = deque(maxlen=_HISTORY)  # of `now` events, for the charts
         self._is_untold = False  # whether samples came after the last `now` event
@@ -370,15 +371,10 @@ class DeviceSession:
         return {"event": "fix", "id": self.id, **result.to_dict()}
 
     def _add(self, update: StepUpdate) -> None:
-        self.path.append(_row(update.step.time_s, update.position_m, update.position_cov_m2))
+        row = _row(update.step.time_s, update.position_m, update.position_cov_m2)
+        self.path.append(row)
         self._starts.append(update.of_start)
-        self._drawn.append(self.path[-1][:3])
-        self._forget()
-
-    def _forget(self) -> None:
-        for kept in (self.path, self._starts, self._drawn):
-            if len(kept) > _MAX_PATH:
-                del kept[: _MAX_PATH // 10]
+        self._drawn.append(row[:3])
 
     def _now(self, is_due: bool = False, is_live: bool = True) -> list[Event]:
         online = self.online
@@ -407,13 +403,14 @@ class DeviceSession:
         if not frame.is_known or all(place is None for place in self._starts):
             return []
         self._turn_at, drawn = time.monotonic(), frame.at_most_probable_rotation()
-        for row, start in zip(self.path, self._starts, strict=True):
+        rows = self.path.values
+        for row, start in zip(rows, self._starts, strict=True):
             if start is not None:
                 place = drawn.world(start)
                 row[:] = _row(row[0], place.position_m, place.cov_m2)
         if frame.is_joined:  # for good
-            self._starts = [None] * len(self.path)
-        self._drawn = [row[:3] for row in self.path]
+            self._starts = deque([None] * len(rows), maxlen=_MAX_PATH)
+        self.path, self._drawn = Rows(6, rows), Rows(3, rows[:, :3])
         return [self.track()]
 
     def _corrected(self, is_due: bool = False) -> list[Event]:
@@ -428,20 +425,20 @@ class DeviceSession:
         rows = np.column_stack([path.time_s, path.position_m])[: path.n_steps]
         if not len(rows) or not self._drawn:
             return []
-        drawn = np.array(self._drawn)
+        drawn = self._drawn.values
         off_m = interpolated_rows(drawn[:, 0], rows[:, 0], rows[:, 1:]) - drawn[:, 1:]
         if np.hypot(*off_m.T).max() <= _CORRECTED_M:
             return []
-        self._drawn = rows.tolist()
+        self._drawn = Rows(3, rows)
         return [self._drawn_path()]
 
     def _drawn_path(self) -> Event:
-        return {"event": "path", "id": self.id, "path": self._drawn}
+        return {"event": "path", "id": self.id, "path": self._drawn.values.tolist()}
 
     def track(self) -> Event:
         """Return the event with the session and its path: time, east, north, covariance (ee, en, nn) of each step."""
         silent_s = time.monotonic() - self.seen_at
-        return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path}
+        return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path.values.tolist()}
 
     def rest(self) -> list[Event]:
         """Return a list with a `now` event for the last samples if they came too soon after the previous event."""
@@ -485,7 +482,7 @@ class DeviceSession:
         silent_s = time.time() - max((file.stat().st_mtime for file in files), default=0.0)
         with self.recorder.trying():
             self._resume()
-        self._drawn = [row[:3] for row in self.path]
+        self._drawn = Rows(3, self.path.values[:, :3])
         self._turned(is_due=True)
         self._corrected(is_due=True)
         self.seen_at = time.monotonic() - max(silent_s, 0.0)
@@ -517,7 +514,27 @@ class DeviceSession:
                 self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
                 start = step["of_start"]
                 self._starts.append(None if start is None else _pose(start))
-                self._forget()
+
+
+class Rows:
+    """The newest `_MAX_PATH` rows of `width` numbers each, in a tenth of the memory of a list of lists."""
+
+    def __init__(self, width: int, rows: FloatArray | None = None) -> None:
+        self._width = width
+        self._values = array("d", b"" if rows is None else rows[-_MAX_PATH:].tobytes())
+
+    def __len__(self) -> int:
+        return len(self._values) // self._width
+
+    def append(self, row: Sequence[float]) -> None:
+        """Append a row, and forget the oldest one if there are too many."""
+        self._values.extend(row)
+        del self._values[: max(len(self) - _MAX_PATH, 0) * self._width]
+
+    @property
+    def values(self) -> FloatArray:
+        """A copy of the rows, shape (N, width)."""
+        return np.array(self._values).reshape(-1, self._width)
 
 
 def load_device(path: Path) -> Device:

@@ -52,6 +52,7 @@ class Sessions:
                 if is_recent and is_safe and worker_of(device, n_parts) == part:
                     self.sessions[path.stem] = self._loaded(device, session)
                     self.sessions[path.stem].begun_unix_s = begun_unix_s
+                    emit(self.sessions[path.stem].about())
             except Exception as error:  # one folder must not stop the others; its next message tries again
                 _LOG.warning("%s: not loaded: %s", path, error)
 

@@ -21,7 +21,7 @@ from typing import Protocol
 from pdr_filter.apps.batch.worker_process import LostError, WorkerProcess
 from pdr_filter.apps.live.messages import MessageBatch
 from pdr_filter.apps.live.parts import Answer, Command, Request, Response, answers_of_part
-from pdr_filter.apps.live.settings import Event, Settings, worker_of
+from pdr_filter.apps.live.settings import Settings, worker_of
 
 # Requests that wait for one worker at most: a second of 200 phones that send five times a second.
 _MAX_WAITING = 1000
@@ -94,9 +94,13 @@ class _Worker:
         self._running: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Start the process that serves this worker's share. TimeoutError if it is not ready within `_START_S`."""
+        """Start the process that serves this worker's share, and show its sessions.
+
+        TimeoutError if it is not ready within `_START_S`.
+        """
         share = await asyncio.wait_for(self._start(), _START_S)
         self._running = asyncio.create_task(self._run(share))
+        await self.ask(Command.MAINTAIN)
 
     async def ask(self, request: Request) -> Answer:
         """Return the answer to a request, with status 503 if too many requests wait or the worker is closed."""
@@ -201,8 +205,8 @@ class Workers:
         """Return the answer of the worker of a device to its message."""
         return await self._workers[worker_of(request.device, len(self._workers))].ask(request)
 
-    async def snapshots(self) -> list[Event]:
-        """Return the events with the path and the present estimate of each session."""
+    async def snapshots(self) -> list[str]:
+        """Return the events with the path and the present estimate of each session, as JSON texts."""
         answers = await asyncio.gather(*(worker.ask(Command.LIST) for worker in self._workers))
         return [event for answer in answers if answer.status == 200 for event in answer.content]
 

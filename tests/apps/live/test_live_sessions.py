@@ -67,7 +67,7 @@ def encoded(messages: Sequence[Any]) -> list[bytes]:
 
 
 def positions(session: DeviceSession) -> np.ndarray:
-    return np.array(session.path)[:, 1:3]
+    return session.path.values[:, 1:3]
 
 
 def test_the_track_is_that_of_what_was_sent_and_of_what_was_recorded(walk: Recording, tmp_path: Path) -> None:
