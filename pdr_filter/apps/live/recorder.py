@@ -41,6 +41,7 @@ TRIES = ".tries"
 # The second try is alone, for a message of the session. Processes that end whatever is tried serve no other phone.
 _MAX_TRIES = 2
 _APPENDED = (STEPS, FIXES, RANGES, *(f"{name}.csv" for name in STREAM_COLUMNS))
+_ZIP_BLOCK_BYTES = 2**20
 _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
 _RANGE_COLUMNS = "time_s,anchor_east_m,anchor_north_m,range_m,std_m\n"
 
@@ -211,13 +212,36 @@ def exported_files(folder: Path, is_refused: bool = False) -> dict[str, Path]:
     return found
 
 
-def zip_bytes(files: Mapping[str, Path]) -> bytes:
-    """Return a zip file with some files, by their names in it."""
-    content = io.BytesIO()
-    with zipfile.ZipFile(content, "w", compression=zipfile.ZIP_DEFLATED) as archive:
+def zip_parts(files: Mapping[str, Path]) -> Iterator[bytes]:
+    """Yield the parts of a zip file with some files, by their names in it. Files of any length need little memory."""
+    waiting = _Waiting()
+    with zipfile.ZipFile(waiting, "w", compression=zipfile.ZIP_DEFLATED) as archive:
         for name, path in sorted(files.items()):
-            archive.write(path, name)
-    return content.getvalue()
+            is_long = path.stat().st_size > 2**30
+            with path.open("rb") as source, archive.open(name, "w", force_zip64=is_long) as member:
+                while block := source.read(_ZIP_BLOCK_BYTES):
+                    member.write(block)
+                    yield waiting.taken()
+    yield waiting.taken()
+
+
+class _Waiting(io.RawIOBase):
+    """File that keeps what is written until it is taken."""
+
+    def __init__(self) -> None:
+        self._content = bytearray()
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, content: Any) -> int:
+        self._content += content
+        return memoryview(content).nbytes
+
+    def taken(self) -> bytes:
+        """Return what was written since the previous call."""
+        content, self._content = bytes(self._content), bytearray()
+        return content
 
 
 def _journal(number: int) -> str:

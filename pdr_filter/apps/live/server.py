@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import uuid
 from collections.abc import AsyncIterator, Mapping, Sequence
@@ -25,7 +24,7 @@ from pdr_filter.apps.live.connections import ALLOWED
 from pdr_filter.apps.live.geojson import geojson
 from pdr_filter.apps.live.hub import Live
 from pdr_filter.apps.live.parts import Answer
-from pdr_filter.apps.live.recorder import exported_files, zip_bytes
+from pdr_filter.apps.live.recorder import exported_files, zip_parts
 
 APPS = Path(__file__).parents[1]
 # Media types of the files that a page can request, by suffix.
@@ -134,8 +133,8 @@ class Site:
         if key not in self.live.sessions:  # otherwise a name from outside would become a path
             return JSONResponse({"error": "no such session"}, 404)
         is_refused = bool(self.live.sessions[key]["refused"])
-        content = await asyncio.to_thread(zip_bytes, exported_files(self.live.folder / key, is_refused))
-        return Response(content, media_type="application/zip", headers=attachment(f"{key}.zip"))
+        parts = zip_parts(exported_files(self.live.folder / key, is_refused))
+        return StreamingResponse(parts, media_type="application/zip", headers=attachment(f"{key}.zip"))
 
     async def events(self, _: Request) -> Response:
         """Send events as server-sent events."""

@@ -465,7 +465,8 @@ class DeviceSession:
             if self.online is None or self.refused:
                 self.recorder.flush()
             else:
-                self.recorder.save({"assembly": self.assembly, "state": self.online.state}, self.held)
+                known = {"assembly": self.assembly, "state": self.online.state, "notes": self.notes}
+                self.recorder.save(known, self.held)
         except OSError as error:
             self._unsaved_at = time.monotonic()
             _LOG.warning("%s: the state cannot be saved (%s) and is tried again", self.recorder.folder, error.strerror)
@@ -504,7 +505,7 @@ class DeviceSession:
         self.save()
 
     def _restore(self, saved: Mapping[str, Any]) -> None:
-        self.assembly = saved["assembly"]
+        self.assembly, self.notes = saved["assembly"], saved.get("notes", ())
         self.online = OnlineFilter(self._with_device(self.recorder.config()))
         self.online.state = saved["state"]
         self.has_ended = self.online.state.finished

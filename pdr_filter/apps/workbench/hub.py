@@ -143,5 +143,5 @@ class Workbench:
         """Yield one page's events as JSON texts: first the state of all walks, then each event."""
         return self.broadcast.events(self._present)
 
-    async def _present(self) -> list[dict[str, Any]]:
-        return [{"event": "all", "walks": [walk.event() for walk in self.walks.by_id.values()]}]
+    async def _present(self) -> list[str]:
+        return [json.dumps({"event": "all", "walks": [walk.event() for walk in self.walks.by_id.values()]})]

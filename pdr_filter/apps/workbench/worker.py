@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.apps.batch.worker_process import reason_of
-from pdr_filter.apps.live.recorder import zip_bytes
+from pdr_filter.apps.live.recorder import zip_parts
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.maps.marks import NAMES, checksum_of, mark_files, marks_folder, marks_in, version_of
 from pdr_filter.apps.report.html import html_report
@@ -299,4 +299,4 @@ def _zipped(recording: Path) -> bytes:
     folder = marks_folder(recording)
     inside = [p for p in path.rglob("*") if p.is_file() and not p.name.startswith(".")]
     members = {path.name: path} if path.is_file() else {str(p.relative_to(path)): p for p in inside}
-    return zip_bytes(members | {name: folder / name for name in NAMES if (folder / name).exists()})
+    return b"".join(zip_parts(members | {name: folder / name for name in NAMES if (folder / name).exists()}))

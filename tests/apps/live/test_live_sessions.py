@@ -6,6 +6,8 @@ import contextlib
 import json
 import shutil
 import time
+import tracemalloc
+import zipfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,8 +24,8 @@ from pdr_filter.apps.live import session as live_session
 from pdr_filter.apps.live import sessions as live_sessions
 from pdr_filter.apps.live.assembly import LateError, SessionError
 from pdr_filter.apps.live.messages import MessageBatch, parse
-from pdr_filter.apps.live.recorder import exported_files
-from pdr_filter.apps.live.session import DeviceSession, session_id
+from pdr_filter.apps.live.recorder import exported_files, zip_parts
+from pdr_filter.apps.live.session import DeviceSession, Rows, session_id
 from pdr_filter.apps.live.sessions import Sessions
 from pdr_filter.apps.live.settings import BusyError, Event, FixError, Settings, worker_of
 from pdr_filter.data.io.fix_files import ranges_of_file
@@ -181,6 +183,16 @@ def test_meta_data_of_several_messages_add_up_and_what_cannot_be_used_is_noted(t
     assert session.settings.meta == {"subject": {"height_m": 1.6}, "placement": "hand"}
     assert session.name == "walk"
     (note,) = [e for e in events if e["event"] == "session"][-1]["notes"]
+    assert note.startswith("age in the meta data of the phone is 'old'")
+
+
+def test_a_note_on_meta_data_is_kept_when_the_server_starts_again(walk: Recording, tmp_path: Path) -> None:
+    first, *others = own_messages(walk)[:20]
+    devices = sessions_in(tmp_path)
+    take_all(devices, encoded([json.loads(first) | {"meta": {"subject": {"age": "old"}}}]) + others)
+    devices.close()
+    (session,) = sessions_in(tmp_path).sessions.values()
+    (note,) = session.about()["notes"]
     assert note.startswith("age in the meta data of the phone is 'old'")
 
 
@@ -555,3 +567,29 @@ def test_a_session_without_the_file_of_its_names_goes_on_with_what_it_has(walk: 
     assert again.id == session.id
     assert len(pdr.read(again.recorder.folder).accelerometer) == len(walk.accelerometer)
     assert names.exists()
+
+
+def test_a_zip_file_of_a_long_recording_needs_little_memory(tmp_path: Path) -> None:
+    content = np.random.default_rng(0).bytes(12_000_000)
+    (tmp_path / "accelerometer.csv").write_bytes(content)
+    with (tmp_path / "made.zip").open("wb") as made:
+        tracemalloc.start()
+        try:
+            for part in zip_parts({"accelerometer.csv": tmp_path / "accelerometer.csv"}):
+                made.write(part)
+            peak_bytes = tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+    assert peak_bytes < 6_000_000
+    with zipfile.ZipFile(tmp_path / "made.zip") as archive:
+        assert archive.read("accelerometer.csv") == content
+
+
+def test_a_path_keeps_its_newest_rows_in_the_bytes_of_its_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pdr_filter.apps.live.session._MAX_PATH", 100)
+    rows = np.arange(450.0).reshape(150, 3)
+    path = Rows(3, rows[:20])
+    for row in rows[20:]:
+        path.append(row.tolist())
+    np.testing.assert_array_equal(path.values, rows[-100:])
+    np.testing.assert_array_equal(Rows(3, rows).values, rows[-100:])
