@@ -22,6 +22,7 @@ VECTORS = (ACCELERATION, LINEAR, GRAVITY, RATE, FIELD, ROTATION)
 ANGLES = "angles"  # roll, pitch and yaw of CoreMotion
 SCALARS = ("barometer", "light", "proximity")
 LOCATION = ("latitude", "longitude", "altitude", "accuracy")
+PHONE_HEADING, PHONE_STEPS = "phone_heading", "phone_step_count"  # computed by the phone itself
 
 _WORDS = {
     ACCELERATION: "acceleration accelerometer acc acce accel totalacceleration gf gforce "
@@ -127,6 +128,8 @@ UNITS: dict[str, dict[str, float]] = {
     "barometer": {"hpa": 1.0, "mbar": 1.0, "pa": 0.01, "kpa": 10.0},
     "light": {"lux": 1.0, "lx": 1.0},
     "proximity": {"cm": 1.0, "mm": 0.1, "m": 100.0, "i": 1.0},
+    PHONE_HEADING: {"deg": math.pi / 180, "\u00b0": math.pi / 180, "rad": 1.0},
+    PHONE_STEPS: {"steps": 1.0},
 }
 # Cyrillic m, s, rad, and uT as "mkT" and an l
 _LATIN = dict(zip(map(ord, "\u043c\u0441\u0440\u0430\u0434\u043a\u0442"), "msradkt", strict=True)) | {0x43B: ""}
@@ -377,10 +380,10 @@ def is_step_count(name: str) -> bool:
 
 
 def is_heading(name: str) -> bool:
-    """Return True if a column has the name of the phone's own heading in degrees."""
+    """Return True if a column has the name of the phone's own heading."""
     unit = _UNIT.search(name)
-    is_in_degrees = unit is None or normal_unit(unit[1]) in ("deg", "\u00b0")
-    return is_in_degrees and _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
+    is_angle = unit is None or normal_unit(unit[1]) in UNITS[PHONE_HEADING]
+    return is_angle and _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
 
 
 def bias_of(name: str) -> tuple[str, str] | None:

@@ -115,21 +115,28 @@ def test_a_list_of_times_belongs_to_the_lists_of_the_same_length_beside_it(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("name", "values", "phone"),
+    ("name", "values", "heading_deg", "n_steps"),
     [
-        ("heading(rad)", np.full(N, 3.1), None),
-        ("locationTrueHeading", np.append(-1.0, np.full(N - 1, 20.0)), {"heading_deg": [20.0, 20.0]}),
-        ("step", np.arange(N) // 100, None),
-        ("stepsDetected", np.arange(N) // 100, None),
-        ("steps", np.arange(N), None),
-        ("steps", (np.arange(N) // 100) % 2, None),
-        ("nSteps", np.arange(N) // 100, {"n_steps": (N - 1) // 100}),
+        ("heading(rad)", np.full(N, 3.1), np.full(N, np.degrees(3.1)), None),
+        ("azimuth", np.full(N, -0.1), np.full(N, np.degrees(-0.1)), None),
+        ("heading(m)", np.full(N, 3.1), None, None),
+        ("heading", np.full(N, 400.0), None, None),
+        ("locationTrueHeading", np.append(-1.0, np.full(N - 1, 20.0)), np.full(N - 1, 20.0), None),
+        ("step", np.arange(N) // 100, None, None),
+        ("stepsDetected", np.arange(N) // 100, None, None),
+        ("steps", np.arange(N), None, None),
+        ("steps", (np.arange(N) // 100) % 2, None, None),
+        ("nSteps", np.arange(N) // 100, None, (N - 1) // 100),
     ],
 )
-def test_only_steps_and_degrees_are_those_of_the_phone(
-    tmp_path: Path, name: str, values: np.ndarray, phone: dict[str, object] | None
+def test_only_counts_of_steps_and_directions_are_those_of_the_phone(
+    tmp_path: Path, name: str, values: np.ndarray, heading_deg: np.ndarray | None, n_steps: int | None
 ) -> None:
-    assert read(write(tmp_path, table_text({"t": TIME_S} | BOTH | {name: values}))).meta.get("phone") == phone
+    recording = read(write(tmp_path, table_text({"t": TIME_S} | BOTH | {name: values})))
+    assert recording.phone_steps == n_steps
+    assert (recording.phone_heading is None) == (heading_deg is None)
+    if heading_deg is not None:
+        np.testing.assert_allclose(np.degrees(recording.phone_heading.values[:, 0]), heading_deg)
 
 
 @pytest.mark.parametrize("row", ["{x},{y},{z},3,{t}", "{i},{x},{y},{z},{t}", "{i},{x},{y},{z},{date}"])

@@ -13,13 +13,15 @@ from pathlib import PurePath
 
 import numpy as np
 
-from pdr_filter.data.io.checks import up_cosine
+from pdr_filter.data.io.checks import is_of_phone, up_cosine
 from pdr_filter.data.io.column_names import (
     ACCELERATION,
     ANGLES,
     FIELD,
     GRAVITY,
     LINEAR,
+    PHONE_HEADING,
+    PHONE_STEPS,
     RATE,
     ROTATION,
     SCALARS,
@@ -50,7 +52,7 @@ _TURNS_AS_SAID = (0.5, 2.0)
 _RATE_SHARE = 0.25
 _NAMES = {
     **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
-    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
+    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s", "\u00b0": "deg"},
 }
 # Plausible range of the median of a quantity, and the units to try.
 _BY_SIZE = {
@@ -90,7 +92,7 @@ class _Stream:
 
     @property
     def factor(self) -> float:
-        return UNITS[self.group.quantity].get(self.unit, 1.0)
+        return UNITS.get(self.group.quantity, {}).get(self.unit, 1.0)
 
 
 def guess(
@@ -129,7 +131,7 @@ def guess(
     streams = [_as_rate(s, time_s, force) for s in streams]
     chosen = [*forces]
     result.is_time_declared = forces[0].is_time_declared
-    for quantity in (RATE, FIELD, *SCALARS, "location", ANGLES):
+    for quantity in (RATE, FIELD, *SCALARS, "location", ANGLES, PHONE_HEADING, PHONE_STEPS):
         fitting = [s for s in streams if s.group.quantity == quantity]
         if fitting:
             near = max(
@@ -140,7 +142,11 @@ def guess(
                 # A clock that began elsewhere: what counts is when the rows of the table have another place.
                 on_clock = replace(near.group, time=forces[0].group.time, time_unit=forces[0].time_unit)
                 near = _stream(on_clock, near.sheet, dialect, rate_hz)
-            chosen.append(_with_unit(near, force, time_s, result))
+            near = _with_unit(near, force, time_s, result)
+            if is_of_phone(quantity, near.time_s, near.factor * near.values, float(np.ptp(forces[0].time_s))):
+                chosen.append(near)
+            else:
+                result.evidence[-1] += "; not used, because its values are not those of a phone"
     left_out = sorted({s.sheet.name for s in streams} - {s.sheet.name for s in chosen})
     if left_out:
         result.notes.append(f"left out: {', '.join(left_out)[:200]}")
@@ -218,6 +224,8 @@ def _stream(group: Group, sheet: Sheet, dialect: Dialect, rate_hz: float) -> _St
     known = np.isfinite(time_s)
     if group.quantity == "location":
         known &= is_new_position(values)
+    if group.quantity == PHONE_HEADING and group.unit != "rad":
+        known &= values[:, 0] != -1  # which iOS writes for unknown
     if not known.all():
         time_s, values = time_s[known], values[known]
     has_constant = group.quantity in (ACCELERATION, LINEAR, GRAVITY, ROTATION)
@@ -364,8 +372,10 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
         norm = median_norm(s.values)
         fits = [unit for unit in units if low <= norm * UNITS[quantity][unit] <= high]
         s = replace(s, unit=fits[0] if fits else units[0])
+    elif not s.unit and quantity == PHONE_HEADING:
+        s = replace(s, unit="rad" if np.abs(s.values).max() <= 2 * math.pi else "deg")
     elif not s.unit:
-        s = replace(s, unit={"light": "lux", "proximity": "cm", ANGLES: "rad"}.get(quantity, ""))
+        s = replace(s, unit={"light": "lux", "proximity": "cm", ANGLES: "rad", PHONE_STEPS: "steps"}.get(quantity, ""))
     result.evidence.append(f"{quantity}: {name}, {_NAMES.get(s.unit, s.unit) or 'degrees and metres'}")
     return s
 
