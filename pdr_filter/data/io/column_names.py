@@ -155,6 +155,11 @@ _EPOCH_S = (1.1e9, 2.2e9)
 _ZEROS_S = {"100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0)}
 _TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
 _INTERVAL = re.compile(r"^dt|dt$|delta|interval|diff|period")
+_RATE = re.compile(
+    r"(data|sensor)?sampl(es?|ing)?(rate|freq|frequency|persecond)(hz)?|(data|sensor|update)?(rate|freq|frequency)hz"
+    r"|frequency|fs|hz|odr"
+)
+_PERIODS_S = (1e-3, 0.2)  # of the accelerometers of phones, and of slower loggers
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
 _STEP_COUNTS = re.compile(r"(pedometer)?((numberof|n)steps?|steps|steps?(n|count(er)?))|schritte")
 _HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)(deg(rees)?)?")
@@ -416,6 +421,30 @@ def is_time(name: str) -> bool:
 def is_interval(name: str) -> bool:
     """Return True if the name of a column of times is that of the times between samples."""
     return _INTERVAL.search(letters(_UNIT.sub("", name))) is not None
+
+
+def states_period(name: str) -> bool:
+    """Return True if a number of this name may be a sampling rate or interval."""
+    return is_interval(name) or _RATE.fullmatch(letters(_UNIT.sub("", name))) is not None
+
+
+def period_of(name: str, value: float) -> float:
+    """Return the sampling interval in s that a number states by its name, as a rate in Hz or an interval, or zero.
+
+    Examples
+    --------
+    >>> period_of("dt", 0.02), period_of("interval_ms", 20), period_of("sampleRate", 50.0), period_of("period", 7.0)
+    (0.02, 0.02, 0.02, 0.007)
+    """
+    low, high = _PERIODS_S
+    if not value > 0 or not states_period(name):
+        return 0.0
+    if not is_interval(name):
+        found = [1 / value]
+    else:
+        unit = time_unit_of(name)
+        found = [value * TIME_UNITS[each] for each in ([unit] if unit else ("s", "ms", "us", "ns"))]
+    return next((period_s for period_s in found if low <= period_s <= high), 0.0)
 
 
 def column_of_nanoseconds(fields: Sequence[str], place: int) -> int | None:

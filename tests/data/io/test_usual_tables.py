@@ -148,3 +148,29 @@ def test_without_names_the_first_three_columns_before_the_time_are_the_axes(tmp_
     ]
     path = write(tmp_path, "\n".join([*lines, ""]), "accelerometer.csv")
     assert_same_streams(read(path), WALK, "accelerometer", time_s=2e-3, rtol=1e-12)
+
+
+SAMPLES = {"acc": FORCE.tolist(), "gyro": RATE.tolist()}
+PERIOD_S = round(float(np.median(np.diff(TIME_S))), 6)
+ROWS = [{"acc": a, "gyro": w} for a, w in zip(FORCE.tolist(), RATE.tolist(), strict=True)]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"dt": PERIOD_S} | SAMPLES,
+        {"info": {"phone": "x", "interval_ms": 1000 * PERIOD_S}, "data": ROWS},
+        {"sampleRate": 1 / PERIOD_S, "start": 1.7e9} | SAMPLES,
+        [{"dt": PERIOD_S} | row for row in ROWS],
+        [{"t": t, "dt": 99.0, "fs": 5.0} | row for t, row in zip(np.arange(N) * PERIOD_S, ROWS, strict=True)],
+        f"# Sampling rate: {1 / PERIOD_S} Hz\n{table_text(BOTH)}",
+        f"interval = {1000 * PERIOD_S} ms\n{table_text(BOTH)}",
+    ],
+)
+def test_a_sampling_interval_or_rate_stands_for_times(tmp_path: Path, content: object) -> None:
+    is_text = isinstance(content, str)
+    path = write(tmp_path, content if is_text else json.dumps(content), "walk.csv" if is_text else "walk.json")
+    recording = read(path)
+    for samples, values in ((recording.accelerometer, FORCE), (recording.gyroscope, RATE)):
+        np.testing.assert_allclose(samples.time_s, np.arange(N) * PERIOD_S, atol=1e-6)
+        np.testing.assert_allclose(samples.values, values, rtol=1e-12)

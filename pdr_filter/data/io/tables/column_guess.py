@@ -6,6 +6,7 @@ Notes and evidence report each guess.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -28,6 +29,7 @@ from pdr_filter.data.io.column_names import (
     TIME_UNITS,
     UNITS,
     column_of,
+    period_of,
 )
 from pdr_filter.data.io.describe import median_norm
 from pdr_filter.data.io.tables.app_dialects import Dialect
@@ -50,6 +52,8 @@ _DEGREES_BELOW = 0.13  # the geometric mean of 1 and pi/180
 # orientations, as quaternions, rotation vectors or Euler angles, none.
 _TURNS_AS_SAID = (0.5, 2.0)
 _RATE_SHARE = 0.25
+# A name with a number and its unit, above a table.
+_STATED = re.compile(r"([A-Za-z][A-Za-z _]{0,30}?) ?(?:[:=,;]|is) ?(\d{1,9}(?:\.\d{1,9})?) ?([A-Za-z]*)")
 _NAMES = {
     **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
     **{"m/s^2": "m/s2", "m/s/s": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s", "\u00b0": "deg"},
@@ -194,8 +198,9 @@ def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dia
     first = sheets[groups[0].sheet]
     if period_ms := dialect.period_of(first.about):
         return 1000 / period_ms
-    if first.rate_hz:
-        return first.rate_hz
+    stated = (period_of(f"{name} ({unit})", float(number)) for name, number, unit in _STATED.findall(first.about))
+    if rate_hz := first.rate_hz or next((1 / period_s for period_s in stated if period_s), 0.0):
+        return rate_hz
     sheet = next(sheets[group.sheet] for group in groups if group.time is None)
     names = ", ".join(sheet.fields)[:200]
     app = f"this looks like {dialect.app}, but there is" if dialect.app else "there is"

@@ -17,7 +17,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.data.io.column_names import VECTORS, column_of, is_time, quantity_of_file
+from pdr_filter.data.io.column_names import (
+    VECTORS,
+    column_of,
+    is_time,
+    period_of,
+    quantity_of_file,
+    states_period,
+)
 from pdr_filter.data.io.files.archive import Members
 from pdr_filter.data.io.tables.dates import is_date, nanoseconds_of, without_midnights
 from pdr_filter.data.io.tables.sheet import Sheet
@@ -138,7 +145,7 @@ def _rows_of(
         yield _sensor_of(item) or name, [_flat(item)]
         return
     lists = {key: cast("list[Any]", value) for key, value in item.items() if isinstance(value, list)}
-    times = {**(times or {}), **{key: v for key, v in item.items() if is_time(key) and not isinstance(v, dict)}}
+    times = {**(times or {}), **_times_in(item)}
     tables = {key: rows for key, values in lists.items() if (rows := _as_rows(values, times))}
     columns = {key: rows for key, rows in lists.items() if key not in tables and _is_column(key, rows)}
     name = _sensor_of(item) or name
@@ -163,6 +170,17 @@ def _rows_of(
         for key, value in inner.items():
             if _holds_samples(value):
                 yield from _rows_of(value, name if key in _PLAIN else key, depth + 1, times)
+
+
+def _times_in(item: Row) -> Row:
+    """Return the times of an object, and its sampling rate or interval, which may be among its metadata."""
+    times = {key: value for key, value in item.items() if is_time(key) and not isinstance(value, dict)}
+    plain = (cast("Row", value) for value in item.values() if isinstance(value, dict) and _is_plain(value))
+    periods = (
+        {key: value for key, value in found.items() if states_period(key) and isinstance(value, int | float)}
+        for found in (*plain, item)
+    )
+    return dict(chain.from_iterable(found.items() for found in periods)) | times
 
 
 def _is_plain(item: Row) -> bool:
@@ -276,17 +294,24 @@ class _Columns:
         self._keep_rows()
         columns: dict[str, FloatArray | IntArray] = {}
         places: dict[str, list[int]] = {"": [], "date": [], "exact": []}
+        period_s = 0.0
         for field in dict.fromkeys(key for _, part in self._parts for key in part):
             known = [part.get(field, (np.full(n, np.nan), "")) for n, part in self._parts]
             kinds = {kind for _, kind in known}
             kind = kinds.pop() if len(kinds) == 1 else ""
             column: Any = np.concatenate([column for column, _ in known]).astype(np.int64 if kind else float)
-            if is_time(field) and len(column) > 1 and (column == column[0]).all():
+            is_constant = len(column) > 1 and (column == column[0]).all()
+            if is_constant and not kind and (of_field_s := period_of(field, float(column[0]))):
+                period_s = of_field_s
+                continue
+            if is_constant and is_time(field):
                 continue  # that of the start or of the whole file
             columns[field] = without_midnights(column) if kind == "date" else column
             places[kind].append(len(columns) - 1)
         if not columns:
             return None
+        if period_s and not any(map(is_time, columns)):
+            columns["time_s"] = period_s * np.arange(len(next(iter(columns.values()))), dtype=np.float64)
         return Sheet.of_columns(name, self._where, columns, {*places["date"]}, {*places["exact"]})
 
     def _keep_rows(self) -> None:
