@@ -147,12 +147,20 @@ _SPELLINGS = (
     (r"(?<=[a-z])s\^*-2$", "/s^2"),
     (r"(?<=[a-z])s\^*-1$", "/s"),
 )
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100ns": 1e-7}
+TIME_UNITS = {
+    **{"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100ns": 1e-7},
+    **{"min": 60.0, "h": 3600.0, "days": 86_400.0},
+}
 # Unix time from 2004 to 2039. Nanoseconds since a phone was started 20 minutes ago are as large as milliseconds of
 # that, but would then come less often than any sensor.
 _EPOCH_S = (1.1e9, 2.2e9)
-# Clocks of Windows count 100 ns since 1601 (FILETIME) or since the year 1 (.NET), so many seconds before 1970.
-_ZEROS_S = {"100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0)}
+# Clocks of Windows count 100 ns since 1601 (FILETIME) or since the year 1 (.NET), so many seconds before 1970. Days are
+# counted since 1970, 1899 (spreadsheets), the year 0 (MATLAB) or 1858 (modified Julian date). No clock counts minutes.
+_ZEROS_S: dict[str, tuple[float, ...]] = {
+    "100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0),
+    "days": tuple(86_400.0 * days for days in (0, 25_569, 719_529, 40_587)),
+    **dict.fromkeys(("min", "h"), ()),
+}
 _TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
 _INTERVAL = re.compile(r"^dt|dt$|delta|interval|diff|period")
 _RATE = re.compile(
@@ -173,6 +181,8 @@ _TIME_UNIT_WORDS = {
     "us": r"us|usec|micros|microseconds?",
     "ns": r"ns|nsec|nanos|nanoseconds?",
 }
+# These words are units of a time, but columns of this name are also parts of a date.
+_LONG_UNIT_WORDS = {"min": r"min|mins|minutes?", "h": r"h|hr|hrs|hours?", "days": r"d|days?"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -468,7 +478,7 @@ def time_unit_of(name: str) -> str:
     found = _UNIT.search(name)
     words = [found[1].strip()] if found else [*re.split(r"[^A-Za-z\u00b5\u03bc]+", name), *words_of(name)[-1:]]
     words = [normal_unit(word) for word in words]
-    for unit, pattern in _TIME_UNIT_WORDS.items():
+    for unit, pattern in (_TIME_UNIT_WORDS | _LONG_UNIT_WORDS).items():
         if any(re.fullmatch(pattern, word) for word in words if word):
             return unit
     return ""

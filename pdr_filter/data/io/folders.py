@@ -26,7 +26,7 @@ _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", *BINARIES, *IN_PLACE}
 # Files whose names say that the folder around them is one recording.
 _MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "metadata.yaml", "raw data.csv"}
-_PERSON = re.compile(r"([A-Za-z]+\d*)(?=[-_ .])")
+_PERSON = re.compile(r"([^\W\d_]+\d*)(?=[-_ .])")  # in any script
 _DATE = re.compile(r"\d{4}-?\d\d-?\d\d")  # in the names of exports
 _NO_PERSON = re.compile(
     r"(rec(ord(ing)?)?|walk(ing)?|run(ning)?|stairs|trial|test|session|take|sensors?|log|data|export|file|new|my"

@@ -174,3 +174,54 @@ def test_a_sampling_interval_or_rate_stands_for_times(tmp_path: Path, content: o
     for samples, values in ((recording.accelerometer, FORCE), (recording.gyroscope, RATE)):
         np.testing.assert_allclose(samples.time_s, np.arange(N) * PERIOD_S, atol=1e-6)
         np.testing.assert_allclose(samples.values, values, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "per_s", "zero", "epoch_s"),
+    [
+        ("time (min)", 1 / 60, 0.0, None),
+        ("time_h", 1 / 3600, 5.0, None),
+        ("date", 1 / 86_400, 45_245.5, 1_700_049_600.0),  # of a spreadsheet
+        ("datenum", 1 / 86_400, 739_205.5, 1_700_049_600.0),  # of MATLAB
+    ],
+)
+def test_times_in_minutes_hours_and_days_are_read(
+    tmp_path: Path, name: str, per_s: float, zero: float, epoch_s: float | None
+) -> None:
+    times = [f"{zero + per_s * t:.11f}" for t in TIME_S]
+    recording = read(write(tmp_path, table_text({name: times} | BOTH)))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=2e-5, rtol=1e-12)
+    assert recording.epoch_s == (None if epoch_s is None else pytest.approx(epoch_s + TIME_S[0], abs=1e-3))
+
+
+@pytest.mark.parametrize("form", ["columns", "split", "of another key"])
+def test_tables_that_pandas_writes_as_json_are_read(tmp_path: Path, form: str) -> None:
+    columns = {"t": TIME_S.tolist()} | {name: values.tolist() for name, values in BOTH.items()}
+    rows = [*map(list, zip(*columns.values(), strict=True))]
+    content = {
+        "columns": {name: {str(i): v for i, v in enumerate(values)} for name, values in columns.items()},
+        "split": {"columns": [*columns], "index": [*range(N)], "data": rows},
+        "of another key": {"series": [{"name": "walk", "columns": [*columns], "values": rows}]},
+    }[form]
+    recording = read(write(tmp_path, json.dumps(content), "walk.json"))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
+
+
+def test_json_with_thousands_of_columns_is_refused_at_once(tmp_path: Path) -> None:
+    path = write(tmp_path, json.dumps({f"time{i}": i for i in range(20_000)}), "walk.json")
+    assert "20000 columns, over 1000" in refusal(path, format="table")
+
+
+def test_a_missing_file_of_one_sensor_is_a_gap_in_it(tmp_path: Path) -> None:
+    edges = [0.0, 6.0, 14.0, 99.0]
+    for sensor, values in (("accelerometer", FORCE), ("gyroscope", RATE)):
+        for hour, (begin_s, end_s) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+            part = (TIME_S >= begin_s) & (TIME_S < end_s)
+            if (sensor, hour) != ("gyroscope", 1):
+                (tmp_path / sensor).mkdir(exist_ok=True)
+                text = table_text({"time": MS[part] + 1.7e12} | axes("%", values[part]))
+                write(tmp_path / sensor, text, f"2023-11-14 {hour + 10}_00_00.csv")
+    recording = read(tmp_path)
+    is_there = (TIME_S < 6.0) | (TIME_S >= 14.0)
+    np.testing.assert_array_equal(recording.accelerometer.values, FORCE)
+    np.testing.assert_array_equal(recording.gyroscope.values, RATE[is_there])

@@ -78,10 +78,16 @@ def json_fields(members: Members, name: str) -> list[Sheet]:
                     found.setdefault(sensor, {}).update(dict.fromkeys(rows if isinstance(rows, dict) else rows[0]))
         if found or len(head) < limits.HEAD_BYTES:
             break
+    if n := next((n for fields in found.values() if (n := len(fields)) > limits.MAX_COLUMNS), 0):
+        raise RecordingError(_too_many_columns(members.where(name), n))
     return [
         Sheet.of_columns(sensor, members.where(name), dict.fromkeys(fields, np.empty(0)))
         for sensor, fields in found.items()
     ]
+
+
+def _too_many_columns(where: str, n: int) -> str:
+    return f"{where}: {n} columns, over {limits.MAX_COLUMNS}; export fewer"
 
 
 def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = None) -> Iterator[Row]:
@@ -141,6 +147,7 @@ def _rows_of(
     time of several samples, which then all have this time. `times` are those of the objects around this one; a list of
     times belongs to the lists that are as long.
     """
+    item = _of_data_frame(item)
     if _is_plain(item):
         yield _sensor_of(item) or name, [_flat(item)]
         return
@@ -170,6 +177,29 @@ def _rows_of(
         for key, value in inner.items():
             if _holds_samples(value):
                 yield from _rows_of(value, name if key in _PLAIN else key, depth + 1, times)
+
+
+def _of_data_frame(item: Row) -> Row:
+    """Return an object with a list for each column, if it is a table as pandas and databases write it.
+
+    Its columns are then objects of values by row number, or the names and the rows are two lists.
+    """
+    by_number = {key: cast("Row", value) for key, value in item.items() if isinstance(value, dict) and "0" in value}
+    if by_number and all(next(reversed(rows)) == str(len(rows) - 1) for rows in by_number.values()):
+        return item | {key: [*rows.values()] for key, rows in by_number.items()}
+    names: Any = item.get("columns")
+    for rows in (item.get(key) for key in ("data", "values", "rows")):
+        if isinstance(names, list) and isinstance(rows, list) and _are_rows(rows, len(cast("list[Any]", names))):
+            by_name = zip(
+                map(str, cast("list[Any]", names)), zip(*cast("list[list[Any]]", rows), strict=True), strict=True
+            )
+            return {name: [*column] for name, column in by_name}
+    return item
+
+
+def _are_rows(values: list[Any], n: int) -> bool:
+    """Return True for a list of lists of `n` values each."""
+    return values != [] and all(isinstance(row, list) and len(cast("list[Any]", row)) == n for row in values)
 
 
 def _times_in(item: Row) -> Row:
@@ -318,7 +348,7 @@ class _Columns:
         if self._rows:
             keys = dict.fromkeys(key for row in self._rows for key in row)
             if len(keys) > limits.MAX_COLUMNS:
-                raise RecordingError(f"{self._where}: {len(keys)} columns, over {limits.MAX_COLUMNS}; export fewer")
+                raise RecordingError(_too_many_columns(self._where, len(keys)))
             self._keep({key: [row.get(key) for row in self._rows] for key in keys}, len(self._rows))
             self._rows = []
 
