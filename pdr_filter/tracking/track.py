@@ -93,6 +93,13 @@ class Track(TrackRows):
         True if each row is estimated from the whole recording, False if only from earlier samples.
     effective_sample_size : ndarray, shape (K,)
         With a floor plan, effective number of particles, 1 / sum of squared weights. Empty without a plan.
+    phone_n_steps : ndarray, shape (K,)
+        Steps that the phone itself had counted at each step. NaN before its first report, and empty if the recording
+        has no step counter.
+    phone_heading_rad : ndarray, shape (K,)
+        Latest heading that the phone itself had reported at each step, rad, clockwise from magnetic or true north, as
+        the phone defines it, in [-pi, pi). It is the direction of the phone, and does not rotate with the frame of the
+        track, as `walking_heading_rad` does. NaN before its first report, and empty if the recording has no headings.
     device : Device or None
         Gyroscope bias of the phone, as input for its next recording.
     person : Person or None

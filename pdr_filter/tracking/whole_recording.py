@@ -67,6 +67,7 @@ from pdr_filter.values import (
 from pdr_filter.values.events import Climb
 from pdr_filter.values.georeference import Georeference, GnssUse, NorthUse, document_georeference
 from pdr_filter.values.interpolation import interpolated_rows
+from pdr_filter.values.phone import phone_heading_at, phone_steps_at
 from pdr_filter.values.recording import MissingSensorError, Recording, Truth
 
 
@@ -163,12 +164,17 @@ class Run:
     notes: tuple[str, ...] = ()  # notes on the arguments, for the track
 
     def with_given_origin(self, result: Track) -> Track:
-        """Return a track with the given origin and heading, with the notes on the arguments.
+        """Return a track with the given origin and heading, the phone's own steps, and the notes on the arguments.
 
         A further note tells if the locations were ignored because of the origin or the heading.
         """
         given, place = self.georeference, self.georeference.given_origin
-        result = replace(result, notes=(*result.notes, *self.notes))
+        result = replace(
+            result,
+            notes=(*result.notes, *self.notes),
+            phone_n_steps=read_only(phone_steps_at(self.recording.phone_step_count, result.time_s)),
+            phone_heading_rad=read_only(phone_heading_at(self.recording.phone_heading, result.time_s)),
+        )
         if self.recording.location is not None and given.gnss is None and given.is_given:
             note = "the locations of the recording were not used, because origin or heading_rad was given"
             result = replace(result, notes=(*result.notes, note))

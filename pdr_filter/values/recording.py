@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from numbers import Real
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from pdr_filter.values import Samples, Table, Wifi, check_array, check_step_length, check_walked, limits
 from pdr_filter.values.arrays import reduction, table
+from pdr_filter.values.phone import counted_steps
 from pdr_filter.values.sanitise import printable
 
 
@@ -136,6 +137,10 @@ class Recording:
         Path of the file from which the recording was read.
     notes : tuple of str
         Problems that the reader repaired or found.
+    phone_heading : Samples, values (N, 1), optional
+        Heading of the phone as the phone computed it, rad, clockwise from magnetic or true north.
+    phone_step_count : Samples, values (N, 1), optional
+        Readings of the phone's own step counter.
 
     Examples
     --------
@@ -161,6 +166,8 @@ class Recording:
     meta: Mapping[str, Any] = field(default_factory=dict[str, Any])
     source: str = ""
     notes: tuple[str, ...] = ()
+    phone_heading: Samples | None = None
+    phone_step_count: Samples | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "meta", dict(self.meta))  # a copy, of a type that can be pickled
@@ -277,9 +284,8 @@ class Recording:
     @property
     def phone_steps(self) -> int | None:
         """Number of steps that the phone counted itself, or None if the file does not have it."""
-        phone: Any = self.meta.get("phone")
-        counted: Any = cast("dict[str, Any]", phone).get("n_steps") if isinstance(phone, dict) else None
-        return counted if isinstance(counted, int) and not isinstance(counted, bool) else None
+        counted = None if self.phone_step_count is None else counted_steps(self.phone_step_count).values
+        return None if counted is None or not len(counted) else int(counted[-1, 0])
 
     @property
     def is_on_foot(self) -> bool:

@@ -68,6 +68,8 @@ class TrackRows:
     clusters: tuple[tuple[Cluster, ...], ...] = ()  # K sets
     is_smoothed: bool = False
     effective_sample_size: FloatArray = field(default_factory=lambda: read_only(np.zeros(0)))  # (K,)
+    phone_n_steps: FloatArray = field(default_factory=lambda: read_only(np.zeros(0)))  # (K,)
+    phone_heading_rad: FloatArray = field(default_factory=lambda: read_only(np.zeros(0)))  # (K,)
 
     __reduce__ = reduction
 

@@ -136,13 +136,14 @@ def compare_command(
 
     import pdr_filter as pdr
     from pdr_filter.apps.report.html import write_report
+    from pdr_filter.data.io.folders import with_person_of_file
 
     written: set[str] = set()
     without: list[str] = []  # names of recordings without ground truth
     replaced: list[Path] = []
 
     def compare_one(file: Path, progress: Callable[[float], None]) -> Compared:
-        recording = source.read(file)
+        recording = with_person_of_file(source.read(file), file)
         tracks = setting.tracks(recording, where, progress)
         errors = pdr.evaluate.comparison_table(recording, tracks)
         tables = {"recordings": errors}

@@ -199,6 +199,7 @@ def _texts(track: TrackRows) -> dict[str, Any]:
         "facts": _facts(track),
         "doubts": trust.problems(track),
         "has_steps": track.n_steps > 0,
+        "has_phone_heading": len(track.phone_heading_rad) > 0,
         "about": f"{track.about_frame} {track.about_estimate} {trust.about_weighting(track)}",
         "seconds": _seconds(track),
         "floor_changes": [

@@ -76,6 +76,10 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         data["height"] = _column(track.height_m[shown], 2)
         data["height_std"] = _column(track.height_std_m[shown], 3)
         data["floor"] = [track.known_floor[k] for k in shown.tolist()]
+    if len(track.phone_heading_rad):
+        data["phone_heading"] = _column(np.degrees(track.phone_heading_rad[shown]) % 360.0, 1)
+    if len(track.phone_n_steps):
+        data["phone_n_steps"] = _column(track.phone_n_steps[shown], 0)
     if len(track.anchors_m):
         data["anchors"] = _points(track.anchors_m)
     if any(places := [_places(track, row) for row in shown]):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pdr_filter.apps.batch.workers import Failure, each
-from pdr_filter.apps.maps.marks import read_marks
+from pdr_filter.apps.maps.marks import Marks, read_marks
 from pdr_filter.apps.maps.radio.radio_map import RadioMap
 from pdr_filter.apps.walk_map.chains import Chain, cached_chain, without_times
 from pdr_filter.apps.walk_map.drawing import density, map_report, plan_text
@@ -119,6 +119,7 @@ class WalkMap:
     _known: Mapping[str, Sequence[Known]] = field(default_factory=dict[str, Sequence[Known]])
     _salt: str | None = None
     _north: tuple[float, float] = UNKNOWN_NORTH
+    _place: Origin | None = None  # origin of the marks
 
     def __repr__(self) -> str:
         return f"WalkMap({len(self.walks)} walks in {self.n_groups} groups, {len(self.apart)} apart)"
@@ -263,11 +264,14 @@ class WalkMap:
         WalkMap
             The map with the walks that could be joined.
         """
-        chains, apart, marked = _chains_of(recordings, cache, self._salt, jobs, scheduler, earlier=self._chains)
+        chains, apart, marks = _chains_of(recordings, cache, self._salt, jobs, scheduler, earlier=self._chains)
+        marked, place = in_one_frame(marks, self._place)
         fixes = {**self._known, **_by_name([*marked, *known], chains)}
         own = {c.name for c in self._chains}
         earlier = [entry for entry in self.apart if entry[0] not in own]
-        return _mapped([*self._chains, *chains], [*earlier, *apart], fixes, self._salt, self._groups, self._north)
+        every = [*self._chains, *chains]
+        found = _mapped(every, [*earlier, *apart], fixes, self._salt, self._groups, self._north)
+        return replace(found, _place=place)
 
     def remove(self, names: Iterable[str]) -> WalkMap:
         """Return the map without some walks. The other walks are solved again.
@@ -297,7 +301,7 @@ class WalkMap:
         number = {i: k for k, i in enumerate(i for i, c in enumerate(self._chains) if c.name not in gone)}
         # a map without known fixes keeps its frame by one walk of each group that stays
         kept = [] if known else [part for g in self._groups if (part := g.of_seeds(number)) is not None]
-        return _mapped(chains, others, known, self._salt, kept, self._north)
+        return replace(_mapped(chains, others, known, self._salt, kept, self._north), _place=self._place)
 
     def save(self, folder: str | Path, *, times: bool = False) -> Path:
         """Write the map to a folder, in place of an earlier map.
@@ -336,7 +340,7 @@ class WalkMap:
             "version": __version__,
         }
         files = {folder / f"{i:05d}.walk": to_bytes(chain) for i, chain in enumerate(chains)}
-        files[folder / "groups.bin"] = to_bytes((self._groups, known, self._north))
+        files[folder / "groups.bin"] = to_bytes((self._groups, known, self._north, self._place))
         write_files(files | {folder / "walk_map.json": (json.dumps(card, indent=2) + "\n").encode()})
         # an earlier map in this folder can have had more walks
         for path in set(folder.glob("?????.walk")) - files.keys():
@@ -371,9 +375,10 @@ class WalkMap:
                 raise ValueError(f"its format is {card['format_version']}, this version reads {_FORMAT}")
             walks = [folder / f"{i:05d}.walk" for i in range(card["n_walks"])]
             chains: tuple[Chain, ...] = tuple(from_bytes(read_small(w, limits.MAX_WHOLE_BYTES)) for w in walks)
-            groups, known, north = from_bytes(read_small(folder / "groups.bin", limits.MAX_WHOLE_BYTES))
+            groups, known, north, *place = from_bytes(read_small(folder / "groups.bin", limits.MAX_WHOLE_BYTES))
             apart = tuple((name, why) for name, why in card["apart"])
-            return _result(chains, groups, apart, tuple(card["notes"]), known, salt, north)
+            found = _result(chains, groups, apart, tuple(card["notes"]), known, salt, north)
+            return replace(found, _place=place[0] if place else None)
         except (OSError, KeyError, TypeError, ValueError) as error:
             raise ValueError(
                 f"{folder}: not a map of walks ({error}): check the folder, or map the recordings again"
@@ -413,9 +418,9 @@ def map_walks(
         Recordings with Wi-Fi. Files are read and tracked one by one.
     known : iterable of tuple of str and PositionFix or HeadingFix
         Known positions and headings, each with the name of its walk. They define the frame of the map, together with
-        the marks beside recordings in files (`fixes.csv`). Without them, the origin is the start of one walk, and north
-        is magnetic north. Fixes that contradict the steps of their walk, each other, or the other walks are not used,
-        and `notes` names them.
+        the marks beside recordings in files (`fixes.csv`), which are converted to the first geographic origin among
+        them. Without them, the origin is the start of one walk, and north is magnetic north. Fixes that contradict the
+        steps of their walk, each other, or the other walks are not used, and `notes` names them.
     origin : Origin or tuple of float, optional
         Latitude and longitude of the building in degrees, to a few kilometres. With the declination there, the
         magnetometers of all walks say where true north is.
@@ -462,11 +467,33 @@ def map_walks(
     >>> walk_map.n_groups, len(walk_map.apart)
     (0, 1)
     """
-    chains, apart, marked = _chains_of(recordings, cache, salt, jobs, scheduler, progress)
+    chains, apart, marks = _chains_of(recordings, cache, salt, jobs, scheduler, progress)
+    marked, place = in_one_frame(marks)
     if not chains and not apart:
         raise ValueError("recordings is empty: give at least one recording")
     north = UNKNOWN_NORTH if origin is None else (Origin.of(origin).declination_rad(), DECLINATION_STD_RAD)
-    return _mapped(chains, apart, _by_name([*marked, *known], chains), salt, north=north)
+    found = _mapped(chains, apart, _by_name([*marked, *known], chains), salt, north=north)
+    return replace(found, _place=place)
+
+
+def in_one_frame(
+    marks: Sequence[tuple[str, Marks]], place: Origin | None = None
+) -> tuple[list[tuple[str, Known]], Origin | None]:
+    """Return the fixes in the marks of walks, with their names, in one frame, and the geographic origin of the frame.
+
+    It is `place`, or the first origin among the marks. Marks without an origin are taken to be in this frame.
+    """
+    fixes: list[tuple[str, Known]] = []
+    for name, of_walk in marks:
+        place = place or of_walk.origin
+        shift_m = np.zeros(2)
+        if place is not None and of_walk.origin is not None:
+            shift_m = place.east_north_m(of_walk.origin.latitude_deg, of_walk.origin.longitude_deg)
+        for fix in of_walk.fixes:
+            if isinstance(fix, PositionFix) and shift_m.any():
+                fix = replace(fix, position_m=fix.position_m + shift_m)
+            fixes.append((name, fix))
+    return fixes, place
 
 
 def _by_name(known: Iterable[tuple[str, object]], chains: Sequence[Chain]) -> dict[str, list[Known]]:
@@ -498,11 +525,11 @@ def _chains_of(
     scheduler: str | None,
     progress: Callable[[int, int], None] | None = None,
     earlier: Sequence[Chain] = (),
-) -> tuple[list[Chain], list[tuple[str, str]], list[tuple[str, Known]]]:
-    """Return the chains of recordings, the names and reasons of unusable recordings, and the fixes in their marks.
+) -> tuple[list[Chain], list[tuple[str, str]], list[tuple[str, Marks]]]:
+    """Return the chains of recordings, the names and reasons of unusable recordings, and the marks beside them.
 
-    No two chains have the same name, also among `earlier` chains, and copies of a recording are unusable. Each fix
-    comes with the name of its walk.
+    No two chains have the same name, also among `earlier` chains, and copies of a recording are unusable. Marks come
+    with the name of their walk.
     """
     items = [r if isinstance(r, Recording) else str(r) for r in recordings]
     work = partial(cached_chain, cache=None if cache is None else str(cache), salt=salt)
@@ -513,7 +540,7 @@ def _chains_of(
             progress(len(found), len(items))
     chains: list[Chain] = []
     apart: list[tuple[str, str]] = []
-    marked: list[tuple[str, Known]] = []
+    marks: list[tuple[str, Marks]] = []
     by_key, taken = {c.key: c.name for c in earlier}, {c.name for c in earlier}
     for i, item in enumerate(items):
         result = found[i]
@@ -528,8 +555,8 @@ def _chains_of(
             taken.add(chain.name)
             chains.append(chain)
             if isinstance(item, str):
-                marked += [(chain.name, fix) for fix in read_marks(item).fixes]
-    return chains, apart, marked
+                marks.append((chain.name, read_marks(item)))
+    return chains, apart, marks
 
 
 def _mapped(

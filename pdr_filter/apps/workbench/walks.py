@@ -25,7 +25,7 @@ from pdr_filter.apps.maps.marks import (
     version_of,
     write_mark_files,
 )
-from pdr_filter.data.io.folders import recordings_in
+from pdr_filter.data.io.folders import person_of_file, recordings_in
 from pdr_filter.values import limits
 from pdr_filter.values.safe_files import read_json, write_text
 from pdr_filter.values.sanitise import file_name, printable
@@ -67,6 +67,7 @@ class Walk:
         """Return the event that updates the row of this walk in the list of walks on all pages."""
         return {
             **self.summary,
+            "subject": self.summary.get("subject") or person_of_file(self.path),
             "event": "walk",
             "id": self.id,
             "name": self.name,

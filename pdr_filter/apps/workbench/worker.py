@@ -109,7 +109,8 @@ class Worker:
         track, plan = self._smoothed(opened, progress)
         track = _for_page(track, plan)
         write_text(self.cache / f"{key}.html", html_report(track, opened.recording, plan))
-        summary = _summary(track, opened.recording) | {"key": key}
+        person = marks_in(marks_folder(Path(path))).walk.get("person") or opened.recording.subject.id
+        summary = _summary(track, opened.recording) | {"key": key, "subject": str(person or "")}
         write_text(file, json.dumps(summary))
         (self.cache / f"{_name_of(path)}.progress").unlink(missing_ok=True)
         if not is_to_stay:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.data.io.checks import checked_streams, up_cosine
+from pdr_filter.data.io.checks import checked_streams, is_of_phone, up_cosine
 from pdr_filter.data.io.describe import READING_KEY
 from pdr_filter.data.io.files.own_format_writer import RESTORED_GRAVITY_KEY, TIME_COLUMNS
 from pdr_filter.data.io.row_times import in_order, streams_with_own_times
@@ -18,10 +18,6 @@ from pdr_filter.sensing.gravity import with_gravity
 from pdr_filter.values import FloatArray, Samples, limits, table
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording, Truth
-
-# A phone reports its first steps in groups of some seconds.
-_MOST_FIRST_STEPS = 50
-_MOST_STEPS_PER_S = 5.0  # sprinters take 4 to 5; what grows faster numbers rows
 
 
 @dataclass
@@ -43,31 +39,6 @@ class Parsed:
     linear: str = ""  # name of the acceleration, if it lacks gravity
     instead: str = "the accelerometer with gravity"  # sensor to record in place of it
     notes: list[str] = field(default_factory=list[str])
-
-    def set_phone(self, counts: FloatArray | None, heading_deg: FloatArray | None) -> None:
-        """Store the steps that the phone counted, and its heading at the start and the end, in `meta`.
-
-        A counter that begins above 50 counts since the phone was started. Numbers that fall, or grow faster than steps,
-        are no counter.
-        """
-        phone: dict[str, Any] = {}
-        counts, heading_deg = (
-            np.empty(0) if values is None else values[np.isfinite(values)] for values in (counts, heading_deg)
-        )
-        heading_deg = heading_deg[heading_deg != -1]  # which iOS writes for unknown
-        time_s = self.streams["accelerometer"][0] if "accelerometer" in self.streams else np.empty(0)
-        known_s = time_s[np.isfinite(time_s)]
-        most = _MOST_STEPS_PER_S * float(np.ptp(known_s)) if len(known_s) else 0.0
-        is_counter = len(counts) > 0 and 0 <= counts[0] <= counts[-1] <= min(counts[0] + most, limits.LARGEST_VALUE)
-        if is_counter and (np.diff(counts) >= 0).all():
-            phone["n_steps"] = int(counts[-1] - (counts[0] if counts[0] > _MOST_FIRST_STEPS else 0))
-            self.found.append(f"steps counted by the phone: {phone['n_steps']}")
-        if len(heading_deg) and np.abs(heading_deg).max() <= 360:
-            phone["heading_deg"] = [round(float(heading_deg[k]) % 360, 1) for k in (0, -1)]
-            words = "{:.0f} degrees at the start, {:.0f} at the end".format(*phone["heading_deg"])
-            self.found.append(f"heading by the phone: {words}")
-        if phone:
-            self.meta["phone"] = phone
 
     def set_device(self, *words: str | None) -> None:
         """Store the words, joined by spaces, as phone model in `meta`, unless all are empty or None."""
@@ -91,6 +62,7 @@ class Parsed:
         time_s = self.streams["accelerometer"][0]
         self._move_epoch(float((time_s[:1] - first_s).sum()))
         zero_s = float(next(iter(time_s[np.abs(time_s) <= limits.LARGEST_VALUE]), 0.0))
+        self._leave_out_of_phone()
         streams = checked_streams(self.streams, zero_s, "", where, self.notes, self.is_unit_of_time_declared)
         self._check_up(streams, where)
         truth = {
@@ -108,6 +80,16 @@ class Parsed:
             source=where,
             notes=tuple(self.notes),
         )
+
+    def _leave_out_of_phone(self) -> None:
+        """Leave out the phone's own steps and headings if they are something else, and say so among the findings."""
+        time_s = self.streams["accelerometer"][0]
+        known_s = time_s[np.isfinite(time_s)]
+        duration_s = float(np.ptp(known_s)) if len(known_s) else 0.0
+        for name, (at_s, values) in [*self.streams.items()]:
+            if not is_of_phone(name, at_s, values, duration_s):
+                del self.streams[name]
+                self.found.append(f"{name}: left out, because its values are not those of a phone")
 
     def _restore_gravity(self, where: str) -> None:
         """Add gravity to the stored acceleration, along the vertical of gyroscope and steps, with a note.

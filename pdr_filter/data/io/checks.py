@@ -7,12 +7,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from pdr_filter.data.io.column_names import PHONE_HEADING, PHONE_STEPS
 from pdr_filter.data.io.describe import describe_stream, median_norm
 from pdr_filter.data.io.text_table import finite
 from pdr_filter.values import BoolArray, FloatArray, Samples, limits
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.plausibility import wrong_angular_rate, wrong_rate, wrong_specific_force
 from pdr_filter.values.quaternions import rotation_matrix
+
+_MOST_STEPS_PER_S = 5.0  # sprinters take 4 to 5; what grows faster numbers rows
+_TURN_RAD = 2 * math.pi + 1e-9
 
 
 def checked_streams(
@@ -48,6 +52,22 @@ def checked_streams(
         _refuse(wrong_angular_rate(median_norm(streams["gyroscope"].values)), f"{where}: gyroscope{suffix}")
     notes += _time_notes(streams, suffix)
     return streams
+
+
+def is_of_phone(name: str, time_s: FloatArray, values: FloatArray, duration_s: float) -> bool:
+    """Return False for a stream of the phone's own steps or headings that holds something else.
+
+    Headings exceed no full turn, and counts of steps grow, but not faster than steps. `duration_s` is that of the
+    recording. Any other stream is True.
+    """
+    known = values[np.isfinite(time_s) & np.isfinite(values).all(axis=1), 0] if len(values) else np.empty(0)
+    if name == PHONE_HEADING:
+        return bool((np.abs(known) <= _TURN_RAD).all())
+    if name != PHONE_STEPS:
+        return True
+    most = min(_MOST_STEPS_PER_S * duration_s, limits.LARGEST_VALUE)
+    grows = bool((np.diff(known) >= 0).all())
+    return len(known) == 0 or (grows and known[0] >= 0 and known[-1] <= known[0] + most)
 
 
 def with_time(time_s: FloatArray, where: str, notes: list[str]) -> BoolArray:

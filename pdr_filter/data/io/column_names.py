@@ -22,6 +22,7 @@ VECTORS = (ACCELERATION, LINEAR, GRAVITY, RATE, FIELD, ROTATION)
 ANGLES = "angles"  # roll, pitch and yaw of CoreMotion
 SCALARS = ("barometer", "light", "proximity")
 LOCATION = ("latitude", "longitude", "altitude", "accuracy")
+PHONE_HEADING, PHONE_STEPS = "phone_heading", "phone_step_count"  # computed by the phone itself
 
 _WORDS = {
     ACCELERATION: "acceleration accelerometer acc acce accel totalacceleration gf gforce "
@@ -127,6 +128,8 @@ UNITS: dict[str, dict[str, float]] = {
     "barometer": {"hpa": 1.0, "mbar": 1.0, "pa": 0.01, "kpa": 10.0},
     "light": {"lux": 1.0, "lx": 1.0},
     "proximity": {"cm": 1.0, "mm": 0.1, "m": 100.0, "i": 1.0},
+    PHONE_HEADING: {"deg": math.pi / 180, "\u00b0": math.pi / 180, "rad": 1.0},
+    PHONE_STEPS: {"steps": 1.0},
 }
 # Cyrillic m, s, rad, and uT as "mkT" and an l
 _LATIN = dict(zip(map(ord, "\u043c\u0441\u0440\u0430\u0434\u043a\u0442"), "msradkt", strict=True)) | {0x43B: ""}
@@ -144,14 +147,27 @@ _SPELLINGS = (
     (r"(?<=[a-z])s\^*-2$", "/s^2"),
     (r"(?<=[a-z])s\^*-1$", "/s"),
 )
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100ns": 1e-7}
+TIME_UNITS = {
+    **{"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "100ns": 1e-7},
+    **{"min": 60.0, "h": 3600.0, "days": 86_400.0},
+}
 # Unix time from 2004 to 2039. Nanoseconds since a phone was started 20 minutes ago are as large as milliseconds of
 # that, but would then come less often than any sensor.
 _EPOCH_S = (1.1e9, 2.2e9)
-# Clocks of Windows count 100 ns since 1601 (FILETIME) or since the year 1 (.NET), so many seconds before 1970.
-_ZEROS_S = {"100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0)}
+# Clocks of Windows count 100 ns since 1601 (FILETIME) or since the year 1 (.NET), so many seconds before 1970. Days are
+# counted since 1970, 1899 (spreadsheets), the year 0 (MATLAB) or 1858 (modified Julian date). No clock counts minutes.
+_ZEROS_S: dict[str, tuple[float, ...]] = {
+    "100ns": (0.0, 11_644_473_600.0, 62_135_596_800.0),
+    "days": tuple(86_400.0 * days for days in (0, 25_569, 719_529, 40_587)),
+    **dict.fromkeys(("min", "h"), ()),
+}
 _TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
 _INTERVAL = re.compile(r"^dt|dt$|delta|interval|diff|period")
+_RATE = re.compile(
+    r"(data|sensor)?sampl(es?|ing)?(rate|freq|frequency|persecond)(hz)?|(data|sensor|update)?(rate|freq|frequency)hz"
+    r"|frequency|fs|hz|odr"
+)
+_PERIODS_S = (1e-3, 0.2)  # of the accelerometers of phones, and of slower loggers
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
 _STEP_COUNTS = re.compile(r"(pedometer)?((numberof|n)steps?|steps|steps?(n|count(er)?))|schritte")
 _HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)(deg(rees)?)?")
@@ -165,6 +181,8 @@ _TIME_UNIT_WORDS = {
     "us": r"us|usec|micros|microseconds?",
     "ns": r"ns|nsec|nanos|nanoseconds?",
 }
+# These words are units of a time, but columns of this name are also parts of a date.
+_LONG_UNIT_WORDS = {"min": r"min|mins|minutes?", "h": r"h|hr|hrs|hours?", "days": r"d|days?"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,10 +395,10 @@ def is_step_count(name: str) -> bool:
 
 
 def is_heading(name: str) -> bool:
-    """Return True if a column has the name of the phone's own heading in degrees."""
+    """Return True if a column has the name of the phone's own heading."""
     unit = _UNIT.search(name)
-    is_in_degrees = unit is None or normal_unit(unit[1]) in ("deg", "\u00b0")
-    return is_in_degrees and _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
+    is_angle = unit is None or normal_unit(unit[1]) in UNITS[PHONE_HEADING]
+    return is_angle and _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
 
 
 def bias_of(name: str) -> tuple[str, str] | None:
@@ -415,6 +433,30 @@ def is_interval(name: str) -> bool:
     return _INTERVAL.search(letters(_UNIT.sub("", name))) is not None
 
 
+def states_period(name: str) -> bool:
+    """Return True if a number of this name may be a sampling rate or interval."""
+    return is_interval(name) or _RATE.fullmatch(letters(_UNIT.sub("", name))) is not None
+
+
+def period_of(name: str, value: float) -> float:
+    """Return the sampling interval in s that a number states by its name, as a rate in Hz or an interval, or zero.
+
+    Examples
+    --------
+    >>> period_of("dt", 0.02), period_of("interval_ms", 20), period_of("sampleRate", 50.0), period_of("period", 7.0)
+    (0.02, 0.02, 0.02, 0.007)
+    """
+    low, high = _PERIODS_S
+    if not value > 0 or not states_period(name):
+        return 0.0
+    if not is_interval(name):
+        found = [1 / value]
+    else:
+        unit = time_unit_of(name)
+        found = [value * TIME_UNITS[each] for each in ([unit] if unit else ("s", "ms", "us", "ns"))]
+    return next((period_s for period_s in found if low <= period_s <= high), 0.0)
+
+
 def column_of_nanoseconds(fields: Sequence[str], place: int) -> int | None:
     """Return the index of the column of nanoseconds that belongs to a column of whole seconds, or None.
 
@@ -436,7 +478,7 @@ def time_unit_of(name: str) -> str:
     found = _UNIT.search(name)
     words = [found[1].strip()] if found else [*re.split(r"[^A-Za-z\u00b5\u03bc]+", name), *words_of(name)[-1:]]
     words = [normal_unit(word) for word in words]
-    for unit, pattern in _TIME_UNIT_WORDS.items():
+    for unit, pattern in (_TIME_UNIT_WORDS | _LONG_UNIT_WORDS).items():
         if any(re.fullmatch(pattern, word) for word in words if word):
             return unit
     return ""

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from pdr_filter.data.io.column_names import PHONE_HEADING, PHONE_STEPS
 from pdr_filter.values import FloatArray, Samples, as_plain, how_many, limits
 from pdr_filter.values.recording import Recording
 
@@ -25,6 +26,8 @@ STREAM_UNITS = {
     "proximity": "cm",
     "attitude": "quaternion wxyz",
     "location": "deg, m",
+    PHONE_HEADING: "rad",
+    PHONE_STEPS: "steps",
 }
 
 # Stream, quantity, unit, and range of its median in a recording with correct units.
@@ -286,11 +289,28 @@ def reading_report(recording: Recording) -> ReadingReport:
     most = limits.MAX_TEXT_CHARS
     return ReadingReport(
         source=str(reading.get("source") or "own format")[:most],
-        found=tuple(str(sentence)[:most] for sentence in sentences[: limits.MAX_SENTENCES]),
+        found=(
+            *(str(sentence)[:most] for sentence in sentences[: limits.MAX_SENTENCES]),
+            *_phone_sentences(recording),
+        ),
         clock=str(reading.get("clock") or "seconds from the first accelerometer sample")[:most],
         streams=tuple(describe_stream(key, samples, requested.get(key)) for key, samples in recording.streams.items()),
         notes=recording.notes,
     )
+
+
+def _phone_sentences(recording: Recording) -> tuple[str, ...]:
+    """Return sentences about the steps and the heading that the phone computed itself."""
+    sentences: list[str] = []
+    if recording.phone_steps is not None:
+        sentences.append(f"steps counted by the phone: {recording.phone_steps}")
+    heading = recording.phone_heading
+    heading_deg = np.degrees(np.empty(0) if heading is None else heading.values[:, 0]) % 360
+    heading_deg = heading_deg[np.isfinite(heading_deg)]
+    if len(heading_deg):
+        start_deg, end_deg = heading_deg[0], heading_deg[-1]
+        sentences.append(f"heading by the phone: {start_deg:.0f} degrees at the start, {end_deg:.0f} at the end")
+    return tuple(sentences)
 
 
 def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> StreamDescription:

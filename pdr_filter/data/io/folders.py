@@ -26,7 +26,7 @@ _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", *BINARIES, *IN_PLACE}
 # Files whose names say that the folder around them is one recording.
 _MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "metadata.yaml", "raw data.csv"}
-_PERSON = re.compile(r"([A-Za-z]+\d*)(?=[-_ .])")
+_PERSON = re.compile(r"([^\W\d_]+\d*)(?=[-_ .])")  # in any script
 _DATE = re.compile(r"\d{4}-?\d\d-?\d\d")  # in the names of exports
 _NO_PERSON = re.compile(
     r"(rec(ord(ing)?)?|walk(ing)?|run(ning)?|stairs|trial|test|session|take|sensors?|log|data|export|file|new|my"
@@ -58,19 +58,26 @@ def absolute_recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str
 def with_person_of_file(recording: Recording, path: str | Path) -> Recording:
     """Return a recording that names no person with the person in the name of its file, if it has one, and a note."""
     path = Path(path)
-    own = _PERSON.match(path.name)
-    if recording.subject.id or own is None or not path.is_file():
+    if recording.subject.id or not (person := person_of_file(path)):
         return recording
-    people = _people_in(path.parent, path.suffix, path.parent.stat().st_mtime_ns)
-    if not people:
-        return recording
-    subject = {**(recording.meta.get("subject") or {}), "id": own[1].lower()}
+    people = _people_beside(path)
+    subject = {**(recording.meta.get("subject") or {}), "id": person}
     note = (
         f"{_PEOPLE} {', '.join(people[:8])}{', ...' if people[8:] else ''} ({path.parent}), because they begin with "
         "several words; if these are no people, write a word such as walk_ in front of each name, or subject.id in the "
         "metadata"
     )
     return replace(recording, meta={**recording.meta, "subject": subject}, notes=(*recording.notes, note))
+
+
+def person_of_file(path: Path) -> str:
+    """Return the person in the name of a file of a study, or an empty string if the names are not of several people."""
+    own = _PERSON.match(path.name)
+    return own[1].lower() if own is not None and path.is_file() and _people_beside(path) else ""
+
+
+def _people_beside(path: Path) -> tuple[str, ...]:
+    return _people_in(path.parent, path.suffix, path.parent.stat().st_mtime_ns)
 
 
 def notes_on_people(recordings: Iterable[Recording]) -> list[str]:

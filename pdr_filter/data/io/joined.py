@@ -9,7 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.data.io.describe import READING_KEY, dict_of
+from pdr_filter.data.io.column_names import PHONE_STEPS
+from pdr_filter.data.io.describe import dict_of
 from pdr_filter.data.io.files.own_format_writer import TIME_COLUMNS
 from pdr_filter.values import FloatArray, Samples, Table, Wifi, table
 from pdr_filter.values.errors import RecordingError
@@ -22,9 +23,8 @@ _MOST_OVERLAP_S = 1.0
 def joined(parts: Sequence[Recording]) -> Recording:
     """Return the recording of which the given ones are parts, in any order, with the meta data of the first in time.
 
-    Times are those since the first sample of the first part. Annotations, and steps and heading of the phone, are those
-    of all parts. RecordingError if a part has no Unix time, or if parts
-    overlap.
+    Times are those since the first sample of the first part. Annotations are those of all parts. The phone's steps are
+    unknown if a part lacks them. RecordingError if a part has no Unix time, or if parts overlap.
     """
     if not parts:
         raise ValueError("no recordings to join: give one or more paths")
@@ -50,6 +50,9 @@ def joined(parts: Sequence[Recording]) -> Recording:
                 "one recording; read them one by one"
             )
     names = dict.fromkeys(name for part in parts for name in part.streams)
+    if any(PHONE_STEPS not in part.streams for part in parts):
+        parts = [replace(part, **{PHONE_STEPS: None}) for part in parts]
+        names.pop(PHONE_STEPS, None)
     truths = dict.fromkeys(name for part in parts for name in part.truth.present())
     heard = [
         replace(part.wifi, time_s=part.wifi.time_s + shift_s)
@@ -72,25 +75,14 @@ def joined(parts: Sequence[Recording]) -> Recording:
 
 
 def _meta(parts: Sequence[Recording], shifts_s: Sequence[float]) -> dict[str, Any]:
-    """Return the meta data of the first part, with the phone's steps, headings and annotations of all parts."""
-    meta = {key: value for key, value in parts[0].meta.items() if key not in ("phone", "annotations")}
-    phone: dict[str, Any] = {}
-    counts = [part.phone_steps for part in parts if part.phone_steps is not None]
-    if len(counts) == len(parts):
-        phone["n_steps"] = sum(counts)
-    begin, end = (_list_of(dict_of(part.meta.get("phone")).get("heading_deg")) for part in (parts[0], parts[-1]))
-    if begin and end:
-        phone["heading_deg"] = [begin[0], end[-1]]
+    """Return the meta data of the first part, with the annotations of all parts."""
+    meta = {key: value for key, value in parts[0].meta.items() if key != "annotations"}
     annotations: list[dict[str, Any]] = []
     for part, shift_s in zip(parts, shifts_s, strict=True):
         for annotation in map(dict_of, _list_of(part.meta.get("annotations"))):
             if isinstance(time_s := annotation.get("time_s"), int | float):
                 annotations.append({**annotation, "time_s": time_s + shift_s})
-    reading = dict_of(meta.get(READING_KEY))
-    if reading:  # its sentences about the phone describe one part only
-        found = [str(sentence) for sentence in _list_of(reading.get("found"))]
-        meta[READING_KEY] = {**reading, "found": [sentence for sentence in found if "by the phone: " not in sentence]}
-    return meta | {key: value for key, value in (("phone", phone), ("annotations", annotations)) if value}
+    return meta | ({"annotations": annotations} if annotations else {})
 
 
 def _list_of(value: Any) -> list[Any]:

@@ -68,8 +68,9 @@ def test_rows_are_those_of_one_by_one_to_the_last_bit(walks: Path, tmp_path: Pat
 def test_a_row_has_the_person_and_the_steps_that_the_phone_counted(tmp_path: Path) -> None:
     walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=5.0)])
     for person, n_steps in (("anna", 7), ("ben", 9), ("anna", 8)):
-        meta = {"name": "walk", "phone": {"n_steps": n_steps}}
-        replace(walk, meta=meta).save(tmp_path / f"{person}_walk{n_steps}-2024-05-01_10-11-12.zip")
+        counter = pdr.Samples([0.0, 3.0], [[1.0], [n_steps]])
+        counted = replace(walk, meta={"name": "walk"}, phone_step_count=counter)
+        counted.save(tmp_path / f"{person}_walk{n_steps}-2024-05-01_10-11-12.zip")
     rows = batch.track(tmp_path, out=tmp_path / "tracks.csv")
     assert [(row.subject, row.phone_n_steps) for row in rows] == [("anna", 7), ("anna", 8), ("ben", 9)]
     assert batch.read_table(tmp_path / "tracks.csv") == rows

@@ -228,6 +228,15 @@ def test_compare_of_a_file_without_truth_has_no_error_and_says_so(walk: Path, tm
     assert not any("rmse_m" in row for row in unknown["tracks"])
 
 
+def test_compare_takes_people_from_the_names_of_files(tmp_path: Path) -> None:
+    recording = replace(pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=4.0)]), meta={})
+    for name in ("anna_1", "ben_1", "anna_2"):
+        replace(recording, name=name).save(tmp_path / f"{name}.zip")
+    said = succeed("compare", tmp_path, "--out", tmp_path / "out").stdout
+    assert "people from the names of files: anna, ben" in " ".join(said.split())
+    assert ",hc,3,2," in (tmp_path / "out" / "study.csv").read_text()  # three recordings of two people
+
+
 def test_the_same_seed_simulates_the_same_walk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(simulated_walk, "build_motion", build_motion)  # which tests store
     files = [tmp_path / name for name in ("a.zip", "b.zip", "c.zip")]

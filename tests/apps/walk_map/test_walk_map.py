@@ -13,11 +13,12 @@ from heard import chains_made_once, walk_with_wifi
 from true_positions import true_m
 
 import pdr_filter as pdr
+from pdr_filter.apps.maps.marks import Marks
 from pdr_filter.apps.walk_map.chains import chain_of, hashed
 from pdr_filter.apps.walk_map.drawing import plan_text
 from pdr_filter.apps.walk_map.joint import _known_rows
 from pdr_filter.apps.walk_map.mapped_walk import MappedWalk
-from pdr_filter.apps.walk_map.walk_map import _known_pose
+from pdr_filter.apps.walk_map.walk_map import _known_pose, in_one_frame
 from pdr_filter.simulate import Leg
 from pdr_filter.values.recording import Recording
 
@@ -256,6 +257,29 @@ def test_two_buildings_are_two_groups(building: list[Recording]) -> None:
     assert {w.name: w.group for w in found.walks}["phone0_storey0"] == {w.name: w.group for w in found.walks}[
         "phone3_storey0"
     ]
+
+
+def test_marks_with_different_origins_are_in_the_frame_of_the_first(tmp_path: Path) -> None:
+    here, there = pdr.Origin(48.0, 11.0), pdr.Origin(48.001, 11.002)
+    cov_m2 = np.eye(2)
+    marks = [
+        (name, Marks(tmp_path, (pdr.PositionFix(1.0, place, cov_m2), pdr.HeadingFix(4.0, 0.0, 0.1)), walk=walk))
+        for name, place, walk in (
+            ("a", [5.0, 6.0], {"origin": [48.0, 11.0]}),
+            ("b", here.east_north_m(48.0, 11.0) - here.east_north_m(48.001, 11.002), {"origin": [48.001, 11.002]}),
+            ("c", [7.0, 8.0], {}),
+        )
+    ]
+    fixes, place = in_one_frame(marks)
+    assert (place, [name for name, _ in fixes]) == (here, [*"aabbcc"])
+    at_m = [fix.position_m for _, fix in fixes[::2]]
+    np.testing.assert_allclose(at_m, [[5.0, 6.0], [0.0, 0.0], [7.0, 8.0]], atol=0.02)
+    later, _ = in_one_frame(marks[:1], there)
+    np.testing.assert_allclose(
+        there.latitude_longitude_deg(later[0][1].position_m),
+        here.latitude_longitude_deg(np.array([5.0, 6.0])),
+        atol=1e-6,
+    )
 
 
 def test_with_an_origin_the_map_has_true_north(building: list[Recording]) -> None:

@@ -28,6 +28,7 @@ from pdr_filter.apps.maps.marks import (
     table_rows,
     write_mark_files,
 )
+from pdr_filter.apps.workbench.walks import Walk
 from pdr_filter.apps.workbench.worker import Worker
 from pdr_filter.offline.smoothing.smooth import SmoothingMemory
 from pdr_filter.simulate import Leg, simulate
@@ -353,3 +354,11 @@ async def test_an_edit_can_be_taken_back_after_the_workbench_was_started_again(t
     history.write_text("[[1], {}]")  # a damaged history must not prevent edits
     async with running(tmp_path) as client:
         assert not (await client.get(await client.walk("walk")))["can_undo"]
+
+
+def test_the_list_has_the_person_in_the_recording_or_else_in_the_name_of_the_file(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{name}.zip" for name in ("anna_1", "ben_1", "anna_2")]
+    for path in paths:
+        path.touch()
+    assert [Walk(path.name, path, path.stem).event()["subject"] for path in paths] == ["anna", "ben", "anna"]
+    assert Walk("x", paths[0], "anna_1", summary={"subject": "p01"}).event()["subject"] == "p01"

@@ -355,6 +355,13 @@ ODDITIES = (
         "the times between the samples",
     ),
     Oddity(
+        "a sampling rate or interval above a table, or `dt`, `sample_rate` and the like in JSON, in place of times",
+        "rows have this interval",
+        lambda: f"# sampling rate: 50 Hz\n{table_text({n: v for n, v in columns().items() if n != 'time'})}",
+        "clock: no time column: rows at 50 Hz",
+        time_s=0.01,
+    ),
+    Oddity(
         "times in units of 100 ns since 1601 or the year 1, as of Windows and .NET",
         "recognised; `100ns` in a TOML file",
         lambda: table_text(

@@ -200,6 +200,7 @@ def test_a_device_is_written_to_and_not_replaced() -> None:
         ("anna_1.zip ben_1.zip anna_2.zip", "anna ben anna"),
         ("Anna-2024-05-01_10-11-12.zip Ben-2024-05-01_10-11-12.zip", "anna ben"),
         ("s01_walk.zip s02_walk.zip s01_run.zip", "s01 s02 s01"),
+        ("Jörg-1.zip 李雷_1.zip Jörg_2.zip", "jörg 李雷 jörg"),
         ("anna_1.zip ben_1.zip", " "),  # walks of one person may have such names, too
         ("anna_1.zip anna_2.zip", " "),
         ("walk_1.zip run_1.zip walk_2.zip", "  "),

@@ -57,20 +57,30 @@ def test_parts_in_any_order_are_the_whole_with_its_wifi_and_truth(tmp_path: Path
     assert pdr.track(joined).n_steps == pdr.track(walk).n_steps
 
 
-def test_steps_heading_and_annotations_of_parts_are_those_of_the_whole(tmp_path: Path) -> None:
+def of_phone(values: list[float]) -> pdr.Samples:
+    return pdr.Samples([1.0, 4.0], [[value] for value in values])
+
+
+@pytest.mark.parametrize(("later", "n_steps"), [([2.0, 7.0], 16), ([11.0, 16.0], 16)], ids=["reset", "continues"])
+def test_steps_heading_and_annotations_of_parts_are_those_of_the_whole(
+    tmp_path: Path, later: list[float], n_steps: int
+) -> None:
     walk = whole()
     paths = [
-        replace(part(walk, begin_s, end_s), meta={"epoch_s": EPOCH_S + begin_s, "phone": phone} | marks).save(
-            tmp_path / f"{begin_s}.zip"
-        )
-        for begin_s, end_s, phone, marks in (
-            (5.0, 99.0, {"n_steps": 7, "heading_deg": [20.0, 30.0]}, {"annotations": [{"time_s": 2.5, "text": "b"}]}),
-            (0.0, 5.0, {"n_steps": 9, "heading_deg": [10.0, 20.0]}, {"annotations": [{"time_s": 1.5, "text": "a"}]}),
+        replace(
+            part(walk, begin_s, end_s),
+            meta={"epoch_s": EPOCH_S + begin_s} | marks,
+            phone_step_count=of_phone(counts),
+            phone_heading=of_phone(headings),
+        ).save(tmp_path / f"{begin_s}.zip")
+        for begin_s, end_s, counts, headings, marks in (
+            (5.0, 99.0, later, [0.2, 0.3], {"annotations": [{"time_s": 2.5, "text": "b"}]}),
+            (0.0, 5.0, [4.0, 9.0], [0.1, 0.2], {"annotations": [{"time_s": 1.5, "text": "a"}]}),
         )
     ]
     joined = pdr.read(paths)
-    assert joined.phone_steps == 16
-    assert joined.meta["phone"]["heading_deg"] == [10.0, 30.0]
+    assert joined.phone_steps == n_steps
+    assert joined.phone_heading.values[:, 0].tolist() == [0.1, 0.2, 0.2, 0.3]
     assert joined.meta["annotations"] == [{"time_s": 1.5, "text": "a"}, {"time_s": 7.5, "text": "b"}]
     uncounted = replace(part(walk, 5.0, 99.0), meta={"epoch_s": EPOCH_S + 5.0}).save(tmp_path / "uncounted.zip")
     assert pdr.read([paths[1], uncounted]).phone_steps is None

@@ -327,6 +327,7 @@ def test_a_column_of_the_phones_own_steps_and_heading_is_reported_and_changes_no
     plain = read(write_text(tmp_path / "plain.csv", table_text(columns)))
     own = {"stepCount": np.floor(TIME_S), "locationTrueHeading(°)": np.full(len(TIME_S), 12.0)}
     found = read(write_text(tmp_path / "own.csv", table_text(columns | own)))
-    assert found.meta["phone"] == {"n_steps": int(TIME_S[-1]), "heading_deg": [12.0, 12.0]}
-    assert "phone" not in plain.meta
+    assert found.phone_steps == int(TIME_S[-1])
+    np.testing.assert_allclose(found.phone_heading.values, np.radians(12.0))
+    assert plain.phone_steps is None
     np.testing.assert_array_equal(found.accelerometer.values, plain.accelerometer.values)

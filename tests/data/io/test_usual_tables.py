@@ -115,21 +115,28 @@ def test_a_list_of_times_belongs_to_the_lists_of_the_same_length_beside_it(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("name", "values", "phone"),
+    ("name", "values", "heading_deg", "n_steps"),
     [
-        ("heading(rad)", np.full(N, 3.1), None),
-        ("locationTrueHeading", np.append(-1.0, np.full(N - 1, 20.0)), {"heading_deg": [20.0, 20.0]}),
-        ("step", np.arange(N) // 100, None),
-        ("stepsDetected", np.arange(N) // 100, None),
-        ("steps", np.arange(N), None),
-        ("steps", (np.arange(N) // 100) % 2, None),
-        ("nSteps", np.arange(N) // 100, {"n_steps": (N - 1) // 100}),
+        ("heading(rad)", np.full(N, 3.1), np.full(N, np.degrees(3.1)), None),
+        ("azimuth", np.full(N, -0.1), np.full(N, np.degrees(-0.1)), None),
+        ("heading(m)", np.full(N, 3.1), None, None),
+        ("heading", np.full(N, 400.0), None, None),
+        ("locationTrueHeading", np.append(-1.0, np.full(N - 1, 20.0)), np.full(N - 1, 20.0), None),
+        ("step", np.arange(N) // 100, None, None),
+        ("stepsDetected", np.arange(N) // 100, None, None),
+        ("steps", np.arange(N), None, None),
+        ("steps", (np.arange(N) // 100) % 2, None, None),
+        ("nSteps", np.arange(N) // 100, None, (N - 1) // 100),
     ],
 )
-def test_only_steps_and_degrees_are_those_of_the_phone(
-    tmp_path: Path, name: str, values: np.ndarray, phone: dict[str, object] | None
+def test_only_counts_of_steps_and_directions_are_those_of_the_phone(
+    tmp_path: Path, name: str, values: np.ndarray, heading_deg: np.ndarray | None, n_steps: int | None
 ) -> None:
-    assert read(write(tmp_path, table_text({"t": TIME_S} | BOTH | {name: values}))).meta.get("phone") == phone
+    recording = read(write(tmp_path, table_text({"t": TIME_S} | BOTH | {name: values})))
+    assert recording.phone_steps == n_steps
+    assert (recording.phone_heading is None) == (heading_deg is None)
+    if heading_deg is not None:
+        np.testing.assert_allclose(np.degrees(recording.phone_heading.values[:, 0]), heading_deg)
 
 
 @pytest.mark.parametrize("row", ["{x},{y},{z},3,{t}", "{i},{x},{y},{z},{t}", "{i},{x},{y},{z},{date}"])
@@ -141,3 +148,79 @@ def test_without_names_the_first_three_columns_before_the_time_are_the_axes(tmp_
     ]
     path = write(tmp_path, "\n".join([*lines, ""]), "accelerometer.csv")
     assert_same_streams(read(path), WALK, "accelerometer", time_s=2e-3, rtol=1e-12)
+
+
+SAMPLES = {"acc": FORCE.tolist(), "gyro": RATE.tolist()}
+PERIOD_S = round(float(np.median(np.diff(TIME_S))), 6)
+ROWS = [{"acc": a, "gyro": w} for a, w in zip(FORCE.tolist(), RATE.tolist(), strict=True)]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"dt": PERIOD_S} | SAMPLES,
+        {"info": {"phone": "x", "interval_ms": 1000 * PERIOD_S}, "data": ROWS},
+        {"sampleRate": 1 / PERIOD_S, "start": 1.7e9} | SAMPLES,
+        [{"dt": PERIOD_S} | row for row in ROWS],
+        [{"t": t, "dt": 99.0, "fs": 5.0} | row for t, row in zip(np.arange(N) * PERIOD_S, ROWS, strict=True)],
+        f"# Sampling rate: {1 / PERIOD_S} Hz\n{table_text(BOTH)}",
+        f"interval = {1000 * PERIOD_S} ms\n{table_text(BOTH)}",
+    ],
+)
+def test_a_sampling_interval_or_rate_stands_for_times(tmp_path: Path, content: object) -> None:
+    is_text = isinstance(content, str)
+    path = write(tmp_path, content if is_text else json.dumps(content), "walk.csv" if is_text else "walk.json")
+    recording = read(path)
+    for samples, values in ((recording.accelerometer, FORCE), (recording.gyroscope, RATE)):
+        np.testing.assert_allclose(samples.time_s, np.arange(N) * PERIOD_S, atol=1e-6)
+        np.testing.assert_allclose(samples.values, values, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("name", "per_s", "zero", "epoch_s"),
+    [
+        ("time (min)", 1 / 60, 0.0, None),
+        ("time_h", 1 / 3600, 5.0, None),
+        ("date", 1 / 86_400, 45_245.5, 1_700_049_600.0),  # of a spreadsheet
+        ("datenum", 1 / 86_400, 739_205.5, 1_700_049_600.0),  # of MATLAB
+    ],
+)
+def test_times_in_minutes_hours_and_days_are_read(
+    tmp_path: Path, name: str, per_s: float, zero: float, epoch_s: float | None
+) -> None:
+    times = [f"{zero + per_s * t:.11f}" for t in TIME_S]
+    recording = read(write(tmp_path, table_text({name: times} | BOTH)))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=2e-5, rtol=1e-12)
+    assert recording.epoch_s == (None if epoch_s is None else pytest.approx(epoch_s + TIME_S[0], abs=1e-3))
+
+
+@pytest.mark.parametrize("form", ["columns", "split", "of another key"])
+def test_tables_that_pandas_writes_as_json_are_read(tmp_path: Path, form: str) -> None:
+    columns = {"t": TIME_S.tolist()} | {name: values.tolist() for name, values in BOTH.items()}
+    rows = [*map(list, zip(*columns.values(), strict=True))]
+    content = {
+        "columns": {name: {str(i): v for i, v in enumerate(values)} for name, values in columns.items()},
+        "split": {"columns": [*columns], "index": [*range(N)], "data": rows},
+        "of another key": {"series": [{"name": "walk", "columns": [*columns], "values": rows}]},
+    }[form]
+    recording = read(write(tmp_path, json.dumps(content), "walk.json"))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
+
+
+def test_json_with_thousands_of_columns_is_refused_at_once(tmp_path: Path) -> None:
+    path = write(tmp_path, json.dumps({f"time{i}": i for i in range(20_000)}), "walk.json")
+    assert "20000 columns, over 1000" in refusal(path, format="table")
+
+
+def test_a_missing_file_of_one_sensor_is_a_gap_in_it(tmp_path: Path) -> None:
+    hour_of = np.searchsorted([6.0, 14.0], TIME_S, side="right")
+    for sensor, values in (("accelerometer", FORCE), ("gyroscope", RATE)):
+        for hour in range(3):
+            part = hour_of == hour
+            if (sensor, hour) != ("gyroscope", 1):
+                (tmp_path / sensor).mkdir(exist_ok=True)
+                text = table_text({"time": MS[part] + 1.7e12} | axes("%", values[part]))
+                write(tmp_path / sensor, text, f"2023-11-14 {hour + 10}_00_00.csv")
+    recording = read(tmp_path)
+    np.testing.assert_array_equal(recording.accelerometer.values, FORCE)
+    np.testing.assert_array_equal(recording.gyroscope.values, RATE[hour_of != 1])

@@ -27,12 +27,14 @@
     return made;
   };
 
+  const degrees = value => `${number(value === null ? null : Math.round(value) % 360, 0)}°`;
+
   function rows(k) {
     const t = track, found = [
       ["step", `${t.number[k]} of ${t.n_steps}`],
       ["time", `${clock(t.time[k], 1)}`],
       ["length", `${number(t.length[k], 2)} m`],
-      ["heading", `${number(t.heading[k] === null ? null : Math.round(t.heading[k]) % 360, 0)}°`],
+      ["heading", degrees(t.heading[k])],
       ["speed", t.speed[k] === null ? "–" : `${number(t.speed[k], 2)} ± ${number(t.speed_std[k], 2)} m/s`],
       ["walked", `${number(t.walked[k], 1)} m`],
       ["east, north", `${number(t.east[k], 1)}, ${number(t.north[k], 1)} m`],
@@ -40,6 +42,8 @@
     ];
     if (t.height) found.push(["height, floor", `${number(t.height[k], 1)} m, ${t.floor[k] ?? "unknown"}`]);
     if (t.places?.[k].length) found.push(["possible positions", t.places[k].map(([percent]) => `${percent} %`).join(", ")]);
+    if (t.phone_n_steps) found.push(["steps by the phone", number(t.phone_n_steps[k], 0)]);
+    if (t.phone_heading) found.push(["heading by the phone", degrees(t.phone_heading[k])]);
     if (t.from_truth) found.push(["position error", `${number(t.from_truth[k], 1)} m`]);
     return found;
   }
@@ -226,8 +230,10 @@
       const of = t.contexts.map((_, c) => t.groups.contexts.group.map((own, k) => own === c ? t.length[k] : null));
       made.push(chart("lengths", 180, [t.time, ...of], t.context_colours.map(dots), { scale: from0 }));
       const cut = cutOf(t.heading), quarters = [-270, -180, -90, 0, 90, 180, 270];
-      made.push(chart("heading", 180, [t.time, t.heading.map(v => v > cut ? v - 360 : v)],
-        [dots(() => styleColour("--accent"))],
+      const below = headings => headings.map(v => v !== null && v > cut ? v - 360 : v);
+      const phone = t.phone_heading ? [below(t.phone_heading)] : [];
+      made.push(chart("heading", 180, [t.time, ...phone, below(t.heading)],
+        [...phone.map(() => dots(() => styleColour("--faint"))), dots(() => styleColour("--accent"))],
         { scale: { range: [cut - 370, cut + 10] }, splits: quarters.filter(v => v >= cut - 360 && v <= cut),
           yValues: (_, at) => at.map(v => `${(v + 360) % 360}°`) }));
     }

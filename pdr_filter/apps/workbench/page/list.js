@@ -29,6 +29,7 @@ function facts(walk) {
   if (walk.n_steps === undefined) return text(`state_${walk.state}`);
   const date = new Date(1000 * (walk.epoch_s ?? walk.changed_s)).toLocaleString(about.texts.language, { dateStyle: "medium", timeStyle: "short" });
   const found = [walk.epoch_s ? date : text("file_of", { date }), clock(walk.duration_s), text("steps", { n: walk.n_steps }), `${number(walk.distance_m, 0)} m`];
+  if (walk.subject) found.unshift(walk.subject);
   if (walk.state !== "done") found.push(text(`state_${walk.state}`));
   return found.join(" · ");
 }
@@ -48,7 +49,7 @@ function row(walk) {
 
 function draw() {
   const wanted = byId("filter").value.toLowerCase(), all = [...walks.values()];
-  const found = all.filter(walk => walk.name.toLowerCase().includes(wanted));
+  const found = all.filter(walk => `${walk.name} ${walk.subject}`.toLowerCase().includes(wanted));
   rows.clear();
   for (const walk of found.slice(0, nShown)) rows.set(walk.id, row(walk));
   byId("list").replaceChildren(...rows.values());

@@ -22,6 +22,7 @@ import numpy as np
 from pdr_filter.data.io.apps.sensor_logger_other import database_tables, is_push, messages_of, push_tables
 from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.checks import up_cosine
+from pdr_filter.data.io.column_names import PHONE_HEADING, PHONE_STEPS
 from pdr_filter.data.io.files.archive import Members, open_members
 from pdr_filter.data.io.files.sqlite_file import SQLITE
 from pdr_filter.data.io.tables.app_dialects import said_platform
@@ -47,7 +48,11 @@ COLUMNS: dict[str, tuple[str, ...]] = {
     "Light": ("lux",),
     "Orientation": ("qw", "qx", "qy", "qz"),
     "Location": ("latitude", "longitude", "altitude", "horizontalAccuracy"),
+    "Compass": ("magneticBearing",),
+    "Pedometer": ("steps",),
 }
+# Sensors that only describe the walk. Their tables are left out if they lack the column.
+_OF_PHONE = ("Compass", "Pedometer")
 # Streams that are taken over without arithmetic, and what to take if the first is missing.
 PLAIN = {
     "gyroscope": ("Gyroscope", "GyroscopeUncalibrated"),
@@ -56,6 +61,8 @@ PLAIN = {
     "light": ("Light",),
     "attitude": ("Orientation",),
     "location": ("Location",),
+    PHONE_HEADING: ("Compass",),
+    PHONE_STEPS: ("Pedometer",),
 }
 # A row from longer before the start than this is a remembered value: sensors start within a second or two.
 STALE_S = 60.0
@@ -69,8 +76,6 @@ class _Export:
     metadata: dict[str, str] = field(default_factory=dict[str, str])
     annotations: list[tuple[int, str]] = field(default_factory=list[tuple[int, str]])
     notes: list[str] = field(default_factory=list[str])
-    step_counts: FloatArray | None = None  # counts of the phone's own step counter
-    heading_deg: FloatArray | None = None  # headings of the phone's compass
 
     def about(self, key: str) -> str:
         """Return a value of the metadata without surrounding spaces, or an empty string if it does not exist."""
@@ -163,12 +168,15 @@ def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recordi
     if "location" in taken:
         values = parsed.streams["location"][1]
         values[values[:, 3] < 0, 3] = np.nan  # the app writes -1 for unknown
+    if PHONE_HEADING in taken:
+        time_s, heading_deg = parsed.streams[PHONE_HEADING]
+        is_known = heading_deg[:, 0] != -1
+        parsed.streams[PHONE_HEADING] = time_s[is_known], np.radians(heading_deg[is_known])
     asked_hz = _requested_hz(export)
     parsed.requested_hz = {stream: asked_hz[sensor] for stream, sensor in taken.items() if sensor in asked_hz}
     parsed.clock = f"unix nanoseconds of the phone; time zero is {zero_ns} ns"
     if zero_ns > limits.MAX_ELAPSED_S * 1e9:
         parsed.meta["epoch_ns"] = zero_ns
-    parsed.set_phone(export.step_counts, export.heading_deg)
     if export.annotations:
         parsed.meta["annotations"] = [
             {"time_s": (time_ns - zero_ns) * 1e-9, "text": text[: limits.MAX_TEXT_CHARS]}
@@ -278,11 +286,11 @@ def _read_tables(members: Members) -> _Export:
     if len(metadata) >= 2:
         export.metadata = dict(zip([name.strip() for name in metadata[0]], metadata[1], strict=False))
     export.annotations = _annotations(annotations)
-    export.step_counts = _column(members, tables, "Pedometer", "steps")
-    export.heading_deg = _column(members, tables, "Compass", "magneticBearing")
     begun_ns: int | None = None  # first time, in tables that keep all digits
     rounded: list[str] = []
     for sensor, columns in COLUMNS.items():
+        if sensor in _OF_PHONE and not _is_readable(members, tables, sensor):
+            continue
         if name := _member(tables, sensor, members):
             table = TextTable(members.blocks(name), members.where(name))
             if table.is_empty:
@@ -311,13 +319,14 @@ def _read_tables(members: Members) -> _Export:
     return export
 
 
-def _column(members: Members, names: Sequence[str], sensor: str, column: str) -> FloatArray | None:
-    """Return a column of a table that only describes the walk, or None if it cannot be read."""
+def _is_readable(members: Members, names: Sequence[str], sensor: str) -> bool:
+    """Return True if the files have one table of a sensor, with its columns as numbers."""
     with contextlib.suppress(RecordingError):
         if name := _member(names, sensor, members):
             table = TextTable(members.blocks(name), members.where(name))
-            return table.parse(table.places((column,)), []).values[:, 0]
-    return None
+            time, *places = table.places(("time", *COLUMNS[sensor]))
+            return len(table.parse(places, [], whole=time)) > 0
+    return False
 
 
 def _member(names: Sequence[str], sensor: str, members: Members) -> str:
@@ -355,8 +364,9 @@ def _read_json(members: Members, name: str) -> _Export:
         if sensor not in parts:
             first = ((str(row.get("time", "")), str(row.get("seconds_elapsed", ""))) for row in found)
             begun_ns[sensor] = _begun_ns(islice(first, limits.HEAD_ROWS))
-        table = table_of_rows(found, COLUMNS[sensor], f"{where}, {sensor}", export.notes)
-        parts.setdefault(sensor, []).append(table)
+        with contextlib.suppress(RecordingError) if sensor in _OF_PHONE else contextlib.nullcontext():
+            table = table_of_rows(found, COLUMNS[sensor], f"{where}, {sensor}", export.notes)
+            parts.setdefault(sensor, []).append(table)
         found.clear()
 
     for item in objects_in(members.pieces(name), where):

@@ -22,6 +22,8 @@ STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
     "proximity": ("distance_cm",),
     "attitude": ("qw", "qx", "qy", "qz"),
     "location": ("latitude_deg", "longitude_deg", "altitude_m", "horizontal_accuracy_m"),
+    "phone_heading": ("heading_rad",),
+    "phone_step_count": ("n_steps",),
 }
 WIFI_COLUMNS = ("bssid", "rssi_dbm", "frequency_mhz")
 TRUTH_COLUMNS: dict[str, tuple[str, ...]] = {

@@ -93,6 +93,7 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
         place = {"latitude_deg": track.latitude_deg, "longitude_deg": track.longitude_deg}
     if track.altitude_m is not None:
         place["altitude_m"] = track.altitude_m
+    by_phone = {"phone_n_steps": track.phone_n_steps, "phone_heading_rad": track.phone_heading_rad}
     return {
         "time_s": track.time_s,
         "east_m": track.position_m[:, 0],
@@ -105,6 +106,7 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
         "step_length_m": track.step_length_m,
         "walked_m": track.walked_m,
         "walking_heading_rad": track.walking_heading_rad,
+        **{name: values for name, values in by_phone.items() if len(values)},
         "smoothed_speed_mps": track.smoothed_speed_mps,
         "smoothed_speed_std_mps": track.smoothed_speed_std_mps,
         "height_m": track.height_m,

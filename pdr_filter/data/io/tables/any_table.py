@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -14,8 +14,6 @@ from pdr_filter.data.io.column_names import (
     LINEAR,
     SENSOR_CODES,
     VECTORS,
-    is_heading,
-    is_step_count,
     letters,
     quantity_of_file,
     trial_of,
@@ -23,7 +21,7 @@ from pdr_filter.data.io.column_names import (
 )
 from pdr_filter.data.io.files.archive import Members, open_members
 from pdr_filter.data.io.tables.app_dialects import dialect_of, said_platform
-from pdr_filter.data.io.tables.column_groups import groups_of
+from pdr_filter.data.io.tables.column_groups import Group, groups_of, phone_groups_of
 from pdr_filter.data.io.tables.column_guess import Guess, NoAccelerometerError, guess
 from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
 from pdr_filter.data.io.tables.column_template import asked_mapping
@@ -36,7 +34,7 @@ from pdr_filter.data.io.tables.spreadsheet import is_spreadsheet, spreadsheet_sh
 from pdr_filter.data.io.tables.table_streams import fill_streams
 from pdr_filter.data.io.tables.text_sheets import TextRows, by_text, text_sheet, text_sheets
 from pdr_filter.data.io.text_table import UNKNOWN
-from pdr_filter.values import FloatArray, limits
+from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
@@ -75,6 +73,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         groups = [group for i, sheet in enumerate(sheets) for group in groups_of(sheet, i)]
         if not groups:
             raise RecordingError(f"{where}: {_nothing(sheets, path)}")
+        groups += _of_phone(sheets, groups)
         for i, sheet in enumerate(sheets):
             used = {place for group in groups if group.sheet == i for place in (*group.places, *group.bias, group.time)}
             sheets[i] = sheet.using(used, parsed.notes)
@@ -97,7 +96,6 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         parsed.instead = dialect.instead
         fill_streams(parsed, found.mapping, sheets)
         parsed.source = found.source
-        parsed.set_phone(_by_phone(sheets, is_step_count), _by_phone(sheets, is_heading))
         read_experiment(members, parsed)
     parsed.found += found.evidence
     used = {name for stream in found.mapping.streams for name in (*stream.columns, *stream.bias, stream.time)}
@@ -213,14 +211,15 @@ def _check_one_device(sheet: Sheet) -> None:
             )
 
 
-def _by_phone(sheets: Sequence[Sheet], is_named: Callable[[str], bool]) -> FloatArray | None:
-    """Return the first column of numbers whose name fits, such as that of a step counter, or None."""
-    for sheet in sheets:
-        for i, name in enumerate(sheet.fields):
-            if i not in sheet.texts and i not in sheet.dates and is_named(name):
-                with suppress(RecordingError):
-                    return sheet.parse([i], None, []).values[:, 0]
-    return None
+def _of_phone(sheets: Sequence[Sheet], groups: Sequence[Group]) -> list[Group]:
+    """Return the columns of steps and headings that the phone computed itself.
+
+    Their table has times, or one of the sensors in `groups`, and it is the only one of its name.
+    """
+    names = [sheet.name for sheet in sheets]
+    of_sensors = {group.sheet for group in groups}
+    found = (group for i, sheet in enumerate(sheets) for group in phone_groups_of(sheet, i))
+    return [g for g in found if names.count(names[g.sheet]) == 1 and (g.time is not None or g.sheet in of_sensors)]
 
 
 def _folder_of_recording(members: Members) -> Path | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from pdr_filter.data.io.column_names import (
@@ -12,6 +13,8 @@ from pdr_filter.data.io.column_names import (
     LINEAR,
     LOCATION,
     OF_UNIT,
+    PHONE_HEADING,
+    PHONE_STEPS,
     SCALARS,
     UNITS,
     VECTORS,
@@ -20,6 +23,8 @@ from pdr_filter.data.io.column_names import (
     column_of,
     column_of_nanoseconds,
     has_time_unit,
+    is_heading,
+    is_step_count,
     is_time,
     letters,
     quantity_of_file,
@@ -93,6 +98,32 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
     if "latitude" in values and "longitude" in values:
         groups.append(group("location", [values[name].place if name in values else -1 for name in LOCATION], ""))
     return groups
+
+
+def phone_groups_of(sheet: Sheet, at: int) -> list[Group]:
+    """Return a `Group` for the steps, and one for the heading, that the phone computed itself, if the table has them.
+
+    The first column of numbers with such a name is taken.
+    """
+    times = _times(sheet, is_named=True)
+    groups: list[Group] = []
+    for quantity, is_named in ((PHONE_STEPS, is_step_count), (PHONE_HEADING, is_heading)):
+        named = (i for i in _numbers(sheet) if i not in sheet.dates and is_named(sheet.fields[i]))
+        place = next((i for i in named if _is_readable(sheet, i)), None)
+        if place is not None:
+            name, unit = sheet.fields[place], column_of(place, sheet.fields[place]).unit
+            time = _time_of(sheet, quantity, [place], times)
+            time_unit = "" if time is None else time_unit_of(sheet.fields[time])
+            groups.append(Group(at, quantity, (place,), time, time_unit, unit, name))
+    return groups
+
+
+def _is_readable(sheet: Sheet, place: int) -> bool:
+    """Return True if all cells of a column are numbers, or empty. Readers do without the other ones."""
+    with suppress(RecordingError):
+        sheet.parse([place], None, [])
+        return sheet.fields.count(sheet.fields[place]) == 1
+    return False
 
 
 def _times(sheet: Sheet, is_named: bool) -> list[int]:

@@ -6,6 +6,7 @@ Notes and evidence report each guess.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -13,19 +14,22 @@ from pathlib import PurePath
 
 import numpy as np
 
-from pdr_filter.data.io.checks import up_cosine
+from pdr_filter.data.io.checks import is_of_phone, up_cosine
 from pdr_filter.data.io.column_names import (
     ACCELERATION,
     ANGLES,
     FIELD,
     GRAVITY,
     LINEAR,
+    PHONE_HEADING,
+    PHONE_STEPS,
     RATE,
     ROTATION,
     SCALARS,
     TIME_UNITS,
     UNITS,
     column_of,
+    period_of,
 )
 from pdr_filter.data.io.describe import median_norm
 from pdr_filter.data.io.tables.app_dialects import Dialect
@@ -48,9 +52,11 @@ _DEGREES_BELOW = 0.13  # the geometric mean of 1 and pi/180
 # orientations, as quaternions, rotation vectors or Euler angles, none.
 _TURNS_AS_SAID = (0.5, 2.0)
 _RATE_SHARE = 0.25
+# A name with a number and its unit, above a table.
+_STATED = re.compile(r"([A-Za-z][A-Za-z _]{0,30}?) ?(?:[:=,;]|is) ?(\d{1,9}(?:\.\d{1,9})?) ?([A-Za-z]*)")
 _NAMES = {
     **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
-    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
+    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s", "\u00b0": "deg"},
 }
 # Plausible range of the median of a quantity, and the units to try.
 _BY_SIZE = {
@@ -90,7 +96,7 @@ class _Stream:
 
     @property
     def factor(self) -> float:
-        return UNITS[self.group.quantity].get(self.unit, 1.0)
+        return UNITS.get(self.group.quantity, {}).get(self.unit, 1.0)
 
 
 def guess(
@@ -129,7 +135,7 @@ def guess(
     streams = [_as_rate(s, time_s, force) for s in streams]
     chosen = [*forces]
     result.is_time_declared = forces[0].is_time_declared
-    for quantity in (RATE, FIELD, *SCALARS, "location", ANGLES):
+    for quantity in (RATE, FIELD, *SCALARS, "location", ANGLES, PHONE_HEADING, PHONE_STEPS):
         fitting = [s for s in streams if s.group.quantity == quantity]
         if fitting:
             near = max(
@@ -140,7 +146,11 @@ def guess(
                 # A clock that began elsewhere: what counts is when the rows of the table have another place.
                 on_clock = replace(near.group, time=forces[0].group.time, time_unit=forces[0].time_unit)
                 near = _stream(on_clock, near.sheet, dialect, rate_hz)
-            chosen.append(_with_unit(near, force, time_s, result))
+            near = _with_unit(near, force, time_s, result)
+            if is_of_phone(quantity, near.time_s, near.factor * near.values, float(np.ptp(forces[0].time_s))):
+                chosen.append(near)
+            else:
+                result.evidence[-1] += "; not used, because its values are not those of a phone"
     left_out = sorted({s.sheet.name for s in streams} - {s.sheet.name for s in chosen})
     if left_out:
         result.notes.append(f"left out: {', '.join(left_out)[:200]}")
@@ -188,8 +198,9 @@ def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dia
     first = sheets[groups[0].sheet]
     if period_ms := dialect.period_of(first.about):
         return 1000 / period_ms
-    if first.rate_hz:
-        return first.rate_hz
+    stated = (period_of(f"{name} ({unit})", float(number)) for name, number, unit in _STATED.findall(first.about))
+    if rate_hz := first.rate_hz or next((1 / period_s for period_s in stated if period_s), 0.0):
+        return rate_hz
     sheet = next(sheets[group.sheet] for group in groups if group.time is None)
     names = ", ".join(sheet.fields)[:200]
     app = f"this looks like {dialect.app}, but there is" if dialect.app else "there is"
@@ -218,6 +229,8 @@ def _stream(group: Group, sheet: Sheet, dialect: Dialect, rate_hz: float) -> _St
     known = np.isfinite(time_s)
     if group.quantity == "location":
         known &= is_new_position(values)
+    if group.quantity == PHONE_HEADING and group.unit != "rad":
+        known &= values[:, 0] != -1  # which iOS writes for unknown
     if not known.all():
         time_s, values = time_s[known], values[known]
     has_constant = group.quantity in (ACCELERATION, LINEAR, GRAVITY, ROTATION)
@@ -364,8 +377,10 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
         norm = median_norm(s.values)
         fits = [unit for unit in units if low <= norm * UNITS[quantity][unit] <= high]
         s = replace(s, unit=fits[0] if fits else units[0])
+    elif not s.unit and quantity == PHONE_HEADING:
+        s = replace(s, unit="rad" if np.abs(s.values).max() <= 2 * math.pi else "deg")
     elif not s.unit:
-        s = replace(s, unit={"light": "lux", "proximity": "cm", ANGLES: "rad"}.get(quantity, ""))
+        s = replace(s, unit={"light": "lux", "proximity": "cm", ANGLES: "rad", PHONE_STEPS: "steps"}.get(quantity, ""))
     result.evidence.append(f"{quantity}: {name}, {_NAMES.get(s.unit, s.unit) or 'degrees and metres'}")
     return s
 

@@ -8,7 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-from pdr_filter.data.io.column_names import ACCELERATION, ANGLES, GRAVITY, LINEAR, TIME_UNITS, UNITS, normal_unit
+from pdr_filter.data.io.column_names import (
+    ACCELERATION,
+    ANGLES,
+    GRAVITY,
+    LINEAR,
+    PHONE_HEADING,
+    PHONE_STEPS,
+    TIME_UNITS,
+    UNITS,
+    normal_unit,
+)
 from pdr_filter.data.io.files.archive import read_toml
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.safe_files import beside
@@ -25,6 +35,8 @@ STREAMS: dict[str, tuple[int, tuple[str, ...]]] = {
     "attitude": (4, ("",)),
     ANGLES: (3, ("rad", "deg")),
     "location": (4, ("",)),
+    PHONE_HEADING: (1, ("deg", "rad")),
+    PHONE_STEPS: (1, ("steps",)),
 }
 
 

@@ -33,9 +33,9 @@ _RATE_AS_SAID = (0.5, 2.0)  # limits of the measured turning of gravity over tha
 NOT_SHOWN = 'columns = ["?", "?", "?"]'
 _AXIS = re.compile(r"[XYZxyz\d]\W*$")
 _ASK = (
-    "with your columns, unit of time (s, ms, us, ns, 100ns, date; rate_hz = 50 in place of column and unit, if rows "
-    "have no time), unit (m/s2 or g), counts_per_unit if the sensor counts, sign (-1 if a phone lying face up "
-    "reads negative on z), and give it with pdr-filter convert"
+    "with your columns, unit of time (s, ms, us, ns, 100ns, min, h, days, date; rate_hz = 50 in place of column and "
+    "unit, if rows have no time), unit (m/s2 or g), counts_per_unit if the sensor counts, sign (-1 if a phone lying "
+    "face up reads negative on z), and give it with pdr-filter convert"
 )
 
 

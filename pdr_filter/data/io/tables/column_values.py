@@ -76,7 +76,7 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
 def time_unit_of_values(ticks: FloatArray) -> str:
     """Return the unit of times whose header states none, or an empty string if none fits.
 
-    Times since 1970 show it by their size, others by the usual sampling rates of phones.
+    Times since 1970, and days of a calendar, show it by their size, others by the usual sampling rates of phones.
     """
     ticks = ticks[~np.isnan(ticks)]
     median = float(np.median(ticks)) if len(ticks) else 0.0
@@ -86,7 +86,8 @@ def time_unit_of_values(ticks: FloatArray) -> str:
         if since_1970(median, unit) is not None and per_tick >= _SLOWEST_HZ * s:
             return unit
     low, high = limits.RATE_RANGE_HZ
-    return next((unit for unit, s in TIME_UNITS.items() if low <= per_tick / s <= high), "")
+    # Seconds at a high rate are more probable than minutes.
+    return next((unit for unit, s in TIME_UNITS.items() if s <= 1 and low <= per_tick / s <= high), "")
 
 
 def clocks_in(columns: FloatArray) -> list[int]:

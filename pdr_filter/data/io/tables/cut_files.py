@@ -31,15 +31,21 @@ _WORD = re.compile(r"[A-Za-z]{2,}")
 def with_cut_files_joined(sheets: Sequence[Sheet], notes: list[str] | None) -> list[Sheet]:
     """Return the tables, in which files of one sensor that continue each other in time are one table.
 
-    `notes` gets a sentence for each joined table.
+    Files of a sensor may be missing while those of another sensor continue. `notes` gets a sentence for each joined
+    table.
     """
     groups: dict[object, list[Sheet]] = {}
     for i, sheet in enumerate(sheets):
         sensor = _sensor_of(sheet.name)
         groups.setdefault((sensor, sheet.fields) if is_numbered(sheet.name) and sensor[0] else i, []).append(sheet)
     found: list[Sheet] = []
-    for parts in groups.values():
-        ordered = in_time(parts) if len(parts) > 1 else None
+    continued = {key: in_time(parts) for key, parts in groups.items() if len(parts) > 1}
+    is_any_apart = None in continued.values()
+    spans_s = [_span_s(ordered) for ordered in continued.values() if ordered is not None and is_any_apart]
+    for key, parts in groups.items():
+        ordered = continued.get(key)
+        if ordered is None and len(parts) > 1 and spans_s:
+            ordered = in_time(parts, spans_s)
         found += parts if ordered is None else [_joined(ordered)]
         if ordered is not None and notes is not None:
             sensor, _ = _sensor_of(ordered[0].name)
@@ -58,10 +64,11 @@ def _sensor_of(name: str) -> tuple[str, int]:
     return ("location", 1) if is_location else quantity_of_file(name)
 
 
-def in_time(sheets: Sequence[Sheet]) -> list[Sheet] | None:
+def in_time(sheets: Sequence[Sheet], spans_s: Sequence[tuple[float, float]] = ()) -> list[Sheet] | None:
     """Return tables in the order of their times if each continues the one before, otherwise None.
 
-    Tables are read one after the other, so that those of separate walks, whose clocks begin anew, take no time.
+    Gaps of any length inside `spans_s` are those of missing files: begin and end of other sensors in s. Tables are read
+    one after the other, so that those of separate walks, whose clocks begin anew, take no time.
     """
     with suppress(RecordingError):
         times = [next((group.time for group in groups_of(sheet, 0)), None) for sheet in sheets]
@@ -77,10 +84,24 @@ def in_time(sheets: Sequence[Sheet]) -> list[Sheet] | None:
             unit_s = TIME_UNITS["ns" if times[k] in sheets[k].dates else time_unit_of_values(ticks) or "s"]
             gap_s = (begins[after] - float(known.max())) * unit_s
             usual_s = float(np.median(np.diff(known))) * unit_s if len(known) > 1 else 0.0
-            if not _SHORTEST_CUT_S < gap_s < max(_LONGEST_CUT_S, _MOST_INTERVALS * usual_s):
+            end_s, next_s = float(known.max()) * unit_s, begins[after] * unit_s
+            is_missing = any(begin_s <= end_s and next_s <= last_s for begin_s, last_s in spans_s)
+            most_s = np.inf if is_missing else max(_LONGEST_CUT_S, _MOST_INTERVALS * usual_s)
+            if not _SHORTEST_CUT_S < gap_s < most_s:
                 return None
         return [sheets[i] for i in order]
     return None
+
+
+def _span_s(ordered: Sequence[Sheet]) -> tuple[float, float]:
+    """Return the first and the last time of tables in the order of time, in s."""
+    found: list[FloatArray] = []
+    for sheet in (ordered[0], ordered[-1]):
+        time = next((group.time for group in groups_of(sheet, 0)), None)
+        ticks = _ticks(sheet, time)
+        unit = "ns" if time in sheet.dates else time_unit_of_values(ticks) or "s"
+        found.append(ticks[np.isfinite(ticks)] * TIME_UNITS[unit])
+    return float(found[0].min(initial=np.inf)), float(found[1].max(initial=-np.inf))
 
 
 def _begin(sheet: Sheet, time: int) -> float:

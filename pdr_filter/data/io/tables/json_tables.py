@@ -17,7 +17,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.data.io.column_names import VECTORS, column_of, is_time, quantity_of_file
+from pdr_filter.data.io.column_names import (
+    VECTORS,
+    column_of,
+    is_time,
+    period_of,
+    quantity_of_file,
+    states_period,
+)
 from pdr_filter.data.io.files.archive import Members
 from pdr_filter.data.io.tables.dates import is_date, nanoseconds_of, without_midnights
 from pdr_filter.data.io.tables.sheet import Sheet
@@ -71,10 +78,16 @@ def json_fields(members: Members, name: str) -> list[Sheet]:
                     found.setdefault(sensor, {}).update(dict.fromkeys(rows if isinstance(rows, dict) else rows[0]))
         if found or len(head) < limits.HEAD_BYTES:
             break
+    if n := next((n for fields in found.values() if (n := len(fields)) > limits.MAX_COLUMNS), 0):
+        raise RecordingError(_too_many_columns(members.where(name), n))
     return [
         Sheet.of_columns(sensor, members.where(name), dict.fromkeys(fields, np.empty(0)))
         for sensor, fields in found.items()
     ]
+
+
+def _too_many_columns(where: str, n: int) -> str:
+    return f"{where}: {n} columns, over {limits.MAX_COLUMNS}; export fewer"
 
 
 def objects_in(pieces: Iterable[bytes], where: str, notes: list[str] | None = None) -> Iterator[Row]:
@@ -134,11 +147,12 @@ def _rows_of(
     time of several samples, which then all have this time. `times` are those of the objects around this one; a list of
     times belongs to the lists that are as long.
     """
+    item = _of_data_frame(item)
     if _is_plain(item):
         yield _sensor_of(item) or name, [_flat(item)]
         return
     lists = {key: cast("list[Any]", value) for key, value in item.items() if isinstance(value, list)}
-    times = {**(times or {}), **{key: v for key, v in item.items() if is_time(key) and not isinstance(v, dict)}}
+    times = {**(times or {}), **_times_in(item)}
     tables = {key: rows for key, values in lists.items() if (rows := _as_rows(values, times))}
     columns = {key: rows for key, rows in lists.items() if key not in tables and _is_column(key, rows)}
     name = _sensor_of(item) or name
@@ -163,6 +177,40 @@ def _rows_of(
         for key, value in inner.items():
             if _holds_samples(value):
                 yield from _rows_of(value, name if key in _PLAIN else key, depth + 1, times)
+
+
+def _of_data_frame(item: Row) -> Row:
+    """Return an object with a list for each column, if it is a table as pandas and databases write it.
+
+    Its columns are then objects of values by row number, or the names and the rows are two lists.
+    """
+    by_number = {key: cast("Row", value) for key, value in item.items() if isinstance(value, dict) and "0" in value}
+    if by_number and all(next(reversed(rows)) == str(len(rows) - 1) for rows in by_number.values()):
+        return item | {key: [*rows.values()] for key, rows in by_number.items()}
+    names: Any = item.get("columns")
+    for rows in (item.get(key) for key in ("data", "values", "rows")):
+        if isinstance(names, list) and isinstance(rows, list) and _are_rows(rows, len(cast("list[Any]", names))):
+            by_name = zip(
+                map(str, cast("list[Any]", names)), zip(*cast("list[list[Any]]", rows), strict=True), strict=True
+            )
+            return {name: [*column] for name, column in by_name}
+    return item
+
+
+def _are_rows(values: list[Any], n: int) -> bool:
+    """Return True for a list of lists of `n` values each."""
+    return values != [] and all(isinstance(row, list) and len(cast("list[Any]", row)) == n for row in values)
+
+
+def _times_in(item: Row) -> Row:
+    """Return the times of an object, and its sampling rate or interval, which may be among its metadata."""
+    times = {key: value for key, value in item.items() if is_time(key) and not isinstance(value, dict)}
+    plain = (cast("Row", value) for value in item.values() if isinstance(value, dict) and _is_plain(value))
+    periods = (
+        {key: value for key, value in found.items() if states_period(key) and isinstance(value, int | float)}
+        for found in (*plain, item)
+    )
+    return dict(chain.from_iterable(found.items() for found in periods)) | times
 
 
 def _is_plain(item: Row) -> bool:
@@ -276,24 +324,31 @@ class _Columns:
         self._keep_rows()
         columns: dict[str, FloatArray | IntArray] = {}
         places: dict[str, list[int]] = {"": [], "date": [], "exact": []}
+        period_s = 0.0
         for field in dict.fromkeys(key for _, part in self._parts for key in part):
             known = [part.get(field, (np.full(n, np.nan), "")) for n, part in self._parts]
             kinds = {kind for _, kind in known}
             kind = kinds.pop() if len(kinds) == 1 else ""
             column: Any = np.concatenate([column for column, _ in known]).astype(np.int64 if kind else float)
-            if is_time(field) and len(column) > 1 and (column == column[0]).all():
+            is_constant = len(column) > 1 and (column == column[0]).all()
+            if is_constant and not kind and (of_field_s := period_of(field, float(column[0]))):
+                period_s = of_field_s
+                continue
+            if is_constant and is_time(field):
                 continue  # that of the start or of the whole file
             columns[field] = without_midnights(column) if kind == "date" else column
             places[kind].append(len(columns) - 1)
         if not columns:
             return None
+        if period_s and not any(map(is_time, columns)):
+            columns["time_s"] = period_s * np.arange(len(next(iter(columns.values()))), dtype=np.float64)
         return Sheet.of_columns(name, self._where, columns, {*places["date"]}, {*places["exact"]})
 
     def _keep_rows(self) -> None:
         if self._rows:
             keys = dict.fromkeys(key for row in self._rows for key in row)
             if len(keys) > limits.MAX_COLUMNS:
-                raise RecordingError(f"{self._where}: {len(keys)} columns, over {limits.MAX_COLUMNS}; export fewer")
+                raise RecordingError(_too_many_columns(self._where, len(keys)))
             self._keep({key: [row.get(key) for row in self._rows] for key in keys}, len(self._rows))
             self._rows = []
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pdr_filter.data.io.assemble import Parsed
-from pdr_filter.data.io.column_names import ANGLES, GRAVITY, LINEAR, TIME_UNITS, since_1970
+from pdr_filter.data.io.column_names import ANGLES, GRAVITY, LINEAR, PHONE_HEADING, TIME_UNITS, since_1970
 from pdr_filter.data.io.tables.column_mapping import Mapping, StreamMap
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.values import BoolArray, FloatArray, IntArray, interpolated_near, limits
@@ -83,6 +83,9 @@ def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _Mapp
         is_new = is_new_position(values)
         ticks, values = ticks[is_new], values[is_new]
         values[values[:, 3] < 0, 3] = np.nan  # apps write -1 for unknown
+    if stream.stream == PHONE_HEADING and stream.unit == "deg":
+        is_known = values[:, 0] != -1  # which iOS writes for unknown
+        ticks, values = ticks[is_known], values[is_known]
     unit_s = 1 / mapping.rate_hz if time is None else TIME_UNITS.get(stream.time_unit, 1e-9)
     return _MappedStream(ticks, unit_s, values * stream.factor)
 
