@@ -2,8 +2,8 @@
 
 Version 0.2.0 saved format 6; formats 1 to 5 were never released. There is one function for each format: it takes a
 dataclass of this format, as its name and the nodes of its fields, and returns the node of the next format.
-`serialisation` describes the nodes. Filters of formats 7 to 9 continue as the version that saved them. Of format 6, the
-detections of repeated fixes, stuck sensors and rides without steps begin again, and so do the particles on a plan.
+`serialisation` describes the nodes. Filters of formats 7 to 9 continue as in the version that saved them. In a filter of
+format 6, the detections of repeated fixes, of stuck sensors and of motion without steps begin again.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 _Fields = dict[str, Any]
-# Class or module of a class, and names of fields, in a format and in the next. A field without a next name is omitted.
+# Names in the next format, of classes or of fields. A field whose next name is empty is omitted.
 _Names = Mapping[str, str]
 
 
@@ -51,9 +51,9 @@ def _array(values: ArrayLike) -> dict[str, Any]:
 
 
 def _next_name(name: str, classes: _Names) -> str:
-    """Return the next name of a class. The table has names without the package, with or without their module."""
+    """Return the next name of a class. The table has classes without their module, and names without the package."""
     inside = name.removeprefix("pdr_filter.")
-    module, _, cls = inside.partition(":")
+    cls = inside.partition(":")[2]
     return f"pdr_filter.{classes[cls]}" if inside != name and cls in classes else name
 
 
@@ -94,9 +94,8 @@ _FIELDS_6: Mapping[str, _Names] = {
         "of_bias_var_rad2": "bias_error_var_rad2",
         "formers": "previous_places",
     },
-    "EvenStepsState": {},
     "RattleState": {"waiting_mps2": "", "run_s": ""},
-    "ParticleState": {"way": "", "doubt": "", "particles": "", "weight": "", "parent": ""},
+    "ParticleState": {"way": "reckoned", "doubt": "lost_log_odds"},
     "State": {"n_length_fixes": ""},
     "StepCounts": {"quick_and_soft": ""},
     "WindowCounts": {"stairs_unknown": ""},
@@ -110,6 +109,8 @@ def _from_6(name: str, fields: _Fields) -> Any:
         fields = {"parts": {"tuple": [fields["linear"], fields["trees"]]}}
     elif cls == "Ride":
         fields["is_still"] = False
+    elif cls == "PedestrianState" and fields["steps"]["fields"]["n_final"] > 0:
+        fields["std_at_start_m"] = 1e6  # no limit, as in version 0.2.0; infinity is for the time before the first step
     elif cls == "WatchdogState":  # as before the first row
         low, high = _array(np.full(9, np.inf)), _array(np.full(9, -np.inf))
         fields = {"n_rows": 0, "low": low, "high": high, "last": _array(np.full(9, np.nan))}
@@ -213,7 +214,8 @@ def _chain_of(state: _Fields) -> _Fields:
         whole = _node(f"{chain}.with_plan:PlanTrack", {"inner": whole, "particles": particles})
     climbs = {"barometer": take("barometer"), "climbs": take("climbs")}
     climbs |= {"n_used": take("n_climbs_used"), "n_lost": take("n_lost_climbs")}
-    statistics = {name: take(name) for name in ("seen", "walked", "rides", "length_fixes", "n_rejected_fixes") if name in state}
+    counts = ("seen", "walked", "rides", "length_fixes", "n_rejected_fixes")
+    statistics = {name: take(name) for name in counts if name in state}
     last = {"window": take("window"), "fixes": take("last_fixes"), "update": take("last_update")}
     if "undecided_s" in state:
         last["undecided_s"] = take("undecided_s")
