@@ -2,7 +2,7 @@
 
 Version 0.2.0 saved format 6; formats 1 to 5 were never released. There is one function for each format: it takes a
 dataclass of this format, as its name and the nodes of its fields, and returns the node of the next format.
-`serialisation` describes the nodes. Filters of formats 7 to 9 continue as in the version that saved them. In a filter of
+`serialisation` describes the nodes. Filters of formats 7 to 9 continue as in the version that saved them. In filters of
 format 6, the detections of repeated fixes, of stuck sensors and of motion without steps begin again.
 """
 
