@@ -37,6 +37,7 @@ from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.stream_merging import StreamMerger
 from pdr_filter.values import DECLINATION_STD_RAD, FloatArray, Note, Plan, PositionFix, check_members
+from pdr_filter.values.checks import shown
 from pdr_filter.values.georeference import Georeference
 from pdr_filter.values.serialisation import to_bytes
 
@@ -695,5 +696,6 @@ def check_config(config: object) -> None:
     """Raise ValueError unless the argument is a configuration."""
     if not isinstance(config, Config):
         raise ValueError(
-            f"config must be a Config, got {config!r}: call a recipe, such as pdr_filter.recipes.default()"
+            f"config must be a Config, got {shown(config)}: call a recipe, such as pdr_filter.recipes.default(), and "
+            "give arguments such as fixes, weighting or priors by their names"
         )

@@ -115,6 +115,7 @@ class OnlineFilter:
     def __init__(
         self,
         config: Config | None = None,
+        *,
         height_m: float | None = None,
         plan: Plan | None = None,
         start: PositionFix | str | None = None,
