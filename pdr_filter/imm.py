@@ -18,3 +18,7 @@ __all__ = [
     "update",
     "update_mode_prob",
 ]
+
+
+def __dir__() -> list[str]:
+    return __all__
