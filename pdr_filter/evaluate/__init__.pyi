@@ -1,6 +1,5 @@
 # The public names: this list is read when the package is imported, and by type checkers.
 
-from .tracks import rigid_fit as rigid_fit
 from .classification import accuracy as accuracy
 from .classification import brier_score as brier_score
 from .classification import calibration_error as calibration_error
@@ -54,3 +53,4 @@ from .tracks import position_errors_m as position_errors_m
 from .tracks import position_rmse_m as position_rmse_m
 from .tracks import positions_at as positions_at
 from .tracks import relative_error_m as relative_error_m
+from .tracks import rigid_fit as rigid_fit

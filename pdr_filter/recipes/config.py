@@ -80,6 +80,9 @@ class Config:
         Whether the filter keeps past steps for `OnlineFilter.path`. Whole recordings do not.
     handlers : tuple of callable
         Additional handlers; see `with_handler`.
+    wc_threshold : float, default 0.8
+        Threshold with which `with_weighting("wc")` weights contexts (`WeightedTracker.threshold`). It is that of the
+        tracker, if the tracker has the weighting "wc".
 
     Raises
     ------
@@ -106,6 +109,7 @@ class Config:
     merger: StreamMerger = field(default_factory=StreamMerger)
     keeps_path: bool = True
     handlers: tuple[Callable[[Handler[Any]], Handler[Any]], ...] = ()
+    wc_threshold: float = WC
 
     def __post_init__(self) -> None:
         of_heading, drift = drift_of(self.sensing.heading), self.model.noise.heading_drift
@@ -114,6 +118,8 @@ class Config:
                 f"the heading stage must have the heading drift of the filter, {drift}, got {of_heading}: pass the "
                 "same HeadingDrift to both"
             )
+        if self.tracker.weighting == "wc" and isinstance(self.tracker, WeightedTracker):
+            object.__setattr__(self, "wc_threshold", self.tracker.threshold)
         if self.sensing.context_set != self.model.context_set:
             object.__setattr__(self, "sensing", replace(self.sensing, context_set=self.model.context_set))
 
@@ -648,7 +654,7 @@ class Config:
             return self
         if weighting == "imm":
             return replace(self, tracker=ImmTracker(self.model))
-        threshold = HC if weighting == "hc" else WC
+        threshold = HC if weighting == "hc" else self.wc_threshold
         return replace(self, tracker=replace(weighted, threshold=threshold, function=None))
 
     @cached_property

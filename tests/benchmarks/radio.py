@@ -182,7 +182,9 @@ def walks(tables: Tables, arguments: argparse.Namespace) -> None:
 
         def smoothed(known: Sequence[pdr.PositionFix], loops: bool, walk: Known = walk) -> pdr.Track:
             closed = wifi_loop_closures(walk.recording) if loops else ()
-            return pdr.smooth(walk.recording, fixes=known, loop_closures=closed, start_heading_std_rad=START_STD_RAD).track
+            return pdr.smooth(
+                walk.recording, fixes=known, loop_closures=closed, start_heading_std_rad=START_STD_RAD
+            ).track
 
         both = [here, *radio]
         tracks = [pdr.track(walk.recording, fixes=fixes) for fixes in ([here], both)]
