@@ -180,8 +180,13 @@ class Step:
         (2.0, 12.3)
         """
         check_number("duration_s", duration_s, 0.1, 10.0, "give the time since the previous contact in seconds")
-        derived = {"detected_time_s": time_s, "frequency_hz": 1.0 / duration_s}
-        return cls(**{**_TYPICAL, **derived, "time_s": time_s, "duration_s": duration_s, **values})
+        known = {
+            "time_s": time_s,
+            "detected_time_s": time_s,
+            "duration_s": duration_s,
+            "frequency_hz": 1.0 / duration_s,
+        }
+        return cls(**(_TYPICAL | known | values))
 
     @property
     def heading_source(self) -> str:
