@@ -180,13 +180,8 @@ class Step:
         (2.0, 12.3)
         """
         check_number("duration_s", duration_s, 0.1, 10.0, "give the time since the previous contact in seconds")
-        known = {
-            "time_s": time_s,
-            "detected_time_s": time_s,
-            "duration_s": duration_s,
-            "frequency_hz": 1.0 / duration_s,
-        }
-        return cls(**(_TYPICAL | known | values))
+        given: dict[str, Any] = {"time_s": time_s, "detected_time_s": time_s, "duration_s": duration_s}
+        return cls(**(_TYPICAL | given | {"frequency_hz": 1.0 / duration_s} | values))
 
     @property
     def heading_source(self) -> str:
