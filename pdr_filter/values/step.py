@@ -181,7 +181,8 @@ class Step:
         """
         check_number("duration_s", duration_s, 0.1, 10.0, "give the time since the previous contact in seconds")
         given: dict[str, Any] = {"time_s": time_s, "detected_time_s": time_s, "duration_s": duration_s}
-        return cls(**(_TYPICAL | given | {"frequency_hz": 1.0 / duration_s} | values))
+        given["frequency_hz"] = 1.0 / duration_s
+        return cls(**(_TYPICAL | given | values))
 
     @property
     def heading_source(self) -> str:
