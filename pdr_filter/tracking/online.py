@@ -99,6 +99,9 @@ class OnlineFilter:
 
     Examples
     --------
+    An app pushes blocks of any length, adds a fix when it arrives, and shows `now`:
+
+    >>> import numpy as np
     >>> import pdr_filter as pdr
     >>> samples = pdr.merge_streams(pdr.simulate.demo_walk())
     >>> online = pdr.OnlineFilter()
@@ -108,8 +111,14 @@ class OnlineFilter:
     ...     updates += online.push(
     ...         samples.time_s[block], samples.specific_force_mps2[block], samples.angular_rate_radps[block]
     ...     )
-    >>> len(updates) > 100
-    True
+    ...     if i == 37 * 160:
+    ...         fix = pdr.PositionFix(online.now().time_s, (35.0, 27.0), 2.0**2 * np.eye(2))
+    ...         result = online.add_fix(fix)  # "waiting" for the step at its time
+    >>> updates += online.finish()  # when no more samples come
+    >>> len(updates) > 100, result.outcome, online.now().fixes[-1].outcome
+    (True, 'waiting', 'used')
+    >>> online.now().position_m.shape, online.now().position_cov_m2.shape
+    ((2,), (2, 2))
     """
 
     def __init__(
@@ -449,14 +458,16 @@ class OnlineFilter:
         Parameters
         ----------
         fix : PositionFix, GridFix, HeadingFix, RangeFix, SpeedFix, Standstill or Measurement
-            The fix, on the clock of the samples. A GridFix requires a floor plan.
+            The fix, on the clock of the samples. Positions are in metres from the start, with north along the first
+            heading, unless the configuration is for a frame with unknown origin and north
+            (`OnlineFilter(pdr_filter.recipes.default().in_world_frame())`). A GridFix requires a floor plan.
 
         Returns
         -------
         FixResult
             Outcome of the fix, such as "used", "placed" or "rejected", if the step at its time is known already. A NIS
             above the gate means that the fix contradicts the track. Usually the outcome is "waiting", and `Now.fixes`
-            has the result after a second or two.
+            has the result after a second or two. `help(type(result))` explains each outcome.
 
         Raises
         ------

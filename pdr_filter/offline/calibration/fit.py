@@ -152,6 +152,18 @@ def calibrate(
     >>> _ = calibration.save("my_k.json")
     >>> abs(pdr.track(walk, calibration="my_k.json").distance_m - 120) < 3
     True
+
+    By smoothing, fixes at the ends of a walk calibrate it. `k` are parameters of a step-length model, in its units:
+
+    >>> import numpy as np
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=30.0)])
+    >>> ends = walk.truth.position[[0, -1]]
+    >>> fixes = [pdr.PositionFix(p.time_s, (p.east_m, p.north_m), 0.1**2 * np.eye(2)) for p in ends]
+    >>> calibration = pdr.calibrate(walk, smooth=True, fixes=[fixes])
+    >>> bool(calibration.k_std["walking"] < 0.1 * calibration.k["walking"])
+    True
+    >>> abs(pdr.track(walk, calibration=calibration).distance_m - 30) < 1
+    True
     """
     if not isinstance(recordings, Iterable | Recording):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ValueError(
