@@ -160,9 +160,7 @@ def test_a_saved_filter_has_own_models_and_refers_to_shipped_ones_of_equal_conte
             type(shipped).of_reference(name, "")
 
 
-@pytest.mark.parametrize(
-    ("name", "words"), [("context", "has another context model"), ("gone", "has no context model")]
-)
+@pytest.mark.parametrize(("name", "words"), [("context", "another"), ("gone", "no")])
 def test_a_filter_whose_shipped_model_is_gone_or_changed_is_refused_with_remedies_that_work(
     name: str, words: str
 ) -> None:
