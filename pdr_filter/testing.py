@@ -25,6 +25,11 @@ from pdr_filter.values.serialisation import from_bytes, to_bytes
 
 __all__ = ["verify_fix", "verify_stage", "verify_step_length"]
 
+
+def __dir__() -> list[str]:
+    return __all__
+
+
 # Duration of the test walk in s, and times at which states are saved and loaded.
 _WALK_S, _SAVED_AFTER_S = 18.0, (0.01, 4.3, 9.03, 13.33)
 _SHIFT_S = 1024.0

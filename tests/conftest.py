@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ import pytest
 from pdr_filter.simulate import Gait, Leg, walk
 from pdr_filter.simulate.gait import StepPlan
 from pdr_filter.simulate.motion import Carrying, Motion, build_motion
-from tests.data_folder import DATA
+from tests.data_folder import DATA, DataSets
 
 _TESTS = Path(__file__).parent
 if not (_TESTS / "benchmarks").is_dir():  # in the sdist, which has no experiments
@@ -34,12 +33,8 @@ SLOW = frozenset((_TESTS / "slow_tests.txt").read_text().split())
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """Folder of the real recordings; skips on a user's machine without them, fails in CI."""
-    if not DATA.is_dir():
-        if os.environ.get("CI") == "true":
-            pytest.fail(f"CI needs the recordings at {DATA}")
-        pytest.skip(f"no recordings at {DATA}")
-    return DATA
+    """Folder of the real recordings, `data_dir / data_set`; a missing data set skips the test, or fails in CI."""
+    return DataSets(DATA)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -16,11 +16,11 @@ import pytest
 
 @cache
 def loaded_by(statement: str) -> frozenset[str]:
-    """Modules that a statement loads in a fresh interpreter.
+    """Modules that a statement loads in a fresh interpreter, which may have loaded some itself.
 
     From sys.modules: `-X importtime` does not list what importlib.import_module loads, as the package does.
     """
-    code = f"{statement}\nimport sys; print(*sys.modules, file=sys.stderr)"
+    code = f"import sys; own = set(sys.modules)\n{statement}\nprint(*(set(sys.modules) - own), file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return frozenset(done.stderr.split())
 

@@ -613,5 +613,5 @@ def test_a_weighting_beside_a_configuration_or_none_is_that_of_a_track_with_it(
     for config in (None, recipes.default()):
         updates = [u for u in stream(pdr.OnlineFilter(config, weighting=weighting), [samples]) if u.is_final]
         nobody = replace(short_walk, meta={})
-        track = pdr.track(nobody, config, weighting)
+        track = pdr.track(nobody, config, weighting=weighting)
         np.testing.assert_array_equal([u.position_m for u in updates], track.position_m)

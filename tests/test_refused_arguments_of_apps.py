@@ -121,16 +121,22 @@ async def nobody(*_: Any, **__: Any) -> Any:
 
 
 SMOOTHER: Rows = [
-    (lambda f: pdr.smooth(walk(), [replace(FIX, time_s=1e6, received_time_s=1e6)]), r"none of 1 fixes.*same clock"),
+    (
+        lambda f: pdr.smooth(walk(), fixes=[replace(FIX, time_s=1e6, received_time_s=1e6)]),
+        r"none of 1 fixes.*same clock",
+    ),
     (lambda f: pdr.smooth(walk(), loop_closures=[LoopClosure(1.0, 900.0)]), "outside the recording"),
     (lambda f: LoopClosure(5.0, 4.0), "first_s < second_s"),
     (lambda f: LoopClosure(1.0, 2.0, "0.5"), "std_m > 0"),  # pyright: ignore[reportArgumentType]
     (lambda f: KnownHeading(5.0, 4.0, 0.0), "start_s < end_s"),
     *(
-        (lambda f, std=std: pdr.smooth(walk(), [FIX], start_heading_std_rad=std), "start_heading_std_rad .* omit it")
+        (
+            lambda f, std=std: pdr.smooth(walk(), fixes=[FIX], start_heading_std_rad=std),
+            "start_heading_std_rad .* omit it",
+        )
         for std in (0.0, -1.0, np.nan, "1")
     ),
-    (lambda f: pdr.smooth(walk(), [FIX], anchor_interval_s=0.0), "anchor_interval_s must be a number"),
+    (lambda f: pdr.smooth(walk(), fixes=[FIX], anchor_interval_s=0.0), "anchor_interval_s must be a number"),
     (lambda f: waypoint_fixes(replace(walk(), truth=Truth(waypoints=DISORDERED))), "waypoint 3 of 3, at 4.0 s, comes"),
     (lambda f: waypoint_fixes(replace(walk(), truth=Truth())), "no waypoints"),
     (lambda f: preintegrate(simulated_walk(60, np.random.default_rng(1)).steps, np.array([0, 30, 30])), "anchors must"),

@@ -16,7 +16,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from saved_mutations import FILTERS, a_calibration, at, between, config_of, damaged_filter, good_filter, try_one
+from saved_mutations import (
+    END_S,
+    FILTERS,
+    PAUSE_S,
+    a_calibration,
+    at,
+    between,
+    config_of,
+    damaged_filter,
+    good_filter,
+    tree_of,
+    try_one,
+)
 
 import pdr_filter as pdr
 from pdr_filter import recipes
@@ -68,7 +80,7 @@ def test_a_saved_filter_of_which_one_digit_has_changed_is_refused() -> None:
 
 
 def tree(recipe: str = "default") -> Any:
-    return json.loads(zlib.decompress(good_filter(recipe, located=False)))
+    return tree_of(good_filter(recipe, located=False))
 
 
 def load(content: Any) -> pdr.OnlineFilter:
@@ -140,17 +152,43 @@ def test_a_filter_that_is_finished_or_has_seen_nothing_or_no_gyroscope_can_be_lo
 def test_a_saved_filter_has_own_models_and_refers_to_shipped_ones_of_equal_content() -> None:
     shipped = load_model("context")
     config = recipes.default()
-    assert len(pdr.OnlineFilter(config).save()) < 50_000
+    assert len(pdr.OnlineFilter(config).save()) < 15_000
     own = pdr.OnlineFilter(config.with_contexts(replace(shipped, temperature=2.0)))
     assert pdr.OnlineFilter.load(own.save()).config.sensing.contexts.models.with_gyroscope.temperature == 2.0
-    retrained = replace(shipped)
-    object.__setattr__(retrained, "_checksum", "0" * 64)
-    blob = pdr.OnlineFilter(config.with_contexts(retrained)).save()
-    with pytest.raises(ValueError, match="another context model 'context' than the saved filter"):
-        pdr.OnlineFilter.load(blob)
     for name in ("models/context.npz", "unknown"):  # nothing outside of the package is read
         with pytest.raises(ValueError, match=name):
             type(shipped).of_reference(name, "")
+
+
+@pytest.mark.parametrize(("name", "words"), [("context", "another"), ("gone", "no")])
+def test_a_filter_whose_shipped_model_is_gone_or_changed_is_refused_with_remedies_that_work(
+    name: str, words: str
+) -> None:
+    config = recipes.default()
+    retrained = replace(load_model("context"), name=name)
+    object.__setattr__(retrained, "_checksum", "0" * 64)
+    online = pdr.OnlineFilter(config.with_contexts(retrained))
+    online.push(*between(0.0, 8.0))
+    with pytest.raises(
+        ValueError, match=rf"has {words} context model '{name}'.*load\(blob, config=config\).*save\(models=True\)"
+    ):
+        pdr.OnlineFilter.load(online.save())
+    assert pdr.OnlineFilter.load(online.save(), config=config).now().n_steps == online.now().n_steps
+    whole = pdr.OnlineFilter.load(online.save(models=True))
+    assert whole.config.sensing.contexts.models.with_gyroscope.name == name
+
+
+def test_a_filter_saved_without_its_path_is_small_and_continues_with_the_same_bits() -> None:
+    online = pdr.OnlineFilter.load(good_filter("default", located=True))
+    small = pdr.OnlineFilter.load(online.save(path=False))
+    assert len(online.path()) > len(small.path()) == 1
+    for filter_ in (online, small):
+        filter_.push(*between(PAUSE_S, END_S))
+    is_same = online.save(path=False) == small.save(path=False)
+    assert is_same
+    n_new = len(small.path())
+    assert n_new > 5
+    np.testing.assert_array_equal(small.path().time_s, online.path().time_s[-n_new:])
 
 
 @pytest.mark.parametrize("part", [b"[],", b"{},", b"1.5,", b'{"a":[]},'], ids=str)

@@ -223,10 +223,15 @@ class ContextModel(Shipped):
         ValueError
             If the package has no model of this name, or a model with another checksum.
         """
-        path = _find(name)
-        if path is name or _shipped_at(path)._checksum != checksum:
-            raise ValueError(f"this version has another context model {name[:60]!r} than the saved filter")
-        return _shipped_at(path)
+        path = _shipped_path(name)
+        shipped = None if path is None else _shipped_at(path)
+        if shipped is None or shipped._checksum != checksum:
+            raise ValueError(
+                f"this version has {'no' if shipped is None else 'another'} context model {name[:60]!r} of the saved "
+                "filter: continue with models of this version, OnlineFilter.load(blob, config=config), and save the "
+                "next filters with OnlineFilter.save(models=True)"
+            )
+        return shipped
 
     def renamed(self, names: Mapping[str, str]) -> ContextModel:
         """Return a copy with renamed labels.
@@ -586,11 +591,17 @@ def _find(name_or_path: str | Path) -> str | Path:
     is_name = isinstance(name_or_path, str) and not text.endswith((".npz", ".json")) and _NAME.fullmatch(text)
     if not is_name:
         return name_or_path
-    for folder in _SHIPPED:
-        if file_pair(folder / text)[0].is_file():
-            return folder / text
+    path = _shipped_path(text)
+    if path is not None:
+        return path
     known = ", ".join(available_models()) or "none"
     raise ValueError(f"{text}: no shipped model of that name (there are: {known}): give a name or a path to a .npz")
+
+
+def _shipped_path(name: str) -> Path | None:
+    """Return the path of the files of a shipped model without suffix, or None if there is none of this name."""
+    paths = (folder / name for folder in _SHIPPED if _NAME.fullmatch(name))
+    return next((path for path in paths if file_pair(path)[0].is_file()), None)
 
 
 def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:

@@ -67,7 +67,7 @@ def weighting_tracks(
             if progress is not None:
                 progress((i + fraction) / len(WEIGHTINGS))
 
-        tracks[name] = track(recording, config, name, progress=show, **options)
+        tracks[name] = track(recording, config, weighting=name, progress=show, **options)
     return tracks
 
 
@@ -122,7 +122,7 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     config = config or default_config(recording)
     model = config.model
     model.check_one_mode_for_each_context()
-    weighted = {name: track(recording, config, name, gnss="off") for name in ("hc", "wc", "imm")}
+    weighted = {name: track(recording, config, weighting=name, gnss="off") for name in ("hc", "wc", "imm")}
     weighted["wc, always"] = track(recording, _with_threshold(config, 0.0), gnss="off")
     imm = weighted.pop("imm")
     label = np.full(imm.n_steps, -1)

@@ -4,19 +4,44 @@ Each function has the name of the subpackage with its parts. It is imported here
 `pdr_filter.recipes.martinelli2018` is the function and not the subpackage.
 """
 
-from pdr_filter.recipes.default import RECIPES as RECIPES
-from pdr_filter.recipes.default import attitude_free_contexts as attitude_free_contexts
-from pdr_filter.recipes.default import check_name as check_name
-from pdr_filter.recipes.default import context_modes as context_modes
-from pdr_filter.recipes.default import context_transitions as context_transitions
-from pdr_filter.recipes.default import contexts_of as contexts_of
-from pdr_filter.recipes.default import default as default
-from pdr_filter.recipes.default import for_recording as for_recording
-from pdr_filter.recipes.default import guo2018 as guo2018
-from pdr_filter.recipes.default import martinelli2018 as martinelli2018
-from pdr_filter.recipes.default import susi2013 as susi2013
-from pdr_filter.recipes.default import tian2016 as tian2016
-from pdr_filter.recipes.default import with_context_model as with_context_model
-from pdr_filter.recipes.default import with_transitions as with_transitions
-from pdr_filter.recipes.default import zhou2019 as zhou2019
-from pdr_filter.values.recording import Subject as Subject
+from pdr_filter.recipes.default import (
+    RECIPES,
+    attitude_free_contexts,
+    check_name,
+    context_modes,
+    context_transitions,
+    contexts_of,
+    default,
+    for_recording,
+    guo2018,
+    martinelli2018,
+    susi2013,
+    tian2016,
+    with_context_model,
+    with_transitions,
+    zhou2019,
+)
+from pdr_filter.values.recording import Subject
+
+__all__ = [
+    "RECIPES",
+    "Subject",
+    "attitude_free_contexts",
+    "check_name",
+    "context_modes",
+    "context_transitions",
+    "contexts_of",
+    "default",
+    "for_recording",
+    "guo2018",
+    "martinelli2018",
+    "susi2013",
+    "tian2016",
+    "with_context_model",
+    "with_transitions",
+    "zhou2019",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -37,6 +37,7 @@ from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.stream_merging import StreamMerger
 from pdr_filter.values import DECLINATION_STD_RAD, FloatArray, Note, Plan, PositionFix, check_members
+from pdr_filter.values.checks import shown
 from pdr_filter.values.georeference import Georeference
 from pdr_filter.values.serialisation import to_bytes
 
@@ -79,6 +80,9 @@ class Config:
         Whether the filter keeps past steps for `OnlineFilter.path`. Whole recordings do not.
     handlers : tuple of callable
         Additional handlers; see `with_handler`.
+    wc_threshold : float, default 0.8
+        Threshold with which `with_weighting("wc")` weights contexts (`WeightedTracker.threshold`). It is that of the
+        tracker, if the tracker has the weighting "wc".
 
     Raises
     ------
@@ -105,6 +109,7 @@ class Config:
     merger: StreamMerger = field(default_factory=StreamMerger)
     keeps_path: bool = True
     handlers: tuple[Callable[[Handler[Any]], Handler[Any]], ...] = ()
+    wc_threshold: float = WC
 
     def __post_init__(self) -> None:
         of_heading, drift = drift_of(self.sensing.heading), self.model.noise.heading_drift
@@ -113,6 +118,8 @@ class Config:
                 f"the heading stage must have the heading drift of the filter, {drift}, got {of_heading}: pass the "
                 "same HeadingDrift to both"
             )
+        if self.tracker.weighting == "wc" and isinstance(self.tracker, WeightedTracker):
+            object.__setattr__(self, "wc_threshold", self.tracker.threshold)
         if self.sensing.context_set != self.model.context_set:
             object.__setattr__(self, "sensing", replace(self.sensing, context_set=self.model.context_set))
 
@@ -647,7 +654,7 @@ class Config:
             return self
         if weighting == "imm":
             return replace(self, tracker=ImmTracker(self.model))
-        threshold = HC if weighting == "hc" else WC
+        threshold = HC if weighting == "hc" else self.wc_threshold
         return replace(self, tracker=replace(weighted, threshold=threshold, function=None))
 
     @cached_property
@@ -695,5 +702,6 @@ def check_config(config: object) -> None:
     """Raise ValueError unless the argument is a configuration."""
     if not isinstance(config, Config):
         raise ValueError(
-            f"config must be a Config, got {config!r}: call a recipe, such as pdr_filter.recipes.default()"
+            f"config must be a Config, got {shown(config)}: call a recipe, such as pdr_filter.recipes.default(), and "
+            "give arguments such as fixes, weighting or priors by their names"
         )

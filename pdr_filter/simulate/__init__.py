@@ -11,13 +11,24 @@ well a classifier can distinguish simulated from real windows. Accuracy on simul
 accuracy on real ones.
 """
 
-from pdr_filter.simulate.gait import Gait as Gait
-from pdr_filter.simulate.gait import Leg as Leg
-from pdr_filter.simulate.motion import Carrying as Carrying
-from pdr_filter.simulate.motion import Motion as Motion
-from pdr_filter.simulate.sensors import BAROMETER as BAROMETER
-from pdr_filter.simulate.sensors import SensorError as SensorError
-from pdr_filter.simulate.sensors import SensorErrors as SensorErrors
-from pdr_filter.simulate.walk import demo_walk as demo_walk
-from pdr_filter.simulate.walk import phone_motion as phone_motion
-from pdr_filter.simulate.walk import simulate as simulate
+from pdr_filter.simulate.gait import Gait, Leg
+from pdr_filter.simulate.motion import Carrying, Motion
+from pdr_filter.simulate.sensors import BAROMETER, SensorError, SensorErrors
+from pdr_filter.simulate.walk import demo_walk, phone_motion, simulate
+
+__all__ = [
+    "BAROMETER",
+    "Carrying",
+    "Gait",
+    "Leg",
+    "Motion",
+    "SensorError",
+    "SensorErrors",
+    "demo_walk",
+    "phone_motion",
+    "simulate",
+]
+
+
+def __dir__() -> list[str]:
+    return __all__

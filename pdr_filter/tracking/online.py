@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.filter.chain.handler import states_of
+from pdr_filter.filter.chain.with_path import without_path
 from pdr_filter.filter.pedestrian import pedestrian_state as pedestrian
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.pedestrian.person import Person
@@ -98,6 +99,9 @@ class OnlineFilter:
 
     Examples
     --------
+    An app pushes blocks of any length, adds a fix when it arrives, and shows `now`:
+
+    >>> import numpy as np
     >>> import pdr_filter as pdr
     >>> samples = pdr.merge_streams(pdr.simulate.demo_walk())
     >>> online = pdr.OnlineFilter()
@@ -107,13 +111,20 @@ class OnlineFilter:
     ...     updates += online.push(
     ...         samples.time_s[block], samples.specific_force_mps2[block], samples.angular_rate_radps[block]
     ...     )
-    >>> len(updates) > 100
-    True
+    ...     if i == 37 * 160:
+    ...         fix = pdr.PositionFix(online.now().time_s, (35.0, 27.0), 2.0**2 * np.eye(2))
+    ...         result = online.add_fix(fix)  # "waiting" for the step at its time
+    >>> updates += online.finish()  # when no more samples come
+    >>> len(updates) > 100, result.outcome, online.now().fixes[-1].outcome
+    (True, 'waiting', 'used')
+    >>> online.now().position_m.shape, online.now().position_cov_m2.shape
+    ((2,), (2, 2))
     """
 
     def __init__(
         self,
         config: Config | None = None,
+        *,
         height_m: float | None = None,
         plan: Plan | None = None,
         start: PositionFix | str | None = None,
@@ -447,14 +458,16 @@ class OnlineFilter:
         Parameters
         ----------
         fix : PositionFix, GridFix, HeadingFix, RangeFix, SpeedFix, Standstill or Measurement
-            The fix, on the clock of the samples. A GridFix requires a floor plan.
+            The fix, on the clock of the samples. Positions are in metres from the start, with north along the first
+            heading, unless the configuration is for a frame with unknown origin and north
+            (`OnlineFilter(pdr_filter.recipes.default().in_world_frame())`). A GridFix requires a floor plan.
 
         Returns
         -------
         FixResult
             Outcome of the fix, such as "used", "placed" or "rejected", if the step at its time is known already. A NIS
             above the gate means that the fix contradicts the track. Usually the outcome is "waiting", and `Now.fixes`
-            has the result after a second or two.
+            has the result after a second or two. `help(type(result))` explains each outcome.
 
         Raises
         ------
@@ -563,13 +576,22 @@ class OnlineFilter:
         """
         return person_of(self.config, self.state)
 
-    def save(self) -> bytes:
+    def save(self, *, models: bool = False, path: bool = True) -> bytes:
         """Serialise the filter, so that `load` continues with identical results.
 
-        The bytes contain the state, the configuration and models of your own, but no code. Models of the package are
-        stored by name and checksum, so that `load` needs a version with the same models. A configuration with parts of
-        classes outside of pdr_filter is not included: `load` then needs it as an argument, with classes of the same
-        names and modules. Waiting measurements of such classes are omitted with a UserWarning.
+        The bytes contain the state, the configuration and models of your own, but no code. They have about 90 kB after
+        a minute of walking, and 0.1 kB more for each further step. A configuration with parts of classes outside of
+        pdr_filter is not included: `load` then needs it as an argument, with classes of the same names and modules.
+        Waiting measurements of such classes are omitted with a UserWarning.
+
+        Parameters
+        ----------
+        models : bool, default False
+            Whether models of the package are stored whole, in up to 4 MB. By default they are stored by name and
+            checksum, so that `load` needs a version with the same models.
+        path : bool, default True
+            Whether the past steps of `path` are stored. Without them the bytes do not grow with the walk, and `path`
+            begins at the next step. Nothing else changes.
 
         Returns
         -------
@@ -587,8 +609,10 @@ class OnlineFilter:
             text = f"{n_waiting - len(own)} waiting measurements are not saved, because their classes are not of"
             warnings.warn(f"{text} pdr_filter: add these measurements to the loaded filter again", stacklevel=2)
             state = replace(state, waiting_fixes=own)
+        if not path:
+            state = replace(state, chain=without_path(state.chain))
         try:
-            return serialise.to_bytes({"config": self.config, "state": state})
+            return serialise.to_bytes({"config": self.config, "state": state}, whole=models)
         except TypeError:  # classes of other packages in the configuration or in the state of a part
             pass
         try:
@@ -612,19 +636,24 @@ class OnlineFilter:
         blob : bytes
             Bytes returned by `save`.
         config : Config, optional
-            Configuration of the saved filter. Required only if it has parts of classes outside of pdr_filter.
+            Configuration of the saved filter. Required only if it has parts of classes outside of pdr_filter, or models
+            of the package that this version does not have.
 
         Returns
         -------
         OnlineFilter
-            The restored filter.
+            The restored filter. Filters saved by version 0.2.0 or later can be loaded.
 
         Raises
         ------
         ValueError
-            If the bytes are damaged, come from another version, contain no filter, or do not fit `config`.
+            If the bytes are damaged, come from a version before 0.2.0 or after this one, contain no filter, do not fit
+            `config`, or refer to a model that this version does not have.
         """
-        content = serialise.from_bytes(blob, None if config is None else init_filter(config))
+        if config is None:
+            content = serialise.from_bytes(blob)
+        else:
+            content = serialise.from_bytes(blob, init_filter(config), without="config")
         whole = isinstance(content, dict) and {"config", "state"} <= content.keys()
         known = whole and isinstance(content["config"], Config | None)
         if not (known and isinstance(content["state"], State)):

@@ -64,6 +64,7 @@ from pdr_filter.values import (
     step_table,
     wrap_angle,
 )
+from pdr_filter.values.checks import shown
 from pdr_filter.values.events import Climb
 from pdr_filter.values.georeference import Georeference, GnssUse, NorthUse, document_georeference
 from pdr_filter.values.interpolation import interpolated_rows
@@ -75,6 +76,7 @@ from pdr_filter.values.recording import MissingSensorError, Recording, Truth
 def track(
     recording: Recording,
     config: Config | None = None,
+    *,
     weighting: str | None = None,
     fixes: Iterable[Fix] = (),
     progress: Callable[[float], None] | None = None,
@@ -429,7 +431,10 @@ def given_or_default(recording: object, config: Config | None) -> Config:
     ValueError if `recording` is not a Recording or `config` is not a Config.
     """
     if not isinstance(recording, Recording):
-        raise ValueError(f"recording must be a Recording, got {recording!r}: read a file with pdr_filter.read(path)")
+        raise ValueError(
+            f"recording must be a Recording, got {shown(recording)}: read a file with pdr_filter.read(path), and give "
+            "the recording before the configuration"
+        )
     if config is None:
         return default_config(recording)
     check_config(config)

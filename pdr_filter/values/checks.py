@@ -21,6 +21,8 @@ _RANGE = (1e-12, 1e12)
 _RANGE_OF_COUNTS = (1, 10**6)
 # Maximum size of an array that a message shows in full.
 _SHOWN = 36
+# Maximum length of the text of an argument in a message.
+_SHOWN_CHARS = 120
 Kind = Literal["finite", "positive", "0 or more", "increasing"]
 _IS_KIND: Mapping[Kind, Callable[[Any], bool]] = {
     "finite": lambda _: True,
@@ -29,6 +31,12 @@ _IS_KIND: Mapping[Kind, Callable[[Any], bool]] = {
     "increasing": lambda array: bool((np.diff(array) > 0).all()),
 }
 _NUMBERS = re.compile(r"(tuple\[)?(float|int)\b[^|]*")  # declared types of numeric fields
+
+
+def shown(value: object) -> str:
+    """Return a wrong argument for a message: its text, or its class if the text is long."""
+    text = repr(value)
+    return text if len(text) <= _SHOWN_CHARS and "\n" not in text else f"a {type(value).__name__}"
 
 
 def are_numbers(*values: Any) -> bool:

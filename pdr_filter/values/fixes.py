@@ -35,7 +35,8 @@ class PositionFix:
     time_s : float
         Time at which the position was true, on the clock of the samples, s.
     position_m : array_like, shape (2,)
-        East and north, m.
+        East and north, m: from the start, with north along the first heading, or in a frame of its own for a
+        configuration of `Config.in_world_frame`. `pdr_filter.smooth` takes any frame.
     cov_m2 : array_like, shape (2, 2)
         Symmetric positive definite covariance of the position, m^2.
     received_time_s : float, optional

@@ -1,9 +1,9 @@
 """Serialisation of configurations and states as plain values: no code in the bytes is executed.
 
-The bytes are zlib-compressed JSON with a version and a checksum. Arrays are stored as their exact bytes, and
-dataclasses by name. Only dataclasses of this package, and of the first state that the caller gives, are loaded.
-Unchanged values of the package's files, such as its trained models, are stored by name and checksum. Bytes with a
-forged checksum can produce a filter with wrong values of the declared types, but cannot execute code.
+The bytes are zlib-compressed: JSON with a version and a checksum, a line feed, and the exact bytes of all arrays.
+Dataclasses are stored by name. Only dataclasses of this package, and of the first state that the caller gives, are
+loaded. Unchanged values of the package's files, such as its trained models, are stored by name and checksum. Bytes with
+a forged checksum can produce a filter with wrong values of the declared types, but cannot execute code.
 """
 
 from __future__ import annotations
@@ -12,21 +12,22 @@ import base64
 import hashlib
 import importlib
 import json
+import math
 import sys
 import zlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
+from functools import lru_cache
 from typing import Any, Self, cast, get_args, get_type_hints
 
 import numpy as np
 
 from pdr_filter.values import check_declared
+from pdr_filter.values.saved_formats import EARLIER_FORMATS, in_present_format
 
 _PACKAGE = "pdr_filter"
-# Formats 2 to 8: 2 has modules of an older layout, 3 a flat state of the tracker, 4 no checksum, 5 modes by name, and 6
-# to 8 other names of classes and fields.
-_FORMAT = 9
-_VALUE = ', "value": '  # separates the header from the text of the checksum
+_FORMAT = 10  # `saved_formats` describes the earlier ones
+_VALUE = b', "value": '  # separates the header from the text of the checksum
 # A filter with own models has some MB, nearly all of it arrays, and some thousand values.
 _MAX_BYTES = 64 << 20
 _MAX_VALUES = 2_000_000
@@ -49,13 +50,16 @@ class Shipped:
         raise NotImplementedError
 
 
-def to_bytes(value: object, first: object = None) -> bytes:
+def to_bytes(value: object, first: object = None, *, whole: bool = False) -> bytes:
     """Return a value of arrays, numbers, strings, None, tuples, dicts and dataclasses as bytes.
 
     Dataclasses are those of this package, of `first` (the first state of the part that made the value), and of the
-    declared types of their fields. TypeError for any other class.
+    declared types of their fields. With `whole`, values of the package's files are stored with their content. TypeError
+    for any other class.
     """
-    return _packed(_encode(value, _classes_in(first)))
+    encoder = _Encoder(_classes_in(first), whole)
+    node = encoder.node(value)
+    return _packed(node, b"".join(encoder.arrays))
 
 
 def _classes_in(first: object) -> dict[str, type[Any]]:
@@ -95,28 +99,35 @@ def _declared(cls: type[Any]) -> list[Any]:
         return []
 
 
-def _packed(value: Any) -> bytes:
-    text = json.dumps(value)
-    content = f'{{"format": {_FORMAT}, "sha256": "{_checksum(text)}"{_VALUE}{text}}}'.encode()
-    _check_size(content)
-    return zlib.compress(content, 1)
+def _packed(node: Any, arrays: bytes = b"") -> bytes:
+    text = json.dumps(node).encode()
+    head = f'{{"format": {_FORMAT}, "sha256": "{_checksum(text, arrays)}"'.encode()
+    _check_size(text, len(arrays))
+    return zlib.compress(b"".join([head, _VALUE, text, b"}\n", arrays]), 1)
 
 
-def from_bytes(blob: object, first: object = None) -> Any:
-    """Return the value from the bytes of `to_bytes` with the same `first`. ValueError for any other bytes."""
+def from_bytes(blob: object, first: object = None, *, without: str = "") -> Any:
+    """Return the value from the bytes of `to_bytes` with the same `first`. ValueError for any other bytes.
+
+    Of a dict, the value with the key `without` is not loaded, and is None.
+    """
     if not isinstance(blob, bytes):
         raise ValueError(f"a saved filter must be bytes, got {type(blob).__name__}: give what save returned")
     try:
-        text = _inflate(blob)
-        _check_size(text)
+        text, _, arrays = _inflate(blob).partition(b"\n")
+        _check_size(text, len(arrays))
         content = json.loads(text)
-        if content["format"] != _FORMAT:
+        if content["format"] not in (*EARLIER_FORMATS, _FORMAT):
             raise ValueError(
-                f"saved by another version of {_PACKAGE}, with format {content['format']} instead of {_FORMAT}"
+                f"saved by another version of {_PACKAGE}, with format {content['format']} instead of "
+                f"{EARLIER_FORMATS[0]} to {_FORMAT}"
             )
-        if content["sha256"] != _checksum(text.decode().partition(_VALUE)[2][:-1]):
+        if content["sha256"] != _checksum(text.partition(_VALUE)[2][:-1], arrays):
             raise ValueError("the checksum does not match, so that the bytes are damaged")
-        return _decode(content["value"], _classes_in(first))
+        if without:
+            content["value"]["dict"][without] = None
+        node = in_present_format(content["value"], content["format"])
+        return _Decoder(_classes_in(first), arrays).value(node)
     except Exception as error:  # damaged bytes can raise any exception
         raise ValueError(
             f"these {len(blob)} bytes cannot be loaded as a saved value of this version of {_PACKAGE} ({error}): "
@@ -124,15 +135,16 @@ def from_bytes(blob: object, first: object = None) -> Any:
         ) from error
 
 
-def _checksum(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
+def _checksum(text: bytes, arrays: bytes) -> str:
+    return hashlib.sha256(text + arrays).hexdigest()
 
 
-def _check_size(text: bytes) -> None:
+def _check_size(text: bytes, n_bytes_of_arrays: int) -> None:
     n_values = sum(text.count(mark) for mark in (b"{", b"[", b",", b":"))
-    if len(text) > _MAX_BYTES or n_values > _MAX_VALUES:
+    n_bytes = len(text) + n_bytes_of_arrays
+    if n_bytes > _MAX_BYTES or n_values > _MAX_VALUES:
         raise ValueError(
-            f"saved data must have at most {_MAX_BYTES} bytes and {_MAX_VALUES} values, got {len(text)} and about "
+            f"saved data must have at most {_MAX_BYTES} bytes and {_MAX_VALUES} values, got {n_bytes} and about "
             f"{n_values}"
         )
 
@@ -145,65 +157,113 @@ def _inflate(blob: bytes) -> bytes:
     return content
 
 
-def _encode(value: Any, own: Mapping[str, type[Any]]) -> Any:
-    if value is None or isinstance(value, (bool, int, float, str)):
-        return value
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        array = cast(np.ndarray[Any, Any], value)
+_PLAIN = frozenset({type(None), bool, int, float, str})
+
+
+@lru_cache(maxsize=1024)
+def _field_names(cls: type[Any]) -> tuple[str, ...]:
+    return tuple(f.name for f in fields(cls) if f.init)
+
+
+class _Encoder:
+    """Turns values into nodes of JSON. `arrays` has the bytes of the arrays so far."""
+
+    def __init__(self, own: Mapping[str, type[Any]], whole: bool) -> None:
+        self.own, self.whole = own, whole
+        self.arrays: list[bytes] = []
+        self._n_bytes = 0
+
+    def node(self, value: Any) -> Any:
+        """Return the node of a value. TypeError if it cannot be saved."""
+        cls = cast(type[Any], type(value))
+        if cls in _PLAIN:
+            return value
+        if isinstance(value, np.generic):
+            return value.item()
+        if isinstance(value, np.ndarray):
+            return self._array(value)
+        if isinstance(value, (tuple, list)):
+            items = cast(tuple[Any, ...], value)
+            return {"tuple" if isinstance(value, tuple) else "list": [self.node(v) for v in items]}
+        if not self.whole and isinstance(value, Shipped) and (reference := value.reference()):
+            return {"shipped": _name(cls), "reference": list(reference)}
+        if is_dataclass(cls) and (cls.__module__.partition(".")[0] == _PACKAGE or self.own.get(_name(cls)) is cls):
+            content = {name: self.node(getattr(value, name)) for name in _field_names(cls)}
+            return {"dataclass": _name(cls), "fields": content}
+        if isinstance(value, Mapping):
+            mapping = cast(Mapping[Any, Any], value)
+            if not all(isinstance(key, str) for key in mapping):
+                raise TypeError("only mappings with text keys can be saved: JSON turns others into text")
+            return {"dict": {key: self.node(v) for key, v in mapping.items()}}
+        if isinstance(value, (int, float, str)):  # such as an IntEnum
+            return value
+        if is_dataclass(cls):
+            raise TypeError(
+                f"a {cls.__qualname__} cannot be saved, because the first state has none: let init() put a value of "
+                "this class there, declare it as the type of a field of a dataclass, or use arrays, numbers and tuples"
+            )
+        raise TypeError(f"a {cls.__qualname__} cannot be saved: keep states to arrays, numbers and dataclasses")
+
+    def _array(self, array: np.ndarray[Any, Any]) -> dict[str, Any]:
         if array.dtype.kind not in "biuf":
             raise TypeError(f"an array of {array.dtype} cannot be saved: use an array of numbers")
-        data = base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
-        return {"array": data, "dtype": array.dtype.str, "shape": list(array.shape)}
-    if isinstance(value, (tuple, list)):
-        items = cast(tuple[Any, ...], value)
-        return {"tuple" if isinstance(value, tuple) else "list": [_encode(v, own) for v in items]}
-    if isinstance(value, Mapping):
-        mapping = cast(Mapping[Any, Any], value)
-        if not all(isinstance(key, str) for key in mapping):
-            raise TypeError("only mappings with text keys can be saved: JSON turns others into text")
-        return {"dict": {key: _encode(v, own) for key, v in mapping.items()}}
-    cls = cast(type[Any], type(value))
-    if isinstance(value, Shipped) and (reference := value.reference()):
-        return {"shipped": _name(cls), "reference": list(reference)}
-    if is_dataclass(value) and (cls.__module__.partition(".")[0] == _PACKAGE or own.get(_name(cls)) is cls):
-        content = {f.name: _encode(getattr(value, f.name), own) for f in fields(value) if f.init}
-        return {"dataclass": _name(cls), "fields": content}
-    if is_dataclass(value) and not isinstance(value, type):
-        raise TypeError(
-            f"a {cls.__qualname__} cannot be saved, because the first state has none: let init() put a value of this "
-            "class there, declare it as the type of a field of a dataclass, or use arrays, numbers and tuples"
-        )
-    raise TypeError(f"a {cls.__qualname__} cannot be saved: keep states to arrays, numbers and dataclasses")
+        node = {"array": self._n_bytes, "dtype": array.dtype.str, "shape": list(array.shape)}
+        self.arrays.append(array.tobytes())
+        self._n_bytes += array.nbytes
+        return node
 
 
-def _decode(value: Any, own: Mapping[str, type[Any]]) -> Any:
-    if not isinstance(value, dict):
-        return value
-    node = cast(dict[str, Any], value)
-    if "array" in node:
-        return _array(node)
-    if "tuple" in node:
-        return tuple(_decode(v, own) for v in _of_type(node["tuple"], list, "the items of a tuple"))
-    if "list" in node:
-        return [_decode(v, own) for v in _of_type(node["list"], list, "the items of a list")]
-    if "dict" in node:
-        return {key: _decode(v, own) for key, v in node["dict"].items()}
-    if "shipped" in node:
-        return _shipped(node)
-    name = _of_type(node["dataclass"], str, "the class of a dataclass")
-    content = {field: _decode(v, own) for field, v in node["fields"].items()}
-    if name.partition(":")[0].partition(".")[0] != _PACKAGE:
-        if name not in own:
-            raise ValueError(
-                f"refused to load {name[:60]!r}, because neither {_PACKAGE} nor the first state of the configuration "
-                "has it: give the configuration that was saved, OnlineFilter.load(blob, config=config)"
-            )
-        return own[name](**content)
-    cls = _dataclass(name)
-    check_declared(cls, content)
-    return cls(**content)
+class _Decoder:
+    """Turns nodes of JSON into values. `arrays` has the bytes of all arrays."""
+
+    def __init__(self, own: Mapping[str, type[Any]], arrays: bytes) -> None:
+        self.own, self.arrays = own, arrays
+        self._n_left = len(arrays)  # a forged file could refer to the same bytes many times
+
+    def value(self, node: Any) -> Any:
+        """Return the value of a node. ValueError if it cannot be loaded."""
+        if not isinstance(node, dict):
+            return node
+        node = cast(dict[str, Any], node)
+        if "array" in node:
+            return self._array(node)
+        if "tuple" in node:
+            return tuple(self.value(v) for v in _of_type(node["tuple"], list, "the items of a tuple"))
+        if "list" in node:
+            return [self.value(v) for v in _of_type(node["list"], list, "the items of a list")]
+        if "dict" in node:
+            return {key: self.value(v) for key, v in node["dict"].items()}
+        if "shipped" in node:
+            return _shipped(node)
+        name = _of_type(node["dataclass"], str, "the class of a dataclass")
+        content = {field: self.value(v) for field, v in node["fields"].items()}
+        if name.partition(":")[0].partition(".")[0] != _PACKAGE:
+            if name not in self.own:
+                raise ValueError(
+                    f"refused to load {name[:60]!r}, because neither {_PACKAGE} nor the first state of the "
+                    "configuration has it: give the configuration that was saved, OnlineFilter.load(blob, "
+                    "config=config)"
+                )
+            return self.own[name](**content)
+        cls = _dataclass(name)
+        check_declared(cls, content)
+        return cls(**content)
+
+    def _array(self, node: Mapping[str, Any]) -> np.ndarray[Any, Any]:
+        dtype = np.dtype(_of_type(node["dtype"], str, "the type of an array"))
+        shape = _of_type(node["shape"], list, "the shape of an array")
+        if dtype.kind not in "biuf":
+            raise ValueError(f"the array has type {dtype}, but saved arrays contain only numbers or truth values")
+        if isinstance(node["array"], str):  # before format 10
+            data = base64.b64decode(node["array"], validate=True)
+        else:
+            start = _of_type(node["array"], int, "the position of an array")
+            n_bytes = math.prod(shape) * dtype.itemsize
+            self._n_left -= n_bytes
+            if not (start >= 0 and 0 <= n_bytes <= len(self.arrays) - start and self._n_left >= 0):
+                raise ValueError(f"an array of shape {str(shape)[:60]} is not in the bytes of the arrays")
+            data = self.arrays[start : start + n_bytes]
+        return np.frombuffer(data, dtype=dtype).reshape(shape).copy()
 
 
 def _shipped(node: Mapping[str, Any]) -> Shipped:
@@ -219,14 +279,6 @@ def _of_type(value: Any, cls: type, what: str) -> Any:
     if type(value) is not cls:
         raise ValueError(f"{what} must be stored as a {cls.__name__}, got {str(value)[:60]}")
     return value
-
-
-def _array(node: Mapping[str, Any]) -> np.ndarray[Any, Any]:
-    dtype = np.dtype(_of_type(node["dtype"], str, "the type of an array"))
-    if dtype.kind not in "biuf":
-        raise ValueError(f"the array has type {dtype}, but saved arrays contain only numbers or truth values")
-    data = base64.b64decode(node["array"], validate=True)
-    return np.frombuffer(data, dtype=dtype).reshape(_of_type(node["shape"], list, "the shape of an array")).copy()
 
 
 def _dataclass(name: str) -> type[Any]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
 from pdr_filter.values.arrays import FloatArray, Table, table
+from pdr_filter.values.checks import check_number
 
 # Thresholds of `Step.direction_trust`, the squared length of the mean direction of strides. From the first on, strides
 # agree: pockets and hands have 0.6 to 0.98, handbags 0.05 to 0.3 (docs/methods/heading.md). Below the second they agree
@@ -18,6 +20,18 @@ TRUSTED, HARDLY_AGREE = 0.5, 0.2
 # when jogging in a small room, at most 7 % of the steps of walks, and 1 % of those of runs (detect_steps on oxiod,
 # humolire, ubicomp13, motionsense, tyrex, ipol).
 _QUICK_HZ, _SOFT_MPS2 = 2.4, 5.0
+# Statistics of a walking step with the phone in the hand: medians over two sites.
+_TYPICAL: dict[str, Any] = {
+    "variance": 4.0,
+    "vertical_max_mps2": 3.5,
+    "vertical_min_mps2": -3.5,
+    "magnitude_max_mps2": 13.8,
+    "magnitude_min_mps2": 6.8,
+    "mean_abs_mps2": 1.7,
+    "heading_change_rad": 0.0,
+    "device_heading_rad": 0.0,
+    "vertical_amplitude_mps2": 2.4,
+}
 
 
 @dataclass(frozen=True)
@@ -130,6 +144,45 @@ class Step:
     north_rad: float = 0.0
     north_std_rad: float = np.inf
     stepless_s: float = 0.0
+
+    @classmethod
+    def of(cls, time_s: float, *, duration_s: float = 0.54, **values: Any) -> Step:
+        """Return a typical walking step at a time, with any fields replaced, for a step detector of your own.
+
+        Parameters
+        ----------
+        time_s : float
+            Contact that ends the step, s.
+        duration_s : float, default 0.54
+            Duration of the step, s.
+        **values : float or bool
+            Other fields by name. By default `detected_time_s` is `time_s`, `frequency_hz` is 1 / `duration_s`, the
+            heading does not change, and the statistics are medians of walking with the phone in the hand. They give a
+            typical step length; give your own statistics for those that the step-length model of the configuration
+            uses. For known step lengths, make a step-length model that returns them
+            (`pdr_filter.protocols.StepLengthModel`, `Config.with_step_length`).
+
+        Returns
+        -------
+        Step
+            The step.
+
+        Raises
+        ------
+        ValueError
+            If the duration is not that of a step.
+
+        Examples
+        --------
+        >>> import pdr_filter as pdr
+        >>> step = pdr.Step.of(12.3, duration_s=0.5, vertical_amplitude_mps2=3.0)
+        >>> step.frequency_hz, step.detected_time_s
+        (2.0, 12.3)
+        """
+        check_number("duration_s", duration_s, 0.1, 10.0, "give the time since the previous contact in seconds")
+        given: dict[str, Any] = {"time_s": time_s, "detected_time_s": time_s, "duration_s": duration_s}
+        given["frequency_hz"] = 1.0 / duration_s
+        return cls(**(_TYPICAL | given | values))
 
     @property
     def heading_source(self) -> str:

@@ -124,7 +124,7 @@ def whole(tables: Tables, arguments: argparse.Namespace) -> None:
             tracks = (
                 pdr.track(walk.recording, walk.config, fixes=walk.fixes),
                 pdr.track(walk.recording, walk.config, fixes=walk.fixes, plan=plan),
-                pdr.smooth(walk.recording, walk.fixes, config=walk.config, plan=plan).track,
+                pdr.smooth(walk.recording, fixes=walk.fixes, config=walk.config, plan=plan).track,
             )
             errors.append([walk.rmse_m(track) for track in tracks])
             expected.append([_expected_worse(tracks[0], track) for track in tracks[1:]])

@@ -276,7 +276,7 @@ def with_fixes(walk: Walk) -> pdr.Track:
         when = np.arange(walk.time_s[0] + 1.0, walk.time_s[-1], 20.0)
     at_m = interpolated_rows(when, walk.time_s, walk.position_m)
     fixes = [pdr.PositionFix(float(t), p, 0.25 * np.eye(2)) for t, p in zip(when, at_m, strict=True)]
-    return pdr.smooth(walk.recording, fixes).track
+    return pdr.smooth(walk.recording, fixes=fixes).track
 
 
 def phone(tables: Tables, arguments: argparse.Namespace) -> None:

@@ -58,7 +58,7 @@ def known_walks(data: Path) -> list[Known]:
         if recording.wifi is None:
             continue
         w = recording.truth.waypoints
-        track = pdr.smooth(recording, waypoint_fixes(recording)).track
+        track = pdr.smooth(recording, fixes=waypoint_fixes(recording)).track
         found.append(Known(recording, track, np.column_stack([w.time_s, w.east_m, w.north_m])))
     return found
 
@@ -182,7 +182,9 @@ def walks(tables: Tables, arguments: argparse.Namespace) -> None:
 
         def smoothed(known: Sequence[pdr.PositionFix], loops: bool, walk: Known = walk) -> pdr.Track:
             closed = wifi_loop_closures(walk.recording) if loops else ()
-            return pdr.smooth(walk.recording, known, loop_closures=closed, start_heading_std_rad=START_STD_RAD).track
+            return pdr.smooth(
+                walk.recording, fixes=known, loop_closures=closed, start_heading_std_rad=START_STD_RAD
+            ).track
 
         both = [here, *radio]
         tracks = [pdr.track(walk.recording, fixes=fixes) for fixes in ([here], both)]

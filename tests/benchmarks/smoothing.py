@@ -91,7 +91,7 @@ def real(tables: Tables, arguments: argparse.Namespace) -> None:
                 [replace(f, position_m=p) for f, p, o in zip(points, where + moved, other, strict=True) if not o]
                 for where in (places, turned)
             )
-            result = smooth(recording, given)
+            result = smooth(recording, fixes=given)
             tracks = {
                 "dead reckoning, aligned": (alone, np.zeros(2), turned),
                 "filter with fixes": (pdr.track(recording, fixes=given_turned), np.zeros(2), turned),

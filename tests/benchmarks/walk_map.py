@@ -306,7 +306,7 @@ def radio(tables: Tables, arguments: argparse.Namespace) -> None:
     """Fixes of held-out walks by the radio map of such a map, and by a surveyed one, on F1."""
     every = [w for w in walks_of(arguments.data) if w.storey == CHOSEN_ON]
     known = [
-        Known(w.recording, pdr.smooth(w.recording, waypoint_fixes(w.recording)).track, w.points)  # the truth
+        Known(w.recording, pdr.smooth(w.recording, fixes=waypoint_fixes(w.recording)).track, w.points)  # the truth
         for w in every
     ]
     pairs: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}

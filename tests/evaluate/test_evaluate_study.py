@@ -178,7 +178,9 @@ def test_compare_takes_the_model_height_and_fixes_that_track_takes(tmp_path: Pat
     ends = {row["track"]: row for row in json.loads(ran.stdout)["tracks"]}
     fixes = [pdr.PositionFix(p.time_s, np.array([p.east_m + 100, p.north_m - 50]), 0.09 * np.eye(2)) for p in points]
     tall = walk.of_height(1.95)
-    expected = pdr.track(tall, pdr.recipes.for_recording("default", tall).in_world_frame(), "hc", fixes, gnss="off")
+    expected = pdr.track(
+        tall, pdr.recipes.for_recording("default", tall).in_world_frame(), weighting="hc", fixes=fixes, gnss="off"
+    )
     assert ends["hc"]["end_east_m"] == pytest.approx(expected.end_position_m[0], abs=1e-3)
     assert ends["hc"]["end_east_m"] == pytest.approx(points.east_m[-1] + 100, abs=1.0)
     both = [str(tmp_path / "walk.zip"), str(tmp_path / "walk.zip")]

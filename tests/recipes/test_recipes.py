@@ -12,6 +12,7 @@ from helpers import a_step, true_position_m
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.chain.imm_tracker import ImmTracker
+from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.values import CONTEXTS, WindowContext
 
 
@@ -107,3 +108,14 @@ def test_the_default_transitions_stay_as_long_as_they_say() -> None:
     expected = {"stationary": 5, "walking": 55, "upstairs": 12, "downstairs": 11, "sideways": 10, "running": 50}
     assert dict(zip(CONTEXTS, stay_steps.round().astype(int).tolist(), strict=True)) == expected
     np.testing.assert_allclose(recipes.context_transitions().sum(axis=1), 1.0)
+
+
+def test_the_threshold_of_weighted_contexts_is_kept_by_other_weightings() -> None:
+    config = recipes.martinelli2018()
+    own = replace(config, tracker=WeightedTracker(config.model, threshold=0.5))
+    for others in (("hc",), ("imm",), ("imm", "hc"), (np.square,)):
+        changed = own
+        for other in others:
+            changed = changed.with_weighting(other)
+        assert changed.with_weighting("wc").tracker.threshold == 0.5, others
+    assert recipes.default().with_weighting("wc").tracker.threshold == 0.8

@@ -65,7 +65,7 @@ def test_fixes_of_a_smoothed_walk_teach_the_bias_of_the_phone(with_fixes: bool) 
     walk = replace(clean, gyroscope=replace(clean.gyroscope, values=clean.gyroscope.values + bias))
     times_s = np.arange(clean.truth.position.time_s[0] + 1.0, clean.duration_s, 15.0)
     fixes = [pdr.PositionFix(float(t), true_position_m(clean, t), np.eye(2) / 4) for t in times_s]
-    device = pdr.smooth(walk, fixes if with_fixes else ()).track.device
+    device = pdr.smooth(walk, fixes=fixes if with_fixes else ()).track.device
     up = np.array([0.0, *clean.accelerometer.values.mean(axis=0)[1:]])
     up /= np.linalg.norm(up)
     error, std = up @ (device.bias_radps - bias), np.sqrt(up @ device.bias_cov_radps2 @ up)

@@ -66,7 +66,7 @@ def test_steps_lead_along_the_directions_that_a_stage_states(recording: pdr.Reco
     if weighting == "imm":
         turned_m = np.column_stack([stated_m[:, 1], -stated_m[:, 0]])  # by a quarter of a revolution
         fixes = [pdr.PositionFix(track.time_s[k], turned_m[k], 0.01 * np.eye(2)) for k in range(5, track.n_steps, 10)]
-        smoothed = pdr.smooth(recording, fixes, config=config).track
+        smoothed = pdr.smooth(recording, fixes=fixes, config=config).track
         np.testing.assert_allclose(smoothed.position_m, turned_m, atol=0.25)
 
 
@@ -85,8 +85,8 @@ def test_a_memory_of_smoothing_compares_parts_of_other_packages() -> None:
     fixes = [pdr.PositionFix(t, [0.0, t], np.eye(2)) for t in (1.0, 5.0)]
     config = own_config()
     pdr.smooth(short, config=config, memory=memory)
-    again = pdr.smooth(short, fixes, config=config, memory=memory).track.position_m
-    np.testing.assert_array_equal(again, pdr.smooth(short, fixes, config=config).track.position_m)
+    again = pdr.smooth(short, fixes=fixes, config=config, memory=memory).track.position_m
+    np.testing.assert_array_equal(again, pdr.smooth(short, fixes=fixes, config=config).track.position_m)
     with pytest.raises(ValueError, match="omit memory"):
         pdr.smooth(short, config=config.with_heading(Local()), memory=memory)
 

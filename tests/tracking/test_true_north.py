@@ -157,8 +157,8 @@ def test_a_rotated_walk_gives_the_same_rotated_track_with_true_north(start_headi
 def test_one_fix_and_the_magnetic_field_georeference_the_track(walk: Recording, weighting: str) -> None:
     fix = fix_at(walk, 5.0)
     config = recipes.for_recording("default", walk)
-    off = pdr.track(walk, config.in_world_frame(), weighting, fixes=[fix])
-    track = pdr.track(walk, config_of(walk), weighting, fixes=[fix])
+    off = pdr.track(walk, config.in_world_frame(), weighting=weighting, fixes=[fix])
+    track = pdr.track(walk, config_of(walk), weighting=weighting, fixes=[fix])
     assert rms_m(walk, track) < 5.0 < 0.3 * rms_m(walk, off)
     assert nees(walk, track).max() < 13.8  # one in a thousand
 

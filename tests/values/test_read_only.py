@@ -35,7 +35,7 @@ def results() -> dict[str, Any]:
         "recording": replace(walk, wifi=Wifi(np.zeros(1), np.zeros(1, dtype=int), np.full(1, -60.0), np.zeros(1))),
         "track": pdr.track(walk, fixes=fixes),
         "windows": pdr.classify(walk),
-        "smoothed": pdr.smooth(walk, fixes),
+        "smoothed": pdr.smooth(walk, fixes=fixes),
         "calibration": pdr.calibrate(walk),
         "truth": walk.truth,
         "config": pdr.recipes.default(),

@@ -144,6 +144,9 @@ def test_values_that_cannot_be_restored_are_refused(value: object) -> None:
         {"array": "", "dtype": "(1", "shape": [0]},
         {"array": "", "dtype": "<f8", "shape": "x"},
         {"array": 5, "dtype": "<f8", "shape": [1]},
+        {"array": -8, "dtype": "<f8", "shape": [1]},
+        {"array": 1.0, "dtype": "<f8", "shape": [0]},
+        {"array": 0, "dtype": "<f8", "shape": [-1, -1]},
         {"tuple": 5},
         {"dict": [1]},
         {},
@@ -155,12 +158,19 @@ def test_bytes_that_name_other_classes_are_refused(value: Any) -> None:
         from_bytes(_packed(value))
 
 
-@pytest.mark.parametrize("number", [1, 8, 99])
+@pytest.mark.parametrize("number", [1, 5, 99])
 def test_a_filter_of_another_version_of_the_package_is_refused_with_a_remedy(number: int) -> None:
     old = zlib.compress(json.dumps({"format": number, "value": None}).encode())
-    words = rf"another version of pdr_filter, with format {number} instead of 9\): process the samples again"
+    words = rf"another version of pdr_filter, with format {number} instead of 6 to 10\): process the samples again"
     with pytest.raises(ValueError, match=words):
         from_bytes(old)
+
+
+def test_many_arrays_of_the_same_bytes_are_refused() -> None:
+    node = {"array": 0, "dtype": "<f8", "shape": [2]}
+    assert from_bytes(_packed({"list": [node]}, bytes(16)))[0].tolist() == [0.0, 0.0]
+    with pytest.raises(ValueError, match="is not in the bytes of the arrays"):
+        from_bytes(_packed({"list": [node] * 2}, bytes(16)))
 
 
 def test_a_dataclass_of_another_package_is_refused_without_importing_its_module() -> None:

@@ -153,7 +153,7 @@ def track_one(task: Task) -> Row:
         result = recording_run.track(
             recording,
             config,
-            task.weighting or None,
+            weighting=task.weighting or None,
             person=task.calibration or None,
             gnss=cast(GnssUse, task.gnss) if task.gnss else None,
         )

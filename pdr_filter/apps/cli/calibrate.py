@@ -246,7 +246,7 @@ def smooth_command(
             arguments["person"] = person
         if loop:
             arguments["loop"] = True
-        result = pdr.smooth(recording, position_fixes, loop_closures=closed, **arguments)
+        result = pdr.smooth(recording, fixes=position_fixes, loop_closures=closed, **arguments)
         track = result.track
         if out is not None:
             name = file_name(track.name)

@@ -67,7 +67,7 @@ def plain_config(settings: Settings) -> Config:
 
 @lru_cache(maxsize=64)
 def plain_config_bytes(settings: Settings) -> bytes:
-    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones of equal settings.
+    """Saved form of `plain_config`, which is shared by all phones of equal settings.
 
     ValueError for a recipe with parts of classes outside of this package: sessions are saved with their configuration.
     """

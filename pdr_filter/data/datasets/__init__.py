@@ -23,10 +23,16 @@ from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.safe_files import whole_file, write_text
 
+__all__ = ["DATASETS", "Dataset", "cache_folder", "fetch"]
+
 _GITHUB = "https://raw.githubusercontent.com"
 _RAW = ".raw"  # the readers skip names that begin with a dot
 _ATTRIBUTION = "ATTRIBUTION.txt"
 _CHECKSUMS = "SHA256SUMS"
+
+
+def __dir__() -> list[str]:
+    return __all__
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pdr_filter.filter.chain.handler import Around, Event, Fork, Handler, Output, PathChanges
-from pdr_filter.filter.pedestrian.past_path import PastPath
+from pdr_filter.filter.pedestrian.past_path import NO_STEPS, PastPath
 from pdr_filter.values import replace_unchecked
 
 
@@ -46,3 +46,13 @@ def _changed(path: PastPath, changes: tuple[Callable[[PastPath], PastPath], ...]
     for change in changes:
         path = change(path)
     return path
+
+
+def without_path(state: Any) -> Any:
+    """Return the state of a chain, and of a second hypothesis in it, without the steps of its path."""
+    if isinstance(state, PathState):
+        return replace(state, path=replace(state.path, earlier=NO_STEPS, events=()))
+    if not isinstance(state, Around):
+        return state
+    parts = {name: getattr(state, name, None) for name in ("inner", "rival")}
+    return replace(state, **{name: without_path(part) for name, part in parts.items() if part is not None})

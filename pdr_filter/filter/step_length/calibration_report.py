@@ -62,7 +62,7 @@ def _parameter_lines(result: CalibrationResult) -> list[str]:
         f"{'context':<12}{'segments':>9}{'residual':>10}  model, below it k +- std (std between persons)",
     ]
     for name in result.contexts:
-        k, std = result.k[name], np.sqrt(np.diagonal(result.k_cov[name]))
+        k, std = result.k[name], result.k_std[name]
         between = np.sqrt(np.diagonal(result.between[name]))
         values = ", ".join(
             f"{a:.4g}" + (f" +- {b:.2g}" if b > 0 else " fixed") + (f" ({d:.2g})" if d > 0 else "")
@@ -105,7 +105,7 @@ def _people_lines(result: CalibrationResult) -> list[str]:
         person = people[name]
         own = rows[rows.subject == name]
         bias, _, rms = _errors_percent(own.left_out_m, own.distance_m)
-        std = np.sqrt(np.diagonal(person.k_cov[main]))
+        std = person.k_std[main]
         values = ", ".join(f"{a:.4g} +- {b:.2g}" for a, b in zip(person.k[main], std, strict=True) if b > 0)
         errors = f"{bias:>+7.1f}{rms:>7.1f}" if np.isfinite(rms) else f"{'-':>7}{'-':>7}"
         lines.append(f"{_shortened(name):<34}{person.n_segments:>9}{errors}  {values}")

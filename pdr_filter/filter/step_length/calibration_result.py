@@ -40,6 +40,10 @@ UNNAMED = "unnamed"
 _SAME_HEIGHT_M = 0.02
 
 
+def _std(cov: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    return {name: np.sqrt(np.diagonal(matrix)) for name, matrix in cov.items()}
+
+
 @dataclass(frozen=True, eq=False)
 class CalibratedPerson:
     """Calibrated step-length parameters of one person.
@@ -71,6 +75,11 @@ class CalibratedPerson:
     def k0(self) -> float:
         """First parameter of the step-length model of the `main_context` of the calibration."""
         return float(self.k[self.main_context][0])
+
+    @property
+    def k_std(self) -> dict[str, FloatArray]:
+        """Standard deviation (p,) of the parameters of each context."""
+        return _std(self.k_cov)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -139,6 +148,11 @@ class CalibrationResult:
     def k_cov(self) -> dict[str, FloatArray]:
         """Covariance (p, p) of the estimated parameters of the population in each context."""
         return self._blocks(self.theta_cov)
+
+    @property
+    def k_std(self) -> dict[str, FloatArray]:
+        """Standard deviation (p,) of the estimated parameters of the population in each context."""
+        return _std(self.k_cov)
 
     @property
     def between(self) -> dict[str, FloatArray]:

@@ -933,8 +933,7 @@ def scale_std(height_m: float | None) -> float:
     return _SCALE_STD if height_m is None else _SCALE_STD_OF_KNOWN_HEIGHT
 
 
-# Walking step at 1.85 Hz with the phone in the hand: medians over two sites.
-TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
+TYPICAL_STEP = Step.of(0.54, frequency_hz=1.85)
 # Standard deviation of the step scale of one person between walks: 1.7 to 2.8 % over nine walks of one person,
 # depending on the model (docs/benchmarks.md, one walk held out).
 RECORDING_STD = 0.025

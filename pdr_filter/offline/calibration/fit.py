@@ -34,10 +34,11 @@ from pdr_filter.offline.calibration.segments import (
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.offline.smoothing.observations import LoopClosure
 from pdr_filter.recipes.calibration import Calibration
-from pdr_filter.recipes.config import Config
+from pdr_filter.recipes.config import Config, check_config
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, Fix, FloatArray, Table, check_array, check_number, table
+from pdr_filter.values.checks import shown
 from pdr_filter.values.recording import Recording
 
 _BIAS_LIMIT_STDS = 3.0  # A mean held-out error above this many standard errors is reported as a bias.
@@ -45,10 +46,10 @@ _BIAS_LIMIT_STDS = 3.0  # A mean held-out error above this many standard errors 
 
 def calibrate(
     recordings: Recording | Iterable[Recording],
-    priors: Mapping[str, StepLengthPrior] | None = None,
-    *,
-    tracks: Iterable[Track] | None = None,
     config: Config | None = None,
+    *,
+    priors: Mapping[str, StepLengthPrior] | None = None,
+    tracks: Iterable[Track] | None = None,
     model: str | None = None,
     prior_std: float | None = None,
     subject: str | None = None,
@@ -76,15 +77,15 @@ def calibrate(
     recordings : Recording or iterable of Recording
         Recordings with truth segments of known distance, strides, waypoints, or GNSS fixes. Their `subject.id` names
         the person. All recordings without one are attributed to one person.
+    config : Config, optional
+        Configuration that detects steps, headings and contexts. The default is the default recipe. The step-length
+        models of its modes are fitted, and their parameters and covariances are the priors. Modes of one context with
+        different step lengths are fitted separately, under their own names.
     priors : mapping of str to StepLengthPrior, optional
         Model and prior of some contexts, which replace the entries in `DEFAULT_PRIORS`. `eq12_priors()` has the model
         of Martinelli et al. for all contexts.
     tracks : iterable of Track, optional
         Tracks of the recordings, if they have been computed already.
-    config : Config, optional
-        Configuration that detects steps, headings and contexts. The default is the default recipe. The step-length
-        models of its modes are fitted, and their parameters and covariances are the priors. Modes of one context with
-        different step lengths are fitted separately, under their own names.
     model : str, optional
         Step-length model of walking: "bounce", "eq12", "kim", "tian", "weinberg", "chen", "frequency", "peak",
         "range", "static" or "zhou". By default it is that of `config`. If that is the default one, the model is
@@ -151,9 +152,24 @@ def calibrate(
     >>> _ = calibration.save("my_k.json")
     >>> abs(pdr.track(walk, calibration="my_k.json").distance_m - 120) < 3
     True
+
+    By smoothing, fixes at the ends of a walk calibrate it. `k` are parameters of a step-length model, in its units:
+
+    >>> import numpy as np
+    >>> walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=30.0)])
+    >>> ends = walk.truth.position[[0, -1]]
+    >>> fixes = [pdr.PositionFix(p.time_s, (p.east_m, p.north_m), 0.1**2 * np.eye(2)) for p in ends]
+    >>> calibration = pdr.calibrate(walk, smooth=True, fixes=[fixes])
+    >>> bool(calibration.k_std["walking"] < 0.1 * calibration.k["walking"])
+    True
+    >>> abs(pdr.track(walk, calibration=calibration).distance_m - 30) < 1
+    True
     """
     if not isinstance(recordings, Iterable | Recording):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise ValueError(f"recordings must be recordings, got {recordings!r}: give other arguments by their names")
+        raise ValueError(
+            f"recordings must be recordings, got {shown(recordings)}: give them before the configuration, and other "
+            "arguments by their names"
+        )
     chosen = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
     if not chosen:
         raise ValueError("no recordings to calibrate with: give at least one")
@@ -237,6 +253,7 @@ def _of_configuration(
     """
     if config is None:
         return priors, CONTEXTS, Contexts()
+    check_config(config)
     walking = next((c.name for c in config.model.context_set.contexts if c.is_level_walking), "walking")
     joined = {*(priors or {}), *([] if model is None else [walking])}
     own, separate = own_priors(config.model, joined), separate_modes(config.model, joined)

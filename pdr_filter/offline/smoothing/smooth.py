@@ -135,7 +135,7 @@ class SmoothingMemory:
     >>> recording, memory = pdr.simulate.demo_walk(), SmoothingMemory()
     >>> first = pdr.smooth(recording, memory=memory)
     >>> fix = pdr.PositionFix(60.0, np.array([20.0, 5.0]), np.eye(2))
-    >>> second = pdr.smooth(recording, [fix], memory=memory)  # sensing and dead reckoning are not repeated
+    >>> second = pdr.smooth(recording, fixes=[fix], memory=memory)  # sensing and dead reckoning are not repeated
     >>> len(first.observations), len(second.observations)
     (0, 1)
     """
@@ -168,10 +168,10 @@ class SmoothingMemory:
 
 def smooth(
     recording: Recording,
+    config: Config | None = None,
+    *,
     fixes: Iterable[Fix] = (),
     calibration: Calibration | str | Path | None = None,
-    *,
-    config: Config | None = None,
     weighting: str | None = None,
     progress: Callable[[float], None] | None = None,
     device: Device | str | Path | None = None,
@@ -203,14 +203,14 @@ def smooth(
     ----------
     recording : Recording
         The recording, from `pdr_filter.read`.
+    config : Config, optional
+        Configuration. The default is `pdr_filter.recipes.default()`.
     fixes : iterable of PositionFix, HeadingFix, SpeedFix, RangeFix or Standstill
         Fixes in any order; on a floor plan also GridFix. Positions may be in any frame, because the rotation to the
         phone's first heading is estimated. Fixes outside the recording are not used. On a plan, each fix is used at its
         reception time, as online.
     calibration : Calibration, str or Path, optional
         Step-length parameters from `pdr_filter.calibrate`, or the path of a saved calibration.
-    config : Config, optional
-        Configuration. The default is `pdr_filter.recipes.default()`.
     weighting : {"imm", "wc", "hc"}, optional
         Use of the context probabilities: interacting multiple model, weighted contexts, or the most probable context.
         The default is the value of the configuration.
@@ -286,7 +286,7 @@ def smooth(
     >>> recording = pdr.simulate.demo_walk()
     >>> begin = pdr.PositionFix(2.0, (0.0, 0.0), 0.5**2 * np.eye(2))
     >>> end = pdr.PositionFix(110.0, (0.0, 0.0), 0.5**2 * np.eye(2))  # the walk ends at its start
-    >>> smoothed = pdr.smooth(recording, [begin, end])
+    >>> smoothed = pdr.smooth(recording, fixes=[begin, end])
     >>> bool(np.hypot(*smoothed.track.position_m[-1]) < 1.5)
     True
     """

@@ -56,9 +56,9 @@ from pdr_filter.values.angles import UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2
 _TEXTING = CARRYING_MODES.index("texting")
 
 # Rows of the buffered signals.
-_TIME, _FORCE, _UP, _EAST, _NORTH, _VERTICAL, _HEADING, _KNOWN = 0, slice(1, 4), slice(4, 7), 7, 8, 9, 10, 11
-_ERROR, _ERROR_VAR, _LOST_VAR = 12, 13, 14
-_N_ROWS = 15
+_FORCE, _UP, _EAST, _NORTH, _VERTICAL, _HEADING, _KNOWN = slice(3), slice(3, 6), 6, 7, 8, 9, 10
+_ERROR, _ERROR_VAR, _LOST_VAR = 11, 12, 13
+_N_ROWS = 14
 
 # Shortest and longest duration of two steps that form a stride, s: 0.9 to 4.5 steps a second, as in the step detectors.
 _MIN_STRIDE_S, _MAX_STRIDE_S = 0.45, 2.2
@@ -143,7 +143,7 @@ class WalkingHeadingState:
 
     n_samples: int  # samples of the segment
     start_s: float  # time of the first sample of the segment, s
-    signals: FloatArray  # (15, H) buffered signals
+    signals: FloatArray  # (14, H) buffered signals
     contacts_s: tuple[float, ...]  # last two contacts, s
     up: Vector | None  # mean unit vector up of the last stride, sensor frame. None before the first.
     axis: Vector  # reference axis, a unit vector perpendicular to `up`, sensor frame
@@ -335,7 +335,7 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
         n_old, n_new = state.signals.shape[1], len(block.time_s)
         signals = np.empty((_N_ROWS, n_old + n_new))
         signals[:, :n_old], rows = state.signals, signals[:, n_old:]
-        rows[_TIME], rows[_FORCE], rows[_UP] = block.time_s, block.specific_force_mps2.T, attitude.up_sensor.T
+        rows[_FORCE], rows[_UP] = block.specific_force_mps2.T, attitude.up_sensor.T
         rows[_EAST], rows[_NORTH] = attitude.horizontal_mps2.T
         rows[_VERTICAL], rows[_HEADING] = attitude.vertical_mps2, attitude.device_heading_rad
         rows[_KNOWN] = block.angular_rate_known
@@ -348,7 +348,7 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
         indices = [number - n_before for number, _ in steps]
         at_steps = ContextBlock(*(getattr(contexts, f.name)[indices] for f in fields(contexts))) if steps else contexts
         state, result = self._with_headings(state, steps, at_steps)
-        return replace_unchecked(state, signals=state.signals[:, -self._n_kept :]), result
+        return replace_unchecked(state, signals=state.signals[:, -self._n_needed(state) :]), result
 
     def finish(self, state: WalkingHeadingState, steps: NumberedSteps) -> tuple[WalkingHeadingState, NumberedSteps]:
         return self._with_headings(state, steps, unknown_contexts(len(steps)))
@@ -357,6 +357,17 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
     def _n_kept(self) -> int:
         """Number of buffered samples: a stride and the longest delay of a step."""
         return round((_MAX_STRIDE_S + _MAX_LATENCY_S) * self.rate_hz)
+
+    def _n_needed(self, state: WalkingHeadingState) -> int:
+        """Return the number of buffered samples that a later step may need, at least one.
+
+        Its stride begins at the earlier of the last two contacts, or later. Saved filters are smaller without the
+        samples before.
+        """
+        if len(state.contacts_s) < 2:
+            return self._n_kept
+        n_since = state.n_samples - round((state.contacts_s[0] - state.start_s) * self.rate_hz)
+        return min(max(n_since, 1), self._n_kept)
 
     def _with_headings(
         self, state: WalkingHeadingState, steps: NumberedSteps, contexts: ContextBlock

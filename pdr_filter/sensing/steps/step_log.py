@@ -175,7 +175,8 @@ class StepLog:
         StepLogState
             New state.
         """
-        return replace_unchecked(state, signals=state.signals[:, -self._n_kept :])
+        n_since = max(state.n_samples - state.last_contact, 1)  # a step begins at the last contact, or later
+        return replace_unchecked(state, signals=state.signals[:, -min(n_since, self._n_kept) :])
 
     def first_sample(self, state: StepLogState) -> int:
         """Return the number of the oldest buffered sample. Contacts must be later.

@@ -244,7 +244,7 @@ def test_a_radio_map_is_fitted_on_a_folder_and_used_by_track_and_smooth(mapped: 
     fixes = radio.fixes(recording)
     succeed("track", mapped / "walk3.zip", "--radio", tmp_path / "map.json", "--out", tmp_path)
     config = pdr.recipes.default(recording.subject).in_world_frame()
-    pdr.smooth(recording, fixes, config=config).track.to_csv(tmp_path / "expected.csv")
+    pdr.smooth(recording, fixes=fixes, config=config).track.to_csv(tmp_path / "expected.csv")
     assert (tmp_path / "walk3.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
     smoothed = run("smooth", mapped / "walk3.zip", "--radio", tmp_path / "map.json", "--wifi-loops")
     n = len(fixes) + len(wifi_loop_closures(recording))

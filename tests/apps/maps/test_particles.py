@@ -408,7 +408,7 @@ def test_a_grid_without_a_plan_is_refused_with_the_remedy() -> None:
     for use in (
         lambda: pdr.track(WALK, fixes=[grid]),
         lambda: pdr.OnlineFilter().add_fix(grid),
-        lambda: pdr.smooth(WALK, [grid]),
+        lambda: pdr.smooth(WALK, fixes=[grid]),
     ):
         with pytest.raises(ValueError, match=r"give plan as well.*RadioMap.fixes"):
             use()
@@ -419,7 +419,7 @@ def test_the_smoothed_covariance_includes_dead_reckoning_if_the_end_is_uncertain
 ) -> None:
     closed = [*FEATURES, feature("room", box(4, -1.4, 38, 1.4))]  # the whole of its first corridor
     plan = drawn(tmp_path, *closed)
-    hindsight = pdr.smooth(WALK, FIXES, config=in_world(6, plan)).track
+    hindsight = pdr.smooth(WALK, fixes=FIXES, config=in_world(6, plan)).track
     doubt = 1.0 - hindsight.clusters[-1][0].share
     assert doubt > 0.25
     away_m = hindsight.position_m - alone.position_m
@@ -454,7 +454,7 @@ def test_smoothed_steps_keep_their_lengths_if_the_direction_is_unknown_and_a_not
 
 
 def test_smoothed_positions_are_sums_of_the_steps_if_the_direction_is_known(plan: pdr.FloorPlan) -> None:
-    track = pdr.smooth(WALK, FIXES, plan=plan).track
+    track = pdr.smooth(WALK, fixes=FIXES, plan=plan).track
     moved_m = np.linalg.norm(np.diff(track.position_m, axis=0), axis=1).sum()
     assert_allclose(track.walked_m[-1] - track.walked_m[0], moved_m, rtol=0.02)
     assert not any("several routes on the plan" in note for note in track.notes)

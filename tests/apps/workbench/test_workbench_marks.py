@@ -42,15 +42,15 @@ FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None, None], [35.0, 3.0, 20.0, 0.5, N
 def test_smoothing_with_a_memory_has_the_bits_of_smoothing_without() -> None:
     recording, memory = short_walk(), SmoothingMemory()
     fixes = [pdr.PositionFix(2.0, (0.0, 0.0), np.eye(2)), pdr.PositionFix(35.0, (3.0, 20.0), np.eye(2))]
-    alone = pdr.smooth(recording, fixes, loop=True)
+    alone = pdr.smooth(recording, fixes=fixes, loop=True)
     pdr.smooth(recording, memory=memory)
     kept = memory._found
-    again = pdr.smooth(recording, fixes, loop=True, memory=memory)
+    again = pdr.smooth(recording, fixes=fixes, loop=True, memory=memory)
     assert memory._found is kept
     np.testing.assert_array_equal(again.track.position_m, alone.track.position_m)
     np.testing.assert_array_equal(again.track.position_cov_m2, alone.track.position_cov_m2)
     assert again.notes == alone.notes
-    taller = pdr.smooth(recording.of_height(2.0), fixes, memory=memory)
+    taller = pdr.smooth(recording.of_height(2.0), fixes=fixes, memory=memory)
     assert memory._found is not kept
     assert taller.track.distance_m != alone.track.distance_m
 

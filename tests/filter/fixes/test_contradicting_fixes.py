@@ -30,7 +30,7 @@ def positions(walk: Recording, axes: FloatArray) -> list[pdr.PositionFix]:
 
 def tracks(walk: Recording, fixes: list[pdr.PositionFix]) -> list[pdr.Track]:
     online = pdr.track(walk, pdr.recipes.default(walk.subject).in_world_frame(), fixes=fixes)
-    return [online, pdr.smooth(walk, fixes).track]
+    return [online, pdr.smooth(walk, fixes=fixes).track]
 
 
 @pytest.mark.parametrize("axes", [MIRRORED, EXCHANGED])
@@ -91,10 +91,10 @@ def test_a_walk_is_doubtful_from_four_fixes_that_contradict_it_and_half_as_many_
 
 def test_speeds_in_km_per_hour_do_not_change_the_smoothed_walk_and_are_named(walk: Recording) -> None:
     times_s = np.arange(3.0, walk.duration_s - 3.0, 5.0).tolist()
-    wrong = pdr.smooth(walk, [pdr.SpeedFix(t, 3.6 * 1.3, 0.2 + 0.01 * k) for k, t in enumerate(times_s)])
+    wrong = pdr.smooth(walk, fixes=[pdr.SpeedFix(t, 3.6 * 1.3, 0.2 + 0.01 * k) for k, t in enumerate(times_s)])
     assert wrong.track.distance_m == pytest.approx(pdr.smooth(walk).track.distance_m, rel=1e-6)
     assert not wrong.observations.weight.any()
     (note,) = (n for n in wrong.notes if "km/h" in n)
     assert "times that of the steps" in note
-    right = pdr.smooth(walk, [pdr.SpeedFix(t, 1.3 + 0.001 * k, 0.2) for k, t in enumerate(times_s)])
+    right = pdr.smooth(walk, fixes=[pdr.SpeedFix(t, 1.3 + 0.001 * k, 0.2) for k, t in enumerate(times_s)])
     assert right.observations.weight.all()

@@ -315,7 +315,7 @@ def test_frozen_locations_are_detected_online_in_alignment_and_in_smoothing() ->
         assert outcomes.count("frozen") == is_held.sum()
         assert any("repeat the last position" in note for note in track.notes)
     fixes = [PositionFix(float(t), p, STD_M**2 * np.eye(2)) for t, p in zip(times, places, strict=True)]
-    smoothed = pdr.smooth(recording, fixes)
+    smoothed = pdr.smooth(recording, fixes=fixes)
     assert (smoothed.observations.weight[is_held] == 0.0).all()
     assert any("repeats the last position" in note for note in smoothed.notes)
     assert np.linalg.norm(smoothed.track.position_m - whole.at(smoothed.track.time_s), axis=1).max() < 8.0

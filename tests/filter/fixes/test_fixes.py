@@ -73,7 +73,7 @@ def test_fixes_determine_the_position_and_the_north_of_a_track(
 ) -> None:
     shift = np.array([400.0, -250.0])
     config = recipes.for_recording("default", walk).in_world_frame()
-    track = pdr.track(walk, config, weighting, fixes=fixes_in(walk, angle_rad, shift))
+    track = pdr.track(walk, config, weighting=weighting, fixes=fixes_in(walk, angle_rad, shift))
     error = np.linalg.norm(
         track.position_m - (true_position_m(walk, track.time_s) @ clockwise(angle_rad).T + shift), axis=1
     )

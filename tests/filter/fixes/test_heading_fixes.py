@@ -68,7 +68,7 @@ def test_a_heading_that_is_90_degrees_off_is_rejected_because_the_pedestrian_doe
 
 def test_a_wrong_heading_fix_among_right_ones_is_rejected_online_and_smoothed_with_a_note(walk: Recording) -> None:
     fixes = [HeadingFix(10.0, 0.5, 0.1), HeadingFix(14.0, 0.52, 0.1), HeadingFix(18.0, 2.5, 0.1)]
-    for track in (pdr.track(walk, fixes=fixes), pdr.smooth(walk, fixes).track):
+    for track in (pdr.track(walk, fixes=fixes), pdr.smooth(walk, fixes=fixes).track):
         assert [f.outcome for f in track.fixes] == ["used", "used", "rejected"]
         assert any("not used" in note for note in track.notes)
         assert abs(wrap_angle(track.walking_heading_rad[track.time_s < 18.0] - 0.5)).max() < 0.2
@@ -118,7 +118,7 @@ def test_the_first_heading_fix_after_a_lost_heading_rotates_the_whole_track_onli
     walk = without_samples(simulate(legs, seed=3), 25.0, 60.0)
     heading_rad = 2.6  # after the corner, so that the first leg leads to 1.03 rad if the phone is held alike
     fix = HeadingFix(70.0, heading_rad, 0.1)
-    track, smoothed = pdr.track(walk, fixes=[fix]), pdr.smooth(walk, [fix]).track
+    track, smoothed = pdr.track(walk, fixes=[fix]), pdr.smooth(walk, fixes=[fix]).track
     for each in (track, smoothed):
         assert (each.frame, each.fixes[0].outcome) == ("heading fixes", "used")
         assert abs(wrap_angle(each.walking_heading_rad[each.time_s > 62.0] - heading_rad)).max() < 0.3

@@ -70,7 +70,7 @@ def test_a_fix_of_position_and_heading_places_a_track_as_the_two_fixes_do(walk: 
     assert "placed" in {each.outcome for each in track.fixes} and track.fixes[0].kind == "door"
     np.testing.assert_allclose(track.position_m, expected.position_m, atol=0.15)
     if weighting == "imm":
-        smoothed, expected = (pdr.smooth(walk, fixes).track for fixes in (doors, two))
+        smoothed, expected = (pdr.smooth(walk, fixes=fixes).track for fixes in (doors, two))
         np.testing.assert_allclose(smoothed.position_m, expected.position_m, atol=0.01)
 
 

@@ -195,7 +195,7 @@ def test_a_measurement_of_a_foreign_class_is_used_online_and_smoothed_with_eithe
     np.testing.assert_array_equal(tracks[0].position_m, tracks[1].position_m)
     assert errors(tracks[0], recording)[0] < 0.5
     assert tracks[0].fixes[0].kind == "fromanchor"
-    smoothed = pdr.smooth(recording, [FromAnchor(f.time_s, f, True) for f in given], weighting="wc")
+    smoothed = pdr.smooth(recording, fixes=[FromAnchor(f.time_s, f, True) for f in given], weighting="wc")
     assert errors(smoothed.track, recording)[0] < errors(tracks[0], recording)[0]
     assert (smoothed.observations.weight > 0.5).mean() > 0.95
 
@@ -215,7 +215,7 @@ def test_smoothing_with_ranges_has_small_errors_and_leaves_out_reflections(
 ) -> None:
     recording = walk(4)
     fixes = ranges(recording, ANCHORS, 4, reflected)
-    smoothed = pdr.smooth(recording, fixes)
+    smoothed = pdr.smooth(recording, fixes=fixes)
     rmse_m, nees = errors(smoothed.track, recording)
     assert rmse_m < 0.35
     assert nees < 3.0
@@ -230,7 +230,7 @@ def test_anchors_at_coordinates_of_a_map_are_smoothed_as_well_as_those_near_the_
     near = ranges(recording, ANCHORS, 4)
     far = [replace(fix, anchor_m=fix.anchor_m + away_m) for fix in near]
     config = pdr.recipes.default().in_world_frame()
-    tracks = [pdr.smooth(recording, fixes, config=config).track for fixes in (near, far)]
+    tracks = [pdr.smooth(recording, fixes=fixes, config=config).track for fixes in (near, far)]
     (rmse_m, _), (far_rmse_m, _) = (
         errors(replace(track, position_m=track.position_m - offset_m), recording)
         for track, offset_m in zip(tracks, (np.zeros(2), away_m), strict=True)

@@ -47,7 +47,7 @@ def fixes_of(walk: Recording, wrong_m: Callable[[np.ndarray, np.ndarray], np.nda
 
 
 def tracked(walk: Recording, fixes: list[PositionFix], weighting: str = "imm") -> pdr.Track:
-    return pdr.track(walk, recipes.default(walk.subject).in_world_frame(), weighting, fixes=fixes)
+    return pdr.track(walk, recipes.default(walk.subject).in_world_frame(), weighting=weighting, fixes=fixes)
 
 
 def outcomes(track: pdr.Track) -> list[str]:

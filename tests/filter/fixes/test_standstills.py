@@ -50,7 +50,7 @@ def test_a_position_after_a_contradicted_standstill_brings_the_track_back(walk: 
     free = pdr.track(walk)
     at = int(np.searchsorted(free.time_s, 40.0))
     fix = pdr.PositionFix(float(free.time_s[at]), free.position_m[at], np.eye(2))
-    for track in (pdr.track(walk, fixes=[STATED, fix]), pdr.smooth(walk, [STATED, fix]).track):
+    for track in (pdr.track(walk, fixes=[STATED, fix]), pdr.smooth(walk, fixes=[STATED, fix]).track):
         assert next(f for f in track.fixes if f.kind == "position").outcome == "used"
         assert np.linalg.norm(track.end_position_m - free.end_position_m) < 4.0
 

@@ -59,7 +59,7 @@ def fixes_of(walk: Recording) -> list[PositionFix]:
 
 
 def tracked(walk: Recording, fixes: list[PositionFix | HeadingFix], weighting: str = "imm") -> pdr.Track:
-    return pdr.track(walk, recipes.default(walk.subject).in_world_frame(), weighting, fixes=fixes)
+    return pdr.track(walk, recipes.default(walk.subject).in_world_frame(), weighting=weighting, fixes=fixes)
 
 
 def nees(walk: Recording, time_s: np.ndarray, position_m: np.ndarray, cov_m2: np.ndarray) -> np.ndarray:
@@ -90,7 +90,7 @@ def test_a_heading_fix_after_a_lost_heading_rotates_the_track_at_once(walk: Reco
 
 
 def test_a_smoothed_track_is_accurate_also_before_the_fixes_that_determine_the_rotation(walk: Recording) -> None:
-    found = pdr.smooth(walk, fixes_of(walk)).track
+    found = pdr.smooth(walk, fixes=fixes_of(walk)).track
     error_m = np.linalg.norm(found.position_m - true_position_m(walk, found.time_s), axis=1)
     assert error_m.max() < 6.0
     assert nees(walk, found.time_s, found.position_m, found.position_cov_m2).max() < chi2.isf(1e-3, 2)
@@ -168,7 +168,7 @@ def turned_in_gap(end_s: float = 75.0) -> Recording:
 @pytest.mark.parametrize("weighting", ["imm", "hc"])
 def test_fixes_in_the_start_frame_rotate_the_track_after_a_lost_heading(weighting: str) -> None:
     walk = turned_in_gap()
-    track = pdr.track(walk, recipes.default(walk.subject), weighting, fixes=fixes_of(walk))
+    track = pdr.track(walk, recipes.default(walk.subject), weighting=weighting, fixes=fixes_of(walk))
     assert track.frame == "start"
     assert all(fix.outcome in ("used", "turned") for fix in track.fixes)
     assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)

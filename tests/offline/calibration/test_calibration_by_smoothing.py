@@ -36,7 +36,7 @@ def rectangle(seed: int = 0, length_factor: float = 1.25) -> Recording:
 def errors_std(one: pdr.Calibration, true_m: float) -> float:
     """Error of the distance predicted by the calibration, in its standard deviations."""
     person = next(iter(one.subjects.values()))
-    std = person.k_cov["walking"][0, 0] ** 0.5 / person.k["walking"][0]
+    std = person.k_std["walking"][0] / person.k["walking"][0]
     return float((one.segments.predicted_m.sum() / true_m - 1) / std)
 
 
@@ -60,9 +60,9 @@ def test_waypoints_and_stretches_of_known_length_give_the_parameters_of_a_calibr
         one, other = (
             next(iter(pdr.calibrate(known, smooth=s, model="bounce").subjects.values())) for s in (False, True)
         )
-        std = one.k_cov["walking"][0, 0] ** 0.5
+        std = one.k_std["walking"][0]
         assert abs(other.k0 - one.k0) < std, part
-        assert other.k_cov["walking"][0, 0] ** 0.5 == pytest.approx(std, rel=0.25), part
+        assert other.k_std["walking"][0] == pytest.approx(std, rel=0.25), part
 
 
 def test_a_wrong_length_is_rejected_and_named() -> None:

@@ -326,7 +326,7 @@ def test_segments_of_one_recording_count_less_than_independent_segments() -> Non
     rng, model, k = np.random.default_rng(15), BounceStepLength(), np.array([0.3])
     many = [segment(rng, model, k, error_m=float(rng.normal(0, 0.4)), recording=f"r{i}") for i in range(40)]
     one = [replace(s, recording="r") for s in many]
-    std = [np.sqrt(calibrate_segments(s).subjects["anna"].k_cov["walking"][0, 0]) for s in (one, many)]
+    std = [calibrate_segments(s).subjects["anna"].k_std["walking"][0] for s in (one, many)]
     assert std[0] > 1.5 * std[1]
 
 

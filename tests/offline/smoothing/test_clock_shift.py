@@ -156,7 +156,7 @@ def smoothed(late_s: float) -> pdr.Smoothed:
 @pytest.mark.parametrize(("source", "late_s"), [("locations", 18.0), ("fixes", -12.0)])
 def test_late_observations_are_named_and_give_the_walk_of_the_right_clock(source: str, late_s: float) -> None:
     if source == "fixes":
-        right, late = (pdr.smooth(walk(R, R, -R), fixes(walk(R, R, -R), d)) for d in (0.0, late_s))
+        right, late = (pdr.smooth(walk(R, R, -R), fixes=fixes(walk(R, R, -R), d)) for d in (0.0, late_s))
     else:
         right, late = smoothed(0.0), smoothed(late_s)
     notes = [n for n in late.notes if n.startswith(f"the {source} are ")]
@@ -185,9 +185,9 @@ def test_a_right_clock_changes_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_without_turns_the_deviation_along_the_walk_is_wider(monkeypatch: pytest.MonkeyPatch) -> None:
     straight = walk(leg_m=70.0)
     given = [fix for fix in fixes(straight, 0.0) if 15.0 < fix.time_s < 45.0]
-    found = pdr.smooth(straight, given)
+    found = pdr.smooth(straight, fixes=given)
     monkeypatch.setattr(smoothing, "estimated_shift", lambda *_: ClockShift())
-    fixed = pdr.smooth(straight, given)
+    fixed = pdr.smooth(straight, fixes=given)
     ahead = fixed.track.position_m[40] - fixed.track.position_m[20]
     along = ahead / np.linalg.norm(ahead)
     across = np.array([-along[1], along[0]])
@@ -201,7 +201,7 @@ def test_late_fixes_that_a_small_square_hides_are_named_and_widen_its_positions(
     square = simulate([Leg("walking", distance_m=20.0, turn_rad=R)] * 4)
     at_s = np.arange(4.0, 50.0, 5.0)
     place_m = true_m(square, at_s) + np.random.default_rng(0).normal(0.0, STD_M, (len(at_s), 2))
-    right, late = (pdr.smooth(square, position_fixes(at_s + d, place_m, STD_M)) for d in (0.0, 8.0))
+    right, late = (pdr.smooth(square, fixes=position_fixes(at_s + d, place_m, STD_M)) for d in (0.0, 8.0))
     assert not [n for n in right.notes if "clock" in n]
     assert [n for n in late.notes if n.startswith("the fixes are perhaps ") and "were not shifted" in n]
     assert late.track.position_std_m[-1] > 2.0 * right.track.position_std_m[-1]
@@ -246,5 +246,5 @@ def test_a_rest_reveals_late_fixes_that_lie_outside_the_samples() -> None:
         at_s = np.arange(1.0, rested.duration_s - 0.5)
         place_m = np.column_stack([np.interp(at_s, track.time_s, axis) for axis in track.position_m.T])
         place_m += np.random.default_rng(seed).normal(size=place_m.shape)
-        found = pdr.smooth(replace(rested, truth=Truth()), position_fixes(at_s + 18.0, place_m, 1.0)).track
+        found = pdr.smooth(replace(rested, truth=Truth()), fixes=position_fixes(at_s + 18.0, place_m, 1.0)).track
         assert np.linalg.norm(found.position_m - track.position_m, axis=1).max() < 3.0

@@ -33,7 +33,7 @@ def test_with_fixes_the_smoothed_track_has_smaller_errors_and_covariances_than_t
         fixes = fixes_of(walk, seed)
         # in the world frame the filter has to find the rotation of the fixes, too
         world = pdr.recipes.default(walk.subject).in_world_frame()
-        forward, smoothed = pdr.track(walk, world, fixes=fixes), pdr.smooth(walk, fixes).track
+        forward, smoothed = pdr.track(walk, world, fixes=fixes), pdr.smooth(walk, fixes=fixes).track
         squares["filter"] += np.square(errors_m(forward, walk)).mean()
         squares["smoother"] += np.square(errors_m(smoothed, walk)).mean()
         spread = [np.trace(t.position_cov_m2, axis1=1, axis2=2)[:-1].mean() for t in (forward, smoothed)]
@@ -93,7 +93,7 @@ def test_with_a_weighted_step_length_the_smoother_agrees_with_a_single_filter() 
     config = pdr.recipes.default().with_weighting("wc")
     walk = simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=40.0, turn_rad=1.5)], seed=2)
     fixes = fixes_of(walk)
-    forward, smoothed = pdr.track(walk, config, fixes=fixes), pdr.smooth(walk, fixes, config=config).track
+    forward, smoothed = pdr.track(walk, config, fixes=fixes), pdr.smooth(walk, fixes=fixes, config=config).track
     np.testing.assert_array_equal(smoothed.mode_prob, forward.mode_prob)
     assert np.trace(smoothed.position_cov_m2.mean(axis=0)) < np.trace(forward.position_cov_m2.mean(axis=0))
     assert np.square(errors_m(smoothed, walk)).mean() < np.square(errors_m(forward, walk)).mean()
@@ -104,5 +104,5 @@ def test_fixes_that_make_steps_much_shorter_than_the_model_are_noted(drawn_toget
     walk = simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=30.0, turn_rad=1.5)], seed=3)
     track = pdr.track(walk)
     times, places = track.time_s[::4], track.position_m[::4]
-    notes = pdr.smooth(walk, position_fixes(times, drawn_together * places, 2.0)).notes
+    notes = pdr.smooth(walk, fixes=position_fixes(times, drawn_together * places, 2.0)).notes
     assert any("shorter than the step-length model" in note for note in notes) == is_noted

@@ -146,13 +146,13 @@ def test_a_phone_attitude_with_north_rotates_the_smoothed_walk_to_it() -> None:
 def test_heading_and_speed_fixes_and_standstills_are_used_by_the_smoother() -> None:
     plain = smoothed_bare()
     heading = HeadingFix(20.0, float(np.interp(20.0, plain.track.time_s, plain.track.walking_heading_rad)) + 1.0, 0.01)
-    turned = pdr.smooth(bare(), [heading])
+    turned = pdr.smooth(bare(), fixes=[heading])
     wrapped = np.angle(np.exp(1j * (turned.track.walking_heading_rad - plain.track.walking_heading_rad)))
     assert np.median(wrapped) == pytest.approx(1.0, abs=0.1)
     speed = float(np.interp(20.0, plain.track.time_s, plain.track.smoothed_speed_mps))
-    faster = pdr.smooth(bare(), [SpeedFix(20.0, 1.1 * speed, 0.005 * speed)])
+    faster = pdr.smooth(bare(), fixes=[SpeedFix(20.0, 1.1 * speed, 0.005 * speed)])
     assert 1.005 < faster.scale / plain.scale < 1.1
-    assert pdr.smooth(bare(), [Standstill(0.0, 20.0)]).track.distance_m < plain.track.distance_m - 10.0
+    assert pdr.smooth(bare(), fixes=[Standstill(0.0, 20.0)]).track.distance_m < plain.track.distance_m - 10.0
     assert (turned.observations.weight[0], faster.observations.weight[0]) == (1.0, 1.0)
 
 

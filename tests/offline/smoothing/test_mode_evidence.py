@@ -133,6 +133,6 @@ def test_fixes_tell_modes_of_one_context_apart_and_leave_equal_modes_as_they_are
     fixes = position_fixes(ends_s, true_m(walk, ends_s), 0.5)
     rivals, memory = config.with_modes([*others, walking, same, absurd]), SmoothingMemory()
     before = pdr.smooth(walk, config=rivals, memory=memory).track.mode_prob.mean(axis=0)
-    after = pdr.smooth(walk, fixes, config=rivals, memory=memory).track.mode_prob.mean(axis=0)
+    after = pdr.smooth(walk, fixes=fixes, config=rivals, memory=memory).track.mode_prob.mean(axis=0)
     assert before[-1] > 0.3 and after[-1] < 0.05
     assert after[-2] == pytest.approx(after[-3], abs=1e-6) and after[-2] > 0.45

@@ -72,7 +72,7 @@ def test_with_fixes_no_position_is_less_certain_than_the_way_from_the_last_fix(m
     walk = without_gyroscope(WALK, *LESS[missing])
     time_s = np.arange(4.0, float(WALK.truth.position.time_s[-1]), 12.0)
     fixes = position_fixes(time_s, true_m(WALK, time_s), 1.0)
-    result, online = pdr.smooth(walk, fixes), pdr.track(walk, fixes=fixes)
+    result, online = pdr.smooth(walk, fixes=fixes), pdr.track(walk, fixes=fixes)
     assert len(result.rejected) == 0 and not [note for note in result.notes if "did not converge" in note]
     assert result.track.distance_m == pytest.approx(online.distance_m, rel=0.05)
     for track in (result.track, online):

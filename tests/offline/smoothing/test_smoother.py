@@ -277,10 +277,10 @@ def smooth_alone() -> pdr.Smoothed:
 def test_observations_may_come_from_iterators_and_keep_their_numbers() -> None:
     fixes = [replace(fix, correlation_s=20.0) for fix in fixes_of(WALKED)]
     closures = [LoopClosure(20.0, 20.1)]
-    found = smooth(WALKED, iter(fixes[::-1]), loop_closures=iter(closures))
+    found = smooth(WALKED, fixes=iter(fixes[::-1]), loop_closures=iter(closures))
     assert (found.observations.kind == "fix").sum() == len(fixes)
     np.testing.assert_array_equal(found.observations.time_s[: len(fixes)], [fix.time_s for fix in fixes[::-1]])
-    np.testing.assert_allclose(found.track.position_m, smooth(WALKED, fixes).track.position_m, atol=1e-6)
+    np.testing.assert_allclose(found.track.position_m, smooth(WALKED, fixes=fixes).track.position_m, atol=1e-6)
 
 
 def test_known_headings_rotate_the_track_into_the_map() -> None:
@@ -315,7 +315,7 @@ def test_a_recording_is_smoothed_into_the_frame_of_its_fixes() -> None:
     wild = replace(fixes[3], position_m=fixes[3].position_m + np.array([60.0, 10.0]))
     outside = replace(fixes[0], time_s=500.0)
     result = smooth(
-        WALKED, [*fixes[:3], wild, *fixes[4:], outside], floor_changes=[FloorChange(0.0, 1), FloorChange(30.0, 2)]
+        WALKED, fixes=[*fixes[:3], wild, *fixes[4:], outside], floor_changes=[FloorChange(0.0, 1), FloorChange(30.0, 2)]
     )
     track = result.track
     error = np.linalg.norm(track.position_m - true_m(WALKED, track.time_s) @ clockwise(2.0), axis=1)
@@ -348,7 +348,7 @@ def test_without_fixes_the_smoothed_deviation_of_walking_before_running_is_the_o
 
 def test_a_single_fix_gives_a_position_but_no_direction() -> None:
     fix = fixes_of(WALKED)[3]
-    result = smooth(WALKED, [fix])
+    result = smooth(WALKED, fixes=[fix])
     track = result.track
     near = int(np.argmin(np.abs(track.time_s - fix.time_s)))
     assert np.linalg.norm(track.position_m[near] - fix.position_m) < 1.0
@@ -368,7 +368,7 @@ def test_the_warning_about_headings_counts_the_smoothed_headings() -> None:
     gyroscope = WALKED.gyroscope
     missing = (gyroscope.time_s > 8.0) & (gyroscope.time_s < 14.0)
     walk = replace(WALKED, gyroscope=pdr.Samples(gyroscope.time_s[~missing], gyroscope.values[~missing]))
-    alone, fixed = smooth(walk), smooth(walk, fixes_of(WALKED))
+    alone, fixed = smooth(walk), smooth(walk, fixes=fixes_of(WALKED))
     n = int((alone.heading_offset_std_rad > 0.5).sum())
     assert n > 20 > (fixed.heading_offset_std_rad > 0.5).sum()
     assert [note for note in alone.notes if f"uncertain by more than 0.5 rad in {n} of {alone.track.n_steps}" in note]
@@ -377,7 +377,7 @@ def test_the_warning_about_headings_counts_the_smoothed_headings() -> None:
 
 def test_without_a_gyroscope_the_fixes_give_the_directions_with_a_large_covariance() -> None:
     fixes = fixes_of(WALKED)
-    blind, seeing = smooth(replace(WALKED, gyroscope=None), fixes), smooth(WALKED, fixes)
+    blind, seeing = smooth(replace(WALKED, gyroscope=None), fixes=fixes), smooth(WALKED, fixes=fixes)
     spread = [np.sqrt(np.trace(r.track.position_cov_m2, axis1=1, axis2=2)).mean() for r in (blind, seeing)]
     assert spread[0] > 1.5 * spread[1]
     assert [n for n in blind.notes if "no angular rate" in n]
@@ -389,7 +389,7 @@ def test_without_a_gyroscope_the_fixes_give_the_directions_with_a_large_covarian
 def test_a_recording_without_steps_has_the_position_of_its_fixes() -> None:
     still = simulate([Leg("stationary", duration_s=8.0)])
     fixes = [PositionFix(2.0, np.array([5.0, 1.0]), np.eye(2)), PositionFix(4.0, np.array([7.0, 1.0]), np.eye(2))]
-    result = smooth(still, fixes)
+    result = smooth(still, fixes=fixes)
     assert result.track.n_steps == 0
     np.testing.assert_allclose(result.start_position_m, [6.0, 1.0])
     np.testing.assert_allclose(result.start_position_cov_m2, 0.5 * np.eye(2))
@@ -415,7 +415,7 @@ def test_a_gap_in_the_samples_is_bridged_by_fixes() -> None:
         return pdr.Samples(samples.time_s[keep], samples.values[keep])
 
     broken = replace(WALKED, accelerometer=cut(WALKED.accelerometer), gyroscope=cut(WALKED.gyroscope))
-    result = smooth(broken, fixes_of(WALKED))
+    result = smooth(broken, fixes=fixes_of(WALKED))
     assert len(result.rejected) == 0
     assert (np.linalg.eigvalsh(result.track.position_cov_m2) > 0).all()
     assert result.track.step_length_m.max() < 1.5
@@ -425,7 +425,7 @@ def test_a_gap_in_the_samples_is_bridged_by_fixes() -> None:
 def test_repeated_fixes_change_nothing_and_a_fix_before_the_first_step_is_accepted() -> None:
     fixes = fixes_of(WALKED)
     early = PositionFix(0.0, np.zeros(2), np.eye(2))
-    once, twice = smooth(WALKED, [early, *fixes]), smooth(WALKED, [early, *fixes, *fixes])
+    once, twice = smooth(WALKED, fixes=[early, *fixes]), smooth(WALKED, fixes=[early, *fixes, *fixes])
     np.testing.assert_array_equal(twice.track.position_m, once.track.position_m)
     np.testing.assert_array_equal(twice.track.position_cov_m2, once.track.position_cov_m2)
     n = 1 + len(fixes)
@@ -440,7 +440,7 @@ def test_the_smoothed_track_passes_real_waypoints_between_the_fixes_within_a_met
     for name in ("1f", "forward"):
         recording = pdr.read(data_dir / "humolire" / f"humolire_user1_{name}.zip")
         fixes = waypoint_fixes(recording)
-        track = smooth(recording, fixes[::3]).track
+        track = smooth(recording, fixes=fixes[::3]).track
         for number, fix in enumerate(fixes):
             if number % 3:
                 at = [np.interp(fix.time_s, track.time_s, track.position_m[:, k]) for k in (0, 1)]

@@ -29,7 +29,7 @@ LANDMARK = gtsam.symbol("l", 0)
 def test_a_prior_of_a_pose_has_the_effect_of_the_fix_that_it_states() -> None:
     # so many that their clock is estimated with and without one more
     fixes = [*FIXES, *(pdr.PositionFix(t, true_m(t), np.eye(2)) for t in (8.0, 15.0, 29.0))]
-    time_s = float(pdr.smooth(WALK, fixes).track.time_s[20])
+    time_s = float(pdr.smooth(WALK, fixes=fixes).track.time_s[20])
     place, noise = true_m(time_s) + np.array([0.8, -0.8]), gtsam.noiseModel.Isotropic.Sigma(2, 0.5)
 
     def factors(keys: PoseKeys) -> gtsam.NonlinearFactorGraph:
@@ -37,9 +37,9 @@ def test_a_prior_of_a_pose_has_the_effect_of_the_fix_that_it_states() -> None:
         graph.push_back(gtsam.PoseTranslationPrior2D(keys.key(time_s), gtsam.Pose2(*place, 0.0), noise))
         return graph
 
-    as_fix = pdr.smooth(WALK, [*fixes, pdr.PositionFix(time_s, place, 0.25 * np.eye(2))])
-    as_factor = pdr.smooth(WALK, fixes, factors=factors)
-    without = pdr.smooth(WALK, fixes)
+    as_fix = pdr.smooth(WALK, fixes=[*fixes, pdr.PositionFix(time_s, place, 0.25 * np.eye(2))])
+    as_factor = pdr.smooth(WALK, fixes=fixes, factors=factors)
+    without = pdr.smooth(WALK, fixes=fixes)
     assert np.abs(as_fix.track.position_m - without.track.position_m).max() > 0.2
     np.testing.assert_allclose(as_factor.track.position_m, as_fix.track.position_m, atol=0.02)
     std_m, of_fix_m = (np.sqrt(s.track.position_cov_m2[:, [0, 1], [0, 1]]) for s in (as_factor, as_fix))

@@ -377,7 +377,7 @@ def _between_waypoints(recording: Recording) -> tuple[Track, float]:
 
     fixes = waypoint_fixes(recording)
     floors = np.unique(np.asarray(getattr(recording.truth.waypoints, "floor", np.nan)))
-    return smooth(recording, fixes).track, float(floors[0]) if len(floors) == 1 else np.nan
+    return smooth(recording, fixes=fixes).track, float(floors[0]) if len(floors) == 1 else np.nan
 
 
 def _position(track: Track, scan: WifiScan) -> FloatArray | None:

@@ -4,16 +4,6 @@
 belong to no window and to no pyplot state, so that they need not be closed.
 """
 
-from pdr_filter.apps.report.plot.calibration_plots import calibration as calibration
-from pdr_filter.apps.report.plot.calibration_plots import people as people
-from pdr_filter.apps.report.plot.calibration_plots import residuals as residuals
-from pdr_filter.apps.report.plot.consistency import nees as nees
-from pdr_filter.apps.report.plot.consistency import reliability as reliability
-from pdr_filter.apps.report.plot.figures import save as save
-from pdr_filter.apps.report.plot.floor_plan_plots import draw_storey as draw_storey
-from pdr_filter.apps.report.plot.floor_plan_plots import plan as plan
-from pdr_filter.apps.report.plot.walk_plots import contexts as contexts
-from pdr_filter.apps.report.plot.walk_plots import heights as heights
-from pdr_filter.apps.report.plot.walk_plots import step_lengths as step_lengths
-from pdr_filter.apps.report.plot.walk_plots import track as track
-from pdr_filter.apps.report.plot.walk_plots import way as way
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
