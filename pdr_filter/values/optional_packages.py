@@ -17,6 +17,7 @@ _USES = {
     "pandas": ("a data frame", 'pip install "pdr_filter[parquet]"'),
     "shapely": ("a floor plan", 'pip install "pdr_filter[maps]"'),
     "pooch": ("a download", 'pip install "pdr_filter[datasets]"'),
+    "requests": ("a download", 'pip install "pdr_filter[datasets]"'),  # which pooch requires
 }
 
 
