@@ -1,24 +1,27 @@
-"""Check that pip finds wheels of all dependencies on each supported system and Python, and write the table of the docs.
+"""Wheels of all dependencies on each supported system and Python, as pip finds them.
 
-`python .ci/wheels.py` asks the package index for the newest version of each dependency of `pyproject.toml`, without
-installing or downloading the wheels. It writes docs/tables/wheels.md, and exits with 1 if a required package has no
-wheel on a system on which its environment marker demands it.
+usage: python -m tests.benchmarks.wheels
+
+Asks the package index for the newest version of each dependency of pyproject.toml, without downloading the wheels. It
+ends with an error if a required package has no wheel on a system on which its environment marker demands it.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from datetime import date
 from pathlib import Path
 
 from packaging.requirements import Requirement
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.benchmarks.common import Tables, run
+
+ROOT = Path(__file__).resolve().parents[2]
 PYTHONS = ("3.11", "3.12", "3.13")
 # The tags of pip, and the values of the environment markers sys_platform and platform_machine. The systems are the
 # oldest that the newest wheels of numpy and scipy support.
@@ -109,23 +112,19 @@ def missing(found: dict[tuple[str, str], dict[str, str]], required: list[Require
     return lines
 
 
-def main() -> None:
-    """Ask the package index, write and print the table, and exit with 1 if a required wheel is missing."""
+def wheels_of_systems(tables: Tables, _: argparse.Namespace) -> None:
+    """Packages that are compiled, and the systems that have wheels of them."""
     of = requirements()
     # without markers, because pip evaluates them for the system on which it runs; the lower bounds stay
     names = sorted({f"{each.name}{each.specifier}" for listed in of.values() for each in listed})
     cells = [(system, python) for system in SYSTEMS for python in PYTHONS]
     with ThreadPoolExecutor(2) as pool:
         found = dict(zip(cells, pool.map(lambda cell: wheels(names, *cell), cells), strict=True))
-    head = ["package", "needed by", *SYSTEMS]
-    lines = [head, ["---"] * len(head), *rows(found, of)]
-    text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-    text += f"\n*yes: wheels for Python {', '.join(PYTHONS)}. `python .ci/wheels.py`, {date.today()}.*\n"
-    (ROOT / "docs" / "tables" / "wheels.md").write_text(text)
-    print(text)
+    about = f"yes: wheels for Python {', '.join(PYTHONS)}."
+    tables.write("wheels", ["package", "needed by", *SYSTEMS], list(rows(found, of)), about)
     if absent := missing(found, of[""]):
         raise SystemExit("\n".join([*absent, "give these packages an environment marker in pyproject.toml"]))
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, wheels_of_systems)
