@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 import shutil
 import sys
@@ -28,6 +29,7 @@ from pdr_filter.values.optional_packages import load_optional
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.safe_files import whole_file, write_text
 
+_LOG = logging.getLogger(__package__)
 _GITHUB = "https://raw.githubusercontent.com"
 _RAW = ".raw"  # the readers skip names that begin with a dot
 _ATTRIBUTION = "ATTRIBUTION.txt"
@@ -274,6 +276,7 @@ def _load(name: str, dataset: Dataset, source: str | Path, raw: Path) -> None:
                 "network and call fetch again, which resumes the download, or copy the data set to a folder "
                 f"{name} in the folder of the environment variable PDR_DATA"
             ) from error
+        _LOG.info("%s: received %s", name, where)
 
 
 def _size(source: str | Path, files: Sequence[str]) -> str:
