@@ -2,6 +2,7 @@
 # make test                                run the quick tests: three minutes on two cores
 # make test-all                            run every test
 # make check                               lint, format and types
+# make models [MIRROR=folder] [MODELS=dir] train the shipped models again and compare them: hours
 # make docs                                build the documentation and run its notebooks: some minutes the first time
 # make clean                               remove all files that these commands made
 #
@@ -11,6 +12,8 @@ PYTHON ?= python3
 VENV ?= .venv
 FILE ?=
 OUT ?= demo_output
+MIRROR ?=
+MODELS ?= build/models
 
 BIN := $(VENV)/bin
 # tests/conftest.py has the order of the files.
@@ -21,9 +24,9 @@ PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
 # compiles the package again.
 unexport PYTHONDONTWRITEBYTECODE
 # Each worker has a core. More threads only wait for each other: tests of training took half as long again.
-test test-all: export OMP_NUM_THREADS = 1
+test test-all models: export OMP_NUM_THREADS = 1
 
-.PHONY: demo test test-all check docs clean
+.PHONY: demo test test-all check models docs clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/pdr-filter demo $(if $(FILE),"$(FILE)") --out "$(OUT)"
@@ -38,6 +41,9 @@ check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright --pythonpath $(BIN)/python
+
+models: $(VENV)/.installed-datasets
+	@$(BIN)/python -m models.training.make_models "$(MODELS)" "$(MIRROR)"
 
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html

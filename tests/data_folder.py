@@ -17,7 +17,7 @@ def _data() -> Path:
 
         try:
             return cache_folder()
-        except ValueError:  # without the package for downloads nothing was fetched
+        except ImportError:  # without the package for downloads nothing was fetched
             pass
     return _BESIDE
 

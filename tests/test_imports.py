@@ -64,18 +64,6 @@ def test_every_public_name_can_be_loaded() -> None:
         _ = pdr_filter.no_such_name
 
 
-def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
-    statement = (
-        "import sys; sys.modules['gtsam'] = None\n"
-        "import pdr_filter as pdr\n"
-        "samples = pdr.merge_streams(pdr.simulate.demo_walk())\n"
-        "online = pdr.OnlineFilter()\n"
-        "n = len(online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps))\n"
-        "assert n > 100, n"
-    )
-    assert "pdr_filter.filter.chain.imm_tracker" in loaded_by(statement)
-
-
 # --- the packages -----------------------------------------------------------------------------------------------------
 
 # Three groups, in the order in which they may import: each package those before it.

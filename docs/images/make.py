@@ -29,7 +29,8 @@ from pdr_filter.apps.report.palette import BLUE, FAINT, INK, ORANGE
 from tests.data_folder import DATA
 
 HERE = Path(__file__).resolve().parent
-REAL_WALK = DATA / "humolire" / "humolire_user1_1f.zip"
+REAL_WALK = DATA / "humolire" / "humolire_user1_forward.zip"
+REAL_PLAN = DATA / "maps" / "humolire.geojson"
 
 # Online and offline parts have different borders as well, for readers who do not see the colours.
 ONLINE: dict[str, object] = {"facecolor": "#DCEBF5", "edgecolor": BLUE, "linestyle": "-"}
@@ -128,8 +129,33 @@ def demo_track() -> Figure:
 
 
 def real_track() -> Figure | None:
-    """Return a figure of a real walk, or None without its recording."""
-    return pdr.plot.track(pdr.track(pdr.read(REAL_WALK))) if REAL_WALK.exists() else None
+    """Return a figure of a real walk on the plan of its building, or None without recording and plan.
+
+    The first two surveyed points place the walk on the plan. From there on it is dead reckoning, and the other points
+    show its errors.
+    """
+    if not (REAL_WALK.exists() and REAL_PLAN.exists()):
+        return None
+    walk, plan = pdr.read(REAL_WALK), pdr.FloorPlan.read(REAL_PLAN)
+    time_s = walk.truth.waypoints.time_s
+    surveyed_m = np.column_stack([walk.truth.waypoints.east_m, walk.truth.waypoints.north_m])
+    given = [pdr.PositionFix(time_s[i], surveyed_m[i], 0.5**2 * np.eye(2)) for i in (0, 1)]
+    track = pdr.track(walk, pdr.recipes.default().in_world_frame(), fixes=given)
+    tracked_m = np.column_stack([np.interp(time_s, track.time_s, column) for column in track.position_m.T])
+    error_m = np.linalg.norm(tracked_m - surveyed_m, axis=1)[2:]
+    figure = Figure(figsize=(8.0, 4.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = pdr.plot.way(track, figure.add_subplot(), plan=plan)
+    drawn = axes.get_legend()
+    (points,) = axes.plot(*surveyed_m[2:].T, "x", color=ORANGE, markeredgewidth=2, zorder=9)
+    handles = [*(drawn.legend_handles if drawn else []), points]
+    labels = [*(text.get_text() for text in (drawn.get_texts() if drawn else [])), "surveyed, not used"]
+    axes.legend(handles, labels, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=5)
+    axes.set_aspect("equal", adjustable="box")
+    axes.set(xlim=(-4.0, 80.0), ylim=(-8.0, 46.0))
+    error = f"mean error at {len(error_m)} surveyed points {error_m.mean():.1f} m"
+    axes.set_title(f"{track.distance_m:.0f} m in a building, {track.n_steps} steps; {error}", fontsize=10)
+    return figure
 
 
 def online_or_smoothed() -> Figure:

@@ -69,7 +69,6 @@ class PosePlan(ShippedPlan):
 
     head: str = "carrying_mode"
     feature_limit: float = np.inf
-    command: str = "python -m models.training.guo2018_training DATA_DIR models"
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
         """Return weights (W,) with the same total for every pose, that is, carrying mode.

@@ -1,11 +1,10 @@
 """Training of all shipped models, followed by the estimation of transitions and exponents.
 
-Run it with `python -m models.training.train_all DATA_DIR OUT_DIR`. `fit_contexts` fits models on other data.
+`make models` runs it (`make_models`). `fit_contexts` fits models on other data.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -38,6 +37,11 @@ def train(data_dir: Path, out_dir: Path, progress: Progress = silent) -> list[di
     paths = recordings_of(data_dir, wanted)
     if not paths:
         raise ValueError(f"{data_dir} has none of the data sets {wanted}; give the folder that contains their folders")
+    return train_on(paths, out_dir, progress)
+
+
+def train_on(paths: Sequence[Path], out_dir: Path, progress: Progress = silent) -> list[dict[str, Any]]:
+    """Train the models on these recordings, save them to `out_dir`, and return their cards."""
     # before the models are trained, so that an unreadable recording raises its error at once
     changing = changing_recordings(paths, read)
     cards, default_without = _train_contexts(paths, out_dir, part_progress(progress, 0.0, 0.85))
@@ -73,9 +77,3 @@ def _train_contexts(
                 default_without = partial(contexts.model_without, model, plan, own)
         n_done += len(plans)
     return cards, default_without
-
-
-if __name__ == "__main__":
-    from models.training import train_all  # by its name, because other processes cannot import __main__
-
-    train_all.train(Path(sys.argv[1]), Path(sys.argv[2]), lambda what, done: print(f"{100 * done:5.1f} %  {what}"))

@@ -1,1 +1,1 @@
-"""Processing of whole recordings: calibration, smoothing and training. Only these modules import gtsam."""
+"""Processing of whole recordings: calibration, smoothing and training. Only this package imports gtsam."""

@@ -10,17 +10,9 @@ import numpy as np
 
 from pdr_filter.values.arrays import FloatArray, read_only, reduction
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.optional_packages import load_optional
 
 _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
-
-
-def pandas_module(method: str) -> Any:
-    """Return the module pandas; ImportError that names the extra to install if it is missing."""
-    try:
-        import pandas  # pyright: ignore  (optional)
-    except ImportError:
-        raise ImportError(f'{method} needs pandas: pip install "pdr_filter[parquet]"') from None
-    return pandas
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,7 +180,7 @@ class Windows:
             **{name: getattr(self, name) for name in ("irregular_prob", "climb_rate_mps")},
             "model": list(self.model),
         }
-        return pandas_module("Windows.to_pandas").DataFrame(columns)
+        return load_optional("pandas", "Windows.to_pandas").DataFrame(columns)
 
     @property
     def standing_prob(self) -> FloatArray:

@@ -8,6 +8,7 @@ import re
 import textwrap
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from glob import escape as glob_escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -18,6 +19,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Column, Table
 
+from pdr_filter.values.optional_packages import is_available
 from pdr_filter.values.sanitise import file_name, free_name, printable, printable_lines
 
 if TYPE_CHECKING:
@@ -30,6 +32,10 @@ _WIDEST_WORD = 40
 _NUMBER = re.compile(r"[-+]?\d[\d.]*")
 _COLUMN_GAP = 3  # characters between the columns of a table
 SOME_FAILED, UNUSABLE, STOPPED = 1, 2, 130
+_NOT_SMOOTHED = (
+    "this is the online track and not the smoothed one: gtsam is not installed; pip install gtsam (it has no wheel for "
+    "Windows), or use --online to omit this warning"
+)
 
 T = TypeVar("T")
 
@@ -351,6 +357,7 @@ def estimates(
 ) -> tuple[Track, ...]:
     """Return the smoothed track, followed by the online track if `with_both`, or the online track alone if `online`.
 
+    Without gtsam, the result is the online track, with a note. With `loop` it is an ImportError.
     `options` are passed to `pdr_filter.track` and `pdr_filter.smooth`. ValueError for `online` with `loop`.
     """
     import pdr_filter as pdr
@@ -362,6 +369,9 @@ def estimates(
         )
     if online:
         return (pdr.track(recording, progress=progress, **options),)
+    if not loop and not is_available("gtsam"):
+        track = pdr.track(recording, progress=progress, **options)
+        return (replace(track, notes=(*track.notes, _NOT_SMOOTHED)),)
     smoothed = pdr.smooth(recording, loop=loop, progress=progress, **options).track
     return (smoothed, pdr.track(recording, **options)) if with_both else (smoothed,)
 

@@ -22,14 +22,13 @@ def plan_command(
 ) -> None:
     """Show how a floor plan is interpreted, and draw it as NAME.png into the folder of --out."""
     import pdr_filter as pdr
-    from pdr_filter.apps.report import plot
 
     with console.one_line_errors():
         read = pdr.FloorPlan.read(file)
         picture = None if out is None else out / f"{file_name(read.name)}.png"
         before = console.existing(picture)
         if picture is not None:
-            plot.plan(read, picture)
+            pdr.plot.plan(read, picture)
     if as_json:
         console.print_json(read.summary())
     else:

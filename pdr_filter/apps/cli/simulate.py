@@ -50,7 +50,8 @@ def demo_command(
     loop: Loop = False,
 ) -> None:
     """Smooth a walk, draw it and print a summary."""
-    from pdr_filter.apps.cli.demo import Demo, run_demo
+    with console.one_line_errors():  # for the package of the pictures
+        from pdr_filter.apps.cli.demo import Demo, run_demo
 
     written = set[str]()
     folder = Path(tempfile.mkdtemp(prefix="pdr_filter_demo_")) if out is None else out

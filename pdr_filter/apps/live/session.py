@@ -55,7 +55,7 @@ _MAX_NOTES = 20
 _FIX_STD_RANGE_M = (0.01, 1000.0)
 # Folder with a file for each phone: its gyroscope bias at the end of its latest session.
 DEVICES = "devices"
-_LOG = logging.getLogger(__name__)
+_LOG = logging.getLogger(__package__)
 
 
 @lru_cache(maxsize=64)

@@ -30,7 +30,7 @@ _PASS_S, _LONGEST_WAIT_S = 0.2, 2.0
 _IDLE_S = 600.0
 # Folder with a file for each session, which holds the names of its device and session.
 NAMES = "sessions"
-_LOG = logging.getLogger(__name__)
+_LOG = logging.getLogger(__package__)
 
 
 class Sessions:

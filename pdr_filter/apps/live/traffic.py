@@ -21,7 +21,7 @@ _LEAST_BYTES_PER_S = 0.1e6
 # An hour is enough to notice a warning and to free some space.
 _WARNING_S = 3600.0
 _MAX_REASON = 200
-_LOG = logging.getLogger(__name__)
+_LOG = logging.getLogger(__package__)
 
 
 class Traffic:

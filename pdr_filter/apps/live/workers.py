@@ -37,7 +37,7 @@ _LONGEST_WAIT_S = 30.0
 # Phones wait for an answer as long as a worker takes to start; most apps give up after half a minute.
 _PATIENCE_S = 10.0
 
-_LOG = logging.getLogger(__name__)
+_LOG = logging.getLogger(__package__)
 
 
 class Share(Protocol):

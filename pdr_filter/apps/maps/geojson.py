@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pdr_filter.apps.maps.storey import CELL_M, FREE, LIFT, MARGIN_M, OUTSIDE, ROOM, STAIRS, WALL, Feature, Storey
 from pdr_filter.values import FloatArray, IntArray, Origin, limits, read_only
+from pdr_filter.values.optional_packages import load_optional
 from pdr_filter.values.safe_files import read_json
 
 # Accepted values of the property "type", by kind of feature.
@@ -96,10 +97,7 @@ def read_plan(
 
 def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _RawFeature:
     """Return one feature of the file, checked; append remarks about interpreted types to `notes`."""
-    try:
-        import shapely.geometry
-    except ImportError:
-        raise ImportError('floor plans need shapely: pip install "pdr_filter[maps]"') from None
+    geometry = load_optional("shapely.geometry")
     properties: Any = feature.get("properties") or {} if isinstance(feature, dict) else None
     if not isinstance(properties, dict):
         raise ValueError(f"feature {number} is not a feature with properties, got {str(feature)[:60]}; delete it")
@@ -109,7 +107,7 @@ def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _RawFeatu
         raise ValueError(f'{which} has no property "type"; give it one of {", ".join(_KINDS)}')
     kind = _KIND_OF.get(word)
     try:
-        shape = shapely.geometry.shape(feature["geometry"])
+        shape = geometry.shape(feature["geometry"])
     except Exception as error:  # damaged geometries raise many kinds of exceptions
         raise ValueError(f"{which} has a geometry that cannot be read ({error}); draw it again, or delete it") from None
     is_area = shape.geom_type in ("Polygon", "MultiPolygon")

@@ -106,7 +106,8 @@ def chain_of(recording: Recording, key: str = "", salt: str | None = None) -> Ch
 
     `key` identifies the walk. `salt` hashes the addresses of access points. ValueError if the recording has no steps.
     """
-    from pdr_filter.offline.smoothing.smooth import chain_problem  # imported late, because it loads gtsam
+    # imported late, because a radio map that is only read does not need the smoother
+    from pdr_filter.offline.smoothing.smooth import chain_problem
     from pdr_filter.offline.smoothing.solve import solve
 
     track, device_rad, problem = chain_problem(recording, KNOT_S)

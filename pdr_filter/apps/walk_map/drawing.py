@@ -13,6 +13,7 @@ from scipy.ndimage import gaussian_filter
 from pdr_filter.apps.report.templates import template
 from pdr_filter.apps.walk_map.mapped_walk import MappedWalk
 from pdr_filter.values import FloatArray
+from pdr_filter.values.optional_packages import load_optional
 from pdr_filter.values.uncertainty import worst_std_m
 
 # Half of the width of a narrow corridor. The largest standard deviations for the density and for the outline.
@@ -50,10 +51,7 @@ def plan_text(walks: Sequence[MappedWalk]) -> str:
     An outline surrounds each path by 1.5 m plus twice its median standard deviation in the worst direction, of which at
     most 15 m count.
     """
-    try:
-        import shapely
-    except ImportError:
-        raise ImportError('floor plans need shapely: pip install "pdr_filter[maps]"') from None
+    shapely = load_optional("shapely")
     of_floor: dict[int, list[Any]] = {}
     for walk in walks:
         ends = np.flatnonzero(np.diff(walk.floor)) + 1

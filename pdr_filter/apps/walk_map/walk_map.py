@@ -34,6 +34,7 @@ from pdr_filter.apps.walk_map.walk_poses import (
 )
 from pdr_filter.offline.smoothing.observations import OUTSIDE_S
 from pdr_filter.values import FloatArray, HeadingFix, PositionFix, limits, read_only
+from pdr_filter.values.optional_packages import load_optional
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.safe_files import read_json, read_small, write_files
@@ -531,6 +532,7 @@ def _chains_of(
     No two chains have the same name, also among `earlier` chains, and copies of a recording are unusable. Marks come
     with the name of their walk.
     """
+    load_optional("gtsam")  # otherwise every recording would be unusable for the same reason
     items = [r if isinstance(r, Recording) else str(r) for r in recordings]
     work = partial(cached_chain, cache=None if cache is None else str(cache), salt=salt)
     found: dict[int, Chain | Failure] = {}

@@ -1,30 +1,37 @@
 """Public recordings, downloaded from the sites of their owners into a cache, with their licences.
 
 `fetch("humolire")` downloads a data set and writes it as recordings in the format of this package, with person, labels
-and ground truth. To use local files instead, set the environment variable PDR_DATA to a folder that contains a folder
-with the name of the data set. Downloads need `pip install "pdr_filter[datasets]"`.
+and ground truth. Title, licence and size are shown before anything is loaded. To use local recordings instead, set the
+environment variable PDR_DATA to a folder that contains a folder with the name of the data set. Downloads need
+`pip install "pdr_filter[datasets]"`.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
+import shutil
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from pdr_filter.data.datasets import from_raw
 from pdr_filter.data.datasets.ms_indoor_walks import WALKS
 from pdr_filter.data.io.files.archive import open_members
 from pdr_filter.data.io.folders import recordings_in
+from pdr_filter.values.optional_packages import load_optional
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.safe_files import whole_file, write_text
 
 __all__ = ["DATASETS", "Dataset", "cache_folder", "fetch"]
 
+_LOG = logging.getLogger(__package__)
 _GITHUB = "https://raw.githubusercontent.com"
 _RAW = ".raw"  # the readers skip names that begin with a dot
 _ATTRIBUTION = "ATTRIBUTION.txt"
@@ -44,13 +51,11 @@ class Dataset:
     title, licence, attribution : str
         Title and short description, licence of the files, and publication or owner to cite.
     home : str
-        Address of the folder of the files. It should contain a commit, so that the files cannot change.
+        Address of the folder of the files. It contains a commit, so that the files cannot change.
     files : tuple of str
         Paths of the files below `home`.
     sha256 : tuple of str, default ()
         Checksums of `files` in the same order, or empty if they are unknown.
-    or_home : str, default ""
-        Address of the newest state of the same folder, for files that are missing in the commit.
     recordings : callable, optional
         Function from the folder of the raw files to recordings. The default reads all recordings that the readers find.
     plan : callable, optional
@@ -70,7 +75,6 @@ class Dataset:
     home: str
     files: tuple[str, ...]
     sha256: tuple[str, ...] = ()
-    or_home: str = ""
     recordings: Callable[[Path], Iterable[Recording]] = from_raw.as_found
     plan: Callable[[Path], dict[str, Any]] | None = None
 
@@ -111,7 +115,6 @@ DATASETS: dict[str, Dataset] = {
             *(f"imus/1/{walk}/keypoints.json" for walk in _LANDMARKS),
             "maps/map_data.json",
         ),
-        or_home=f"{_GITHUB}/anisghaoui/humolire/HEAD/data",
         recordings=from_raw.humolire,
         plan=from_raw.humolire_plan,
     ),
@@ -122,8 +125,16 @@ DATASETS: dict[str, Dataset] = {
         "doi:10.1145/3302505.3310068",
         f"{_GITHUB}/mmalekzadeh/motion-sense/3ac0381db93ff62e1d54a002b90b23bb7179e99f/data",
         ("data_subjects_info.csv", "A_DeviceMotion_data.zip"),
-        or_home=f"{_GITHUB}/mmalekzadeh/motion-sense/HEAD/data",
         recordings=from_raw.motionsense,
+    ),
+    "difronzo": Dataset(
+        "Di Fronzo: activities of four people in one recording each, phone in the trouser pocket",
+        "MIT (Copyright (c) 2022 Andreas Lien)",
+        "A. Lien, LSTM for Human Activity Recognition classification, github.com/DiFronzo",
+        f"{_GITHUB}/DiFronzo/LSTM-for-Human-Activity-Recognition-classification/"
+        "eddd71717d52b4de26f3e9f04f12c74ed3ea7989/raw data",
+        ("labels.txt", *(f"{sensor}_{trial}.txt" for trial in from_raw.DIFRONZO for sensor in ("acc", "gyro"))),
+        recordings=from_raw.difronzo,
     ),
     "ms_indoor": Dataset(
         "Indoor Location Competition 2.0: walks in a mall with points of the floor plan",
@@ -131,13 +142,12 @@ DATASETS: dict[str, Dataset] = {
         "Indoor Location Competition 2.0, sample data (Microsoft Research and XYZ10, Inc.)",
         f"{_GITHUB}/location-competition/indoor-location-competition-20/2315bf92da0b91d82fb08c205857c5b83712642c/data/site1",
         tuple(f"{floor}/path_data_files/{name}.txt" for floor, names in WALKS.items() for name in names.split()),
-        or_home=f"{_GITHUB}/location-competition/indoor-location-competition-20/HEAD/data/site1",
         recordings=from_raw.ms_indoor,
     ),
 }
 
 
-def fetch(name: str, folder: str | Path | None = None) -> list[Path]:
+def fetch(name: str, folder: str | Path | None = None, mirror: str | Path | None = None) -> list[Path]:
     """Return the paths of the recordings of a data set, and download missing ones.
 
     The recordings are zip files in the format of this package, in `folder / name`. They contain person, labels and
@@ -149,6 +159,9 @@ def fetch(name: str, folder: str | Path | None = None) -> list[Path]:
         One of `DATASETS`, or the name of a folder in the folder that the environment variable PDR_DATA names.
     folder : str or Path, optional
         Folder of the data sets, with one folder for each. The default is `cache_folder()`.
+    mirror : str or Path, optional
+        Folder with copies of the published files, `mirror / name / file` for each of `DATASETS[name].files`. They are
+        used instead of the network.
 
     Returns
     -------
@@ -158,15 +171,18 @@ def fetch(name: str, folder: str | Path | None = None) -> list[Path]:
     Raises
     ------
     ValueError
-        If the name is unknown, if a checksum differs, or if the package for downloads is not installed.
+        If the name is unknown, if a checksum differs, or if `folder / name` is an unfinished data set.
+    ImportError
+        If the package for downloads is not installed.
     ConnectionError
-        If the site cannot be reached.
+        If the site cannot be reached, or a file of the mirror is missing.
 
     Notes
     -----
-    Downloaded files are kept in `.raw` next to the zip files. Their checksums are in `SHA256SUMS`, in the format of
-    `sha256sum --check`. No public address could be reached when the table of data sets was written. The table therefore
-    contains no checksums to compare with yet.
+    `folder / name` appears when the data set is complete. Until then its files are in `folder / ".NAME.partial"`, where
+    the next call continues. Downloaded files are kept in `.raw` next to the zip files. Their checksums are in
+    `SHA256SUMS`, in the format of `sha256sum --check`. No public address could be reached when the table of data sets
+    was written. The table therefore contains no checksums to compare with yet.
 
     Examples
     --------
@@ -192,23 +208,33 @@ def fetch(name: str, folder: str | Path | None = None) -> list[Path]:
         )
     dataset = DATASETS[name]
     folder = Path(folder) if folder is not None else cache_folder()
-    to = folder / name
-    if not (to / _ATTRIBUTION).is_file():  # this file is written last
-        print(dataset.about(), end="", file=sys.stderr)
-        _download(name, dataset, to / _RAW)
-        _write(name, dataset, to, folder / "maps" / f"{name}.geojson")
+    to, partial = folder / name, folder / f".{name}.partial"
+    if not (to / _ATTRIBUTION).is_file():
+        if to.exists():
+            raise ValueError(
+                f"{to} has no {_ATTRIBUTION}, so that it is not a complete data set: delete it, or give another folder"
+            )
+        source = dataset.home if mirror is None else Path(mirror) / name
+        print(f"{dataset.about()}{_size(source, dataset.files)}", end="", file=sys.stderr)
+        try:
+            _load(name, dataset, source, partial / _RAW)
+        except BaseException:
+            _remove_empty(partial / _RAW)
+            raise
+        _write(name, dataset, partial, folder / "maps" / f"{name}.geojson")
+        partial.rename(to)
     return recordings_in(to)
 
 
 def cache_folder() -> Path:
     """Return the default folder of the data sets: the user's cache folder for reproducible files."""
-    return Path(_pooch().os_cache("pdr_filter"))
+    return Path(load_optional("pooch").os_cache("pdr_filter"))
 
 
 def _write(name: str, dataset: Dataset, to: Path, plan: Path) -> None:
     """Convert the downloaded files of a data set. Write its recordings to `to` and its floor plan to `plan`.
 
-    Their metadata have the licence. The attribution is written last.
+    Their metadata have the licence.
     """
     raw = to / _RAW
     for archive in raw.rglob("*.zip"):
@@ -225,37 +251,60 @@ def _write(name: str, dataset: Dataset, to: Path, plan: Path) -> None:
     write_text(to / _ATTRIBUTION, dataset.about())
 
 
-def _download(name: str, dataset: Dataset, raw: Path) -> None:
-    """Download the missing files of a data set to a folder, from the commit or else from the newest state.
+def _load(name: str, dataset: Dataset, source: str | Path, raw: Path) -> None:
+    """Copy the missing files of a data set to a folder, from an address or from the folder of a mirror.
 
-    ValueError if a file has another checksum, ConnectionError if it cannot be downloaded.
+    Each file is written under another name, and renamed when it is complete and its checksum is right. ValueError if a
+    file has another checksum, ConnectionError if it cannot be loaded.
     """
-    pooch = _pooch()
-    pooch.get_logger().setLevel("WARNING")
     known = dict(zip(dataset.files, dataset.sha256, strict=False))
     for file in dataset.files:
-        place = raw / file
-        if place.is_file():
+        if (raw / file).is_file():
             continue
-        for home in filter(None, (dataset.home, dataset.or_home)):
-            url = f"{home}/{file}"
-            try:
-                pooch.retrieve(url, known.get(file), place.name, place.parent)
-                break
-            except OSError as error:  # before ValueError, because some errors of requests are both
-                if "404" in str(error) and dataset.or_home and home != dataset.or_home:
-                    print(f"{file} is missing in the recorded commit: downloading its newest state", file=sys.stderr)
-                    continue
-                raise ConnectionError(
-                    f"{name}: {url} cannot be downloaded ({type(error).__name__}: {str(error)[:200]}); connect to the "
-                    "network and call fetch again, which resumes the download, or copy the data set to a folder "
-                    f"{name} in the folder of the environment variable PDR_DATA"
-                ) from error
-            except ValueError as error:  # wrong checksum
-                raise ValueError(
-                    f"{name}: {url} has changed since its checksum was recorded ({error}): do not use the file, and "
-                    "report this to the maintainers of pdr_filter"
-                ) from error
+        where = f"{source}/{file}"
+        try:
+            with whole_file(raw / file) as content:
+                if isinstance(source, Path):
+                    with (source / file).open("rb") as copy:
+                        shutil.copyfileobj(copy, content)
+                else:
+                    load_optional("pooch").HTTPDownloader()(quote(where, ":/"), content, None)
+                content.flush()
+                received = hashlib.sha256(Path(content.name).read_bytes()).hexdigest()
+                if known.get(file, received) != received:
+                    raise ValueError(
+                        f"{name}: {where} has changed since its checksum was recorded: do not use the file, and report "
+                        "this to the maintainers of pdr_filter"
+                    )
+        except OSError as error:  # some errors of requests are also ValueError
+            raise ConnectionError(
+                f"{name}: {where} cannot be downloaded ({type(error).__name__}: {str(error)[:200]}); connect to the "
+                "network and call fetch again, which resumes the download, or copy the data set to a folder "
+                f"{name} in the folder of the environment variable PDR_DATA"
+            ) from error
+        _LOG.info("%s: received %s", name, where)
+
+
+def _size(source: str | Path, files: Sequence[str]) -> str:
+    """Return the number and size of the files as a line of text. The size is unknown if the site does not state it."""
+    try:
+        if isinstance(source, Path):
+            n_bytes = sum((source / file).stat().st_size for file in files)
+        else:
+            with load_optional("requests").Session() as session:
+                heads = [session.head(quote(f"{source}/{file}", ":/"), timeout=10) for file in files]
+            n_bytes = sum(int(head.headers["Content-Length"]) for head in heads if head.ok)
+        return f"size: {n_bytes / 1e6:.1f} MB in {len(files)} files\n"
+    except (OSError, KeyError):
+        return f"size: {len(files)} files, unknown number of bytes\n"
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove a folder and its subfolders if they have no files, and then the folders above that are empty."""
+    below = [path for path in folder.rglob("*") if path.is_dir()]
+    for path in (*sorted(below, reverse=True), folder, *folder.parents[:3]):
+        with suppress(OSError):  # not empty
+            path.rmdir()
 
 
 def _unpack(archive: Path) -> None:
@@ -266,12 +315,3 @@ def _unpack(archive: Path) -> None:
             if not place.is_file() and name.lower().endswith((".csv", ".txt")):
                 with whole_file(place) as file:
                     file.writelines(members.parts(name))
-
-
-def _pooch():
-    """Return the module pooch. ValueError, which says how to install it, if it is missing."""
-    try:
-        import pooch
-    except ImportError as error:
-        raise ValueError('downloads need the package pooch: pip install "pdr_filter[datasets]"') from error
-    return pooch

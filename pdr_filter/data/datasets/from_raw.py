@@ -22,6 +22,7 @@ from pdr_filter.values import FloatArray, Table, limits, table
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording, Truth
 from pdr_filter.values.safe_files import read_small
+from pdr_filter.values.samples import Samples
 
 _MIN_LEG_M = 5.0
 # Corridors are parallel to the axes of the plan. The landmarks of a leg along a corridor deviate by less than this,
@@ -38,6 +39,12 @@ _ACTIVITIES = {
     **{"dws": "downstairs", "ups": "upstairs", "wlk": "walking", "jog": "running"},
     **{"sit": "stationary", "std": "stationary"},
 }
+
+
+# Recordings of Di Fronzo with the phone that the odd experiments have, as experiment and person.
+DIFRONZO = ("exp01_user01", "exp03_user01", "exp05_user03", "exp07_user03", "exp09_user05", "exp11_user07")
+_DIFRONZO_HZ = 50.0  # no times are published
+_DIFRONZO_CONTEXTS = {"1": "walking", "2": "upstairs", "3": "downstairs", "4": "stationary", "5": "stationary"}
 
 
 def as_found(raw: Path) -> Iterator[Recording]:
@@ -116,6 +123,39 @@ def motionsense(raw: Path) -> Iterator[Recording]:
         yield _named(recording, f"motionsense_s{int(code):02d}_{trial}", truth, meta)
 
 
+def difronzo(raw: Path) -> Iterator[Recording]:
+    """Yield the recordings of Di Fronzo with their activities.
+
+    Rows before both sensors have started are zero and left out. Values have the digits with which the shipped models
+    were trained. The labels are rows, counted from 0.
+    """
+    labels = [line.split() for line in read_small(raw / "labels.txt", limits.MAX_SMALL_BYTES).decode().splitlines()]
+    for trial in DIFRONZO:
+        number, person = (int(part[-2:]) for part in trial.split("_"))
+        force, rate = (
+            np.array(list(_rows(raw / f"{sensor}_{trial}.txt")), dtype=np.float64) for sensor in ("acc", "gyro")
+        )
+        n_rows = min(len(force), len(rate))
+        first = int(np.argmax(force[:n_rows].any(axis=1) & rate[:n_rows].any(axis=1)))
+        time_s = np.arange(n_rows - first) / _DIFRONZO_HZ
+        rows = [row[2:] for row in labels if row and int(row[0]) == number]
+        # the end of one label is printed as 159396 instead of 15939
+        spans = [(int(begin), int(end) if int(end) <= n_rows else int(end) // 10) for _, begin, end in rows]
+        begin_s, end_s = (np.array(spans).T - first) / _DIFRONZO_HZ
+        contexts = [_DIFRONZO_CONTEXTS[activity] for activity, _, _ in rows]
+        yield Recording(
+            accelerometer=Samples(time_s, force[first:n_rows].round(4)),
+            gyroscope=Samples(time_s, rate[first:n_rows].round(5)),
+            name=f"difronzo_user{person:02d}_exp{number:02d}",
+            truth=Truth(
+                labels=table(
+                    {"start_s": begin_s, "end_s": end_s, "context": contexts, "carrying_mode": ["pocket"] * len(rows)}
+                )
+            ),
+            meta={"subject": {"id": f"user{person:02d}"}, "placement": "trouser pocket, top end down"},
+        )
+
+
 def ms_indoor(raw: Path) -> Iterator[Recording]:
     """Yield the walks of Indoor Location Competition 2.0 that have surveyed points of the floor plan."""
     for path in sorted(raw.glob("*/path_data_files/*.txt")):
@@ -191,9 +231,9 @@ def _landmarks(path: Path) -> FloatArray:
 
 
 def _rows(path: Path) -> Iterator[list[float]]:
-    """Iterate over the lines of a text file of senslogs that begin with a digit, as lists of numbers."""
+    """Iterate over the lines of a text file that begin with a digit or a sign, as lists of numbers."""
     lines = read_small(path, limits.MAX_MEMBER_BYTES).decode("utf-8", "replace").splitlines()
-    return (list(map(float, line.split())) for line in lines if line[:1].isdigit())
+    return (list(map(float, line.split())) for line in lines if line[:1].isdigit() or line[:1] == "-")
 
 
 def _csv(path: Path) -> list[dict[str, str]]:

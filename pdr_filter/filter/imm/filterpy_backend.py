@@ -20,12 +20,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from filterpy.kalman import IMMEstimator, KalmanFilter
 
 from pdr_filter.values import FloatArray, softmax
+from pdr_filter.values.optional_packages import load_optional
+
+_KALMAN = load_optional("filterpy.kalman")
 
 
-class MendedIMMEstimator(IMMEstimator):  # filterpy has no type hints
+class MendedIMMEstimator(_KALMAN.IMMEstimator):  # filterpy has no type hints
     """IMM (interacting multiple model) estimator of filterpy, with four corrections.
 
     - `M[i, j]` is the transition probability from mode i to mode j, and rows sum to one.
@@ -134,7 +136,7 @@ def _filters(mean: FloatArray, cov: FloatArray, dim_z: int = 1) -> list[Any]:
 
     Static means that the transition matrix F is the identity and the process noise Q is zero.
     """
-    filters: list[Any] = [KalmanFilter(dim_x=mean.shape[1], dim_z=dim_z) for _ in mean]
+    filters: list[Any] = [_KALMAN.KalmanFilter(dim_x=mean.shape[1], dim_z=dim_z) for _ in mean]
     for kalman, x, P in zip(filters, mean, cov, strict=True):
         kalman.x, kalman.P, kalman.Q = x.copy(), P.copy(), np.zeros_like(P)
     return filters

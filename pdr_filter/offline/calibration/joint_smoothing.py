@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import gtsam
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import LOG_SCALE
@@ -22,6 +21,7 @@ from pdr_filter.offline.calibration.estimation import PeopleEstimate, embedded_c
 from pdr_filter.offline.calibration.model_forms import hierarchy_of, models_of
 from pdr_filter.offline.calibration.priors import StepLengthPrior
 from pdr_filter.offline.calibration.segments import Segment
+from pdr_filter.offline.late_gtsam import gtsam
 from pdr_filter.offline.robust_loss import OUTLIER_STDS
 from pdr_filter.offline.smoothing.factor_graph import (
     PersonKeys,

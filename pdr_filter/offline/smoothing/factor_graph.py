@@ -17,10 +17,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-import gtsam
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
+from pdr_filter.offline.late_gtsam import gtsam
 from pdr_filter.offline.smoothing.linear_graph import cov_of
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS, NO_ERRORS, Errors
 from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 
-import gtsam
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import N_STATES
+from pdr_filter.offline.late_gtsam import gtsam
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS
 from pdr_filter.values import FloatArray, IntArray
 

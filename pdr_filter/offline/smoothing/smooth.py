@@ -106,6 +106,7 @@ from pdr_filter.values import (
     wrap_angle,
 )
 from pdr_filter.values.georeference import Georeference, GnssUse, NorthUse
+from pdr_filter.values.optional_packages import load_optional
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.serialisation import to_bytes
 from pdr_filter.values.uncertainty import worst_std_m
@@ -306,6 +307,7 @@ def smooth(
     passes = pass_callbacks(progress)
     if run.config.on_plan is not None:
         return with_given_origin(run, _on_plan(run, run.config.on_plan.plan, passes, is_given=plan is not None))
+    load_optional("gtsam")  # before the dead reckoning, which can take a minute
     if memory is None:
         config, track, sensing, stood = _dead_reckoned(run, passes)
     else:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-import gtsam
 import numpy as np
 
 from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES
+from pdr_filter.offline.late_gtsam import gtsam
 from pdr_filter.offline.robust_loss import GNC_FACTOR, truncated_start, truncated_weights
 from pdr_filter.offline.smoothing.linear_graph import Rows, cov_of, eliminate, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.location_errors import N_ERRORS, Errors

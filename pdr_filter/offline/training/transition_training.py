@@ -109,7 +109,7 @@ def shipped_model_without(people: Sequence[str]) -> ContextModel:
     if seen:
         raise ValueError(
             f"the shipped model {DEFAULT_MODEL!r} was trained on the data sets of {', '.join(seen)}, who must be held "
-            "out; train the models again without them, in a clone: python -m models.training.train_all"
+            "out; train the models again without them, in a clone: make models"
         )
     return model
 

@@ -94,7 +94,7 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
             raise ValueError(
                 f"model {self.model.name!r} does not classify carrying modes from the 12 features of pitch and roll: "
                 'pass ContextModel.load("guo_pose"), or train one in a clone with '
-                "`python -m models.training.guo2018_training`"
+                "`make models`"
             )
 
     @property

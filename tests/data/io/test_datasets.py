@@ -21,7 +21,7 @@ from app_files import core_motion_text, indoor_location_text, on_one_clock, writ
 
 import pdr_filter as pdr
 from pdr_filter import datasets
-from pdr_filter.data.datasets import DATASETS, Dataset
+from pdr_filter.data.datasets import DATASETS, Dataset, from_raw
 
 pytest.importorskip("pooch")
 
@@ -33,7 +33,8 @@ class Quiet(SimpleHTTPRequestHandler):
     asked: list[str] = []  # noqa: RUF012 - of the test that runs
 
     def log_message(self, *_: object) -> None:
-        self.asked.append(self.path)
+        if self.command == "GET":  # HEAD asks for the size alone
+            self.asked.append(self.path)
 
 
 @pytest.fixture
@@ -151,7 +152,7 @@ def test_a_local_folder_is_used_in_place_of_the_network(tmp_path: Path, monkeypa
     monkeypatch.setenv("PDR_DATA", str(tmp_path))
     assert datasets.fetch("humolire") == [walk]
     assert datasets.fetch("mine") == [walk_of_mine]
-    with pytest.raises(ValueError, match="data set 'theirs' is unknown: give one of humolire, motionsense, ms_indoor"):
+    with pytest.raises(ValueError, match=r"data set 'theirs' is unknown: give one of humolire, .*, ms_indoor"):
         datasets.fetch("theirs")
 
 
@@ -170,15 +171,40 @@ def test_without_the_package_for_downloads_the_message_says_which(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "pooch", None)
-    with pytest.raises(ValueError, match=r"pip install \"pdr_filter\[datasets\]\""):
+    with pytest.raises(ImportError, match=r"pip install \"pdr_filter\[datasets\]\""):
         datasets.fetch("humolire", tmp_path)
 
 
-def test_a_file_that_is_not_in_the_commit_is_taken_from_the_newest_state(
-    tmp_path: Path, home: str, publish: Publish
+def test_a_mirror_is_used_in_place_of_the_network_and_its_size_is_shown_first(
+    tmp_path: Path, home: str, publish: Publish, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    publish(f"{home}/commit", or_home=home)
-    assert len(datasets.fetch("little", tmp_path / "cache")) == 2
+    publish(home)
+    (tmp_path / "home").rename(tmp_path / "little")
+    Quiet.asked = []
+    paths = datasets.fetch("little", tmp_path / "cache", mirror=tmp_path)
+    assert [path.name for path in paths] == ["walk_1.zip", "walk_2.zip"]
+    assert Quiet.asked == []
+    shown = capsys.readouterr().err
+    n_bytes = sum((tmp_path / "little" / file).stat().st_size for file in FILES)
+    assert shown.index("licence: CC0") < shown.index(f"size: {n_bytes / 1e6:.1f} MB in 4 files")
+
+
+def test_a_download_that_fails_at_once_leaves_nothing_behind(tmp_path: Path, publish: Publish) -> None:
+    publish("http://127.0.0.1:9")
+    with pytest.raises(ConnectionError):
+        datasets.fetch("little", tmp_path / "cache")
+    assert list(tmp_path.rglob("*")) == []
+
+
+def test_a_data_set_has_its_name_only_when_it_is_complete(tmp_path: Path, home: str, publish: Publish) -> None:
+    def breaks_off(raw: Path) -> Iterator[pdr.Recording]:
+        yield pdr.read(raw / "walk_1")
+        raise KeyboardInterrupt
+
+    publish(home, recordings=breaks_off)
+    with pytest.raises(KeyboardInterrupt):
+        datasets.fetch("little", tmp_path / "cache")
+    assert [path.name for path in (tmp_path / "cache").iterdir()] == [".little.partial"]
 
 
 # ---------------------------------------------------------------- as their owners publish them
@@ -190,7 +216,7 @@ def fetched(tmp_path: Path, home: str, publish: Publish) -> Fetched:
 
     def fetch(name: str, files: Mapping[str, str | bytes]) -> list[Path]:
         write_folder(tmp_path / "home", files)
-        publish(home, name=name, or_home="", files=tuple(files))
+        publish(home, name=name, files=tuple(files))
         return datasets.fetch(name, tmp_path / "cache")
 
     return fetch
@@ -282,11 +308,42 @@ def test_ms_indoor_comes_with_points_of_the_map_storey_and_labels(fetched: Fetch
     np.testing.assert_allclose([walk.truth.labels["start_s"][0], walk.truth.labels["end_s"][0]], [0.5, 9.0])
 
 
+def test_difronzo_has_the_values_and_labels_with_which_the_models_are_trained(
+    data_dir: Path, fetched: Fetched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = data_dir / "difronzo" / "difronzo_user03_exp05.zip"
+    if not path.is_file():
+        pytest.skip(f"needs {path}")
+    monkeypatch.setattr(from_raw, "DIFRONZO", ("exp05_user03",))
+    expected = pdr.read(path)
+    truth = expected.truth.labels
+    rows = np.rint(50 * np.column_stack([truth["start_s"], truth["end_s"]])).astype(int) + 3
+    activity = [{"walking": 1, "stationary": 4}[context] for context in truth["context"]]
+    lines = [f"5 3 {kind} {begin} {end}" for kind, (begin, end) in zip(activity, rows, strict=True)]
+    files = {
+        "labels.txt": "4 2 1 7 9\n" + "\n".join(lines) + "6\n\n",  # with the misprint of the last label
+        "acc_exp05_user03.txt": "0.0 0.0 0.0\n0.1 0.2 9.8\n0.1 0.2 9.8\n" + text_of(expected.accelerometer.values),
+        "gyro_exp05_user03.txt": "0.0 0.0 0.0\n" * 3 + text_of(expected.gyroscope.values),
+    }
+    (found,) = map(pdr.read, fetched("difronzo", files))
+    assert found.name == expected.name
+    assert found.subject.id == expected.subject.id
+    for name in ("accelerometer", "gyroscope"):
+        np.testing.assert_array_equal(getattr(found, name).time_s, getattr(expected, name).time_s)
+        np.testing.assert_array_equal(getattr(found, name).values, getattr(expected, name).values)
+    for name in truth.dtype.names:
+        np.testing.assert_array_equal(found.truth.labels[name], truth[name])
+
+
+def text_of(values: np.ndarray) -> str:
+    return "".join(f"{x} {y} {z}\n" for x, y, z in (values + 1e-7).tolist())  # more digits than are kept
+
+
 def simulated() -> pdr.Recording:
     return on_one_clock(pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=12.0)], rate_hz=50.0))
 
 
-@pytest.mark.parametrize("name", ["humolire", "motionsense", "ms_indoor"])
+@pytest.mark.parametrize("name", DATASETS)
 def test_every_data_set_says_its_terms_and_where_it_is_from(name: str) -> None:
     dataset = DATASETS[name]
     assert dataset.licence

@@ -373,7 +373,7 @@ def _wifi_of(recording: Recording) -> Wifi:
 def _between_waypoints(recording: Recording) -> tuple[Track, float]:
     """Return the smoothed track of a recording with waypoints, and its storey (NaN if unknown or not unique)."""
     from pdr_filter.offline.smoothing.observations import waypoint_fixes
-    from pdr_filter.offline.smoothing.smooth import smooth  # imported late, because it loads gtsam
+    from pdr_filter.offline.smoothing.smooth import smooth
 
     fixes = waypoint_fixes(recording)
     floors = np.unique(np.asarray(getattr(recording.truth.waypoints, "floor", np.nan)))

@@ -15,8 +15,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pdr_filter.values import FloatArray, Origin, TrackRows, limits, yaw_from_heading
+from pdr_filter.values.optional_packages import load_optional
 from pdr_filter.values.safe_files import whole_file, write_text
-from pdr_filter.values.windows import pandas_module
 from pdr_filter.version import __version__
 
 # Tracks that lie nowhere are drawn where the equator meets the prime meridian, in the open sea: nobody walks there, and
@@ -55,7 +55,7 @@ def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
 def track_frame(track: TrackRows, origin: Origin | tuple[float, float] | None = None) -> Any:
     """Return a pandas DataFrame with the columns of `write_csv`. Name, notes and frame are in its `attrs`."""
     placed = track if origin is None else track.placed(origin)
-    frame: Any = pandas_module("Track.to_pandas").DataFrame(_columns(placed))
+    frame: Any = load_optional("pandas", "Track.to_pandas").DataFrame(_columns(placed))
     frame.attrs = {
         "name": track.name,
         "weighting": track.weighting,
