@@ -16,6 +16,7 @@ class WayMap extends PlaneMap {
     this.still = L.layerGroup().addTo(this.leaflet); // layers that do not depend on the selected step
     this.now = L.layerGroup().addTo(this.leaflet); // layers of the selected step
     this.pictures = new Map(); // of storeys; that of the selected step is shown
+    this.marked = []; // east and north of known points, which are in view if they are near the path
     // The workbench selects steps by clicks alone, and uses clicks for marks.
     this.followsMouse = true;
     this.isTaking = false;
@@ -68,6 +69,7 @@ class WayMap extends PlaneMap {
     for (const { band, east, north, major } of this.hidden.has("ellipses") ? [] : this.tracks) {
       for (const k of band) for (const by of [-major[k], major[k]]) addNear(east[k] + by, north[k] + by);
     }
+    this.marked.forEach(place => addNear(...place));
     if (!this.hidden.has("plan")) {
       for (const { plan } of this.tracks) plan.forEach(({ rings }) => rings.flat().forEach(place => addPlan(...place)));
       for (const { corners } of this.pictures.values()) corners.forEach(place => addPlan(...this.frame.place(place)));
@@ -122,7 +124,7 @@ class WayMap extends PlaneMap {
     for (const { fill, edge, rings } of plan) {
       const places = rings.map(ring => ring.map(place => this.at(...place)));
       const options = { color: edge, weight: 1.2, opacity };
-      this.still.addLayer(fill ? L.polygon(places, { ...options, fillColor: fill, fillOpacity: opacity }) : L.polyline(places, options));
+      this.still.addLayer(fill ? L.polygon(places, { ...options, fillColor: fill, fillOpacity: this.pictures.size ? 0 : opacity }) : L.polyline(places, options));
     }
   }
 

@@ -37,7 +37,7 @@ function world([latitude, longitude]) {
 const PlacedPicture = L.ImageOverlay.extend({
   initialize(address, corners, options) {
     this.corners = corners;
-    L.ImageOverlay.prototype.initialize.call(this, address, L.latLngBounds(corners), { className: "picture", pane: "squares", ...options });
+    L.ImageOverlay.prototype.initialize.call(this, address, L.latLngBounds(corners), { className: "picture", pane: "tilePane", zIndex: 2, ...options });
   },
   _initImage() {
     L.ImageOverlay.prototype._initImage.call(this);
