@@ -277,7 +277,7 @@ def test_every_page_can_be_seen_and_read(several: str, tmp_path: Path, width: in
             browser.until(ready, 60)
             browser.settle()
             if page.startswith("walk"):  # the map must be visible without scrolling
-                assert browser.value("byId('map').getBoundingClientRect().top") < 120
+                assert browser.value("byId('map').getBoundingClientRect().top") < 200
                 assert browser.value("byId('truth_as_fixes').disabled")  # the walk has no waypoints
             assert browser.value("document.documentElement.scrollWidth") == width, page
             unnamed = browser.value("""
