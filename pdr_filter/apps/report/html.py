@@ -45,8 +45,8 @@ _SMOOTHED_OR_ONLINE = (
     "available at each step."
 )
 _WITHOUT_TILES = (
-    "This page loads nothing from the network. For a street map below the path, name a tile server: the option --tiles "
-    "of the command, or the argument tiles of the function."
+    "This page loads nothing from the network. For a street map below the path, name a tile server: pdr-filter track "
+    "--report --tiles URL, or the argument tiles of write_report."
 )
 _TRACK_COLOURS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.YELLOW)
 
@@ -301,4 +301,3 @@ def _reading(recording: Recording, report: ReadingReport, already_shown: set[str
     lines += [trust.sentence(note) for note in report.notes if note not in already_shown]
     streams = [(s.sentence(), s.is_slow or s.n_gaps + s.n_duplicates + s.n_backward > 0) for s in report.streams]
     return {"lines": lines, "streams": streams}
-

@@ -180,14 +180,16 @@ class PictureGeoreference:
 def pictures_of(path: Path, origin: Origin | None) -> list[dict[str, Any]]:
     """Return the pictures of the storeys of a plan in the frame of `origin`, or in its own metres without an origin.
 
-    Each has the number `floor`, the `stamp` of its last change, and the `corners`: south-west, south-east and north-west
-    in m.
+    Each has the number `floor`, the `stamp` of its last change, and its south-west, south-east and north-west
+    `corners` in m.
     """
     properties = read_json(path, limits.MAX_PLAN_BYTES).get("properties") or {}
     reference, pictures = properties.get("georeference"), list[dict[str, Any]]()
     for floor, storey in (properties.get("storeys") or {}).items():
         if storey.get("width"):
-            size_m = np.array([storey["width"], storey["height"]]) * (storey.get("metres_per_pixel") or METRES_PER_PIXEL)
+            size_m = np.array([storey["width"], storey["height"]]) * (
+                storey.get("metres_per_pixel") or METRES_PER_PIXEL
+            )
             corners_m = np.array([[0.0, 0.0], [size_m[0], 0.0], [0.0, size_m[1]]])
             if reference and origin is not None:
                 longitude, latitude = PictureGeoreference.of(reference).to_degrees(corners_m).T

@@ -110,7 +110,10 @@ class Worker:
         track, plan = self._smoothed(opened, progress)
         track = _for_page(track, plan)
         write_text(self.cache / f"{key}.html", html_report(track, opened.recording, plan))
-        summary = _summary(track, opened.recording) | {"key": key, "pictures": _pictures(Path(path), plan or plan_of(track))}
+        summary = _summary(track, opened.recording) | {
+            "key": key,
+            "pictures": _pictures(Path(path), plan or plan_of(track)),
+        }
         write_text(file, json.dumps(summary))
         (self.cache / f"{_name_of(path)}.progress").unlink(missing_ok=True)
         if not is_to_stay:
@@ -276,7 +279,8 @@ def _summary(track: Track, recording: Recording) -> dict[str, Any]:
 
     It has the unix time of its begin, duration, number of steps, distance, notes, frame and origin of the track, the
     height of the person in the recording, and whether this has waypoints. The thumbnail `path` has at most `_N_POINTS`
-    positions of the track in m. `unused` has time, outcome and normalised innovation squared of fixes that were not used.
+    positions of the track in m. `unused` has time, outcome and normalised innovation squared of the fixes that were
+    not used.
     """
     points = np.vstack([track.start_position_m, track.position_m])
     points = points[np.isfinite(points).all(axis=1)]
@@ -292,7 +296,9 @@ def _summary(track: Track, recording: Recording) -> dict[str, Any]:
         "frame": track.frame,
         "origin": None if origin is None else [origin.latitude_deg, origin.longitude_deg],
         "unused": [
-            [fix.time_s, fix.outcome, fix.nis if np.isfinite(fix.nis) else None] for fix in track.fixes if not fix.accepted
+            [fix.time_s, fix.outcome, fix.nis if np.isfinite(fix.nis) else None]
+            for fix in track.fixes
+            if not fix.accepted
         ],
         "height_m": recording.subject.height_m,
         "has_waypoints": recording.truth.waypoints is not None,

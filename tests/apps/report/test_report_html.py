@@ -385,3 +385,19 @@ def test_many_windows_are_averaged_in_groups_of_equal_duration(track: Track) -> 
     shown = _windows(long, 20)
     assert 20 <= len(shown["start"]) <= 21
     assert all(9.0 <= end - start <= 12.0 for start, end in list(zip(shown["start"], shown["end"], strict=True))[1:-1])
+
+
+def test_a_named_tile_server_is_the_only_one_that_the_page_may_ask(track: Track) -> None:
+    placed, address = (
+        track.placed(pdr.Origin(48.137, 11.575, turn_rad=0.0)),
+        "https://{s}.tiles.example.org/{z}/{x}/{y}.png",
+    )
+    page = html_report(placed, tiles=address)
+    assert "img-src https://*.tiles.example.org;" in page
+    assert "this server learns where the walk was" in Seen(page).words
+    assert json.loads(Seen(page).scripts[0])["origin"] == [48.137, 11.575]
+    assert_self_contained(without := html_report(placed))
+    assert "loads nothing from the network" in Seen(without).words
+    assert "--tiles" not in Seen(html_report(track)).words  # a walk without a place on Earth
+    with pytest.raises(ValueError, match=r"tiles must be a URL with \{z\}"):
+        html_report(placed, tiles="https://example.org")
