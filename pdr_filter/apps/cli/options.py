@@ -100,7 +100,7 @@ Tiles = Annotated[
     str,
     typer.Option(
         metavar="URL",
-        help="URL of map tiles for the page, which contains {z}, {x} and {y}. By default the page asks no other server.",
+        help="URL of map tiles for the page, which contains {z}, {x} and {y}. By default no server is asked.",
     ),
 ]
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
