@@ -1,27 +1,22 @@
 """HTML report of tracks, a self-contained page without network access, fonts or other files.
 
-The page is the template `page/report.html`, filled with styles, scripts and the data of `page_data`. Its content
-security policy forbids the browser to load other files and to run other scripts. uPlot draws the charts over time, and
-Leaflet draws the path. Both are in `assets`, unchanged from npm (`.ci/vendor.py`).
+The page is the template `page/report.html`, filled with texts and the data of `page_data`.
 """
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Sequence
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
-from markupsafe import Markup
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan, plan_of
 from pdr_filter.apps.report import palette
 from pdr_filter.apps.report.geometry import shown_context_prob
 from pdr_filter.apps.report.page_data import track_data
-from pdr_filter.apps.report.templates import read_asset, template
+from pdr_filter.apps.report.templates import MAP_SCRIPTS, page
 from pdr_filter.data.io.describe import ReadingReport, reading_report
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.values import TrackRows, how_many
@@ -30,16 +25,7 @@ from pdr_filter.values.safe_files import write_text
 
 # A context that never exceeds this probability is invisible in the chart, and is not listed.
 _VISIBLE_PROB = 0.01
-_PACKAGE = "pdr_filter.apps.report"
-_SCRIPTS = (
-    "page/page.js",
-    "assets/uPlot.iife.min.js",
-    "assets/leaflet.js",
-    "page/plane_map.js",
-    "page/map.js",
-    "page/report.js",
-)
-_STYLES = ("assets/uPlot.min.css", "assets/leaflet.css", "page/page.css")
+_SCRIPTS = (*MAP_SCRIPTS, "report/assets/uPlot.iife.min.js", "report/page/map.js", "report/page/report.js")
 _SMOOTHED_OR_ONLINE = (
     "The smoothed track is the best estimate from the whole recording. The online track shows the estimates that were "
     "available at each step."
@@ -170,8 +156,9 @@ def html_report(
         track_data(track, recording, plan or plan_of(track), len(every)) | {"colour": colour}
         for track, colour in zip(every, colours, strict=True)
     ]
-    scripts = [_script(name) for name in _SCRIPTS]
-    return template(_PACKAGE, "page/report.html").render(
+    return page(
+        "report/page/report.html",
+        _SCRIPTS,
         title=_title(every, recording),
         tracks=[
             _texts(track) | {"name": name, "colour": colour, "locations": trust.about_locations(track, recording)}
@@ -182,27 +169,7 @@ def html_report(
         data={"tracks": data, "tiles": tiles, "origin": origin},
         about_tiles=_about_tiles(server) if origin else "",
         image_source=f"{server.scheme}://{server.netloc.replace('{s}', '*')}" if server else "",
-        style=Markup("\n".join(read_asset(_PACKAGE, name) for name in _STYLES)),
-        scripts=[Markup(script) for script in scripts],
-        script_hashes=[_hash(script) for script in scripts],
     )
-
-
-# --- scripts ---------------------------------------------------------------------------------------------------------
-
-
-def _script(name: str) -> str:
-    """Return a script. A vendored library is preceded by its licence text, as the licence requires."""
-    folder, file = name.split("/")
-    if folder == "page":
-        return read_asset(_PACKAGE, name)
-    licence = read_asset(_PACKAGE, f"assets/{file.partition('.')[0]}.LICENSE.txt")
-    return f"/*\n{licence}*/\n{read_asset(_PACKAGE, name)}"
-
-
-def _hash(script: str) -> str:
-    """Return the hash of a script in the format of a content security policy."""
-    return f"sha256-{b64encode(sha256(script.encode()).digest()).decode()}"
 
 
 # --- texts -----------------------------------------------------------------------------------------------------------
