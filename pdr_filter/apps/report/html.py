@@ -168,7 +168,7 @@ def html_report(
         estimates=_SMOOTHED_OR_ONLINE if len({track.estimate for track in every}) > 1 else "",
         data={"tracks": data, "tiles": tiles, "origin": origin},
         about_tiles=_about_tiles(server) if origin else "",
-        image_source=f"{server.scheme}://{server.netloc.replace('{s}', '*')}" if server else "",
+        image_source=f"data: {server.scheme}://{server.netloc.replace('{s}', '*')}" if server else "",
     )
 
 

@@ -393,7 +393,7 @@ def test_a_named_tile_server_is_the_only_one_that_the_page_may_ask(track: Track)
         "https://{s}.tiles.example.org/{z}/{x}/{y}.png",
     )
     page = html_report(placed, tiles=address)
-    assert "img-src https://*.tiles.example.org;" in page
+    assert "img-src data: https://*.tiles.example.org;" in page
     assert "this server learns where the walk was" in Seen(page).words
     assert json.loads(Seen(page).scripts[0])["origin"] == [48.137, 11.575]
     assert_self_contained(without := html_report(placed))
