@@ -1,6 +1,8 @@
 """The workbench in a real browser: drop, place, mark, smooth, undo, draw, export, by mouse and by keyboard.
 
-With PDR_FILTER_PICTURES=docs/images the first test writes the pictures of the tutorial in docs/workbench.md.
+With PDR_FILTER_PICTURES=docs/images the first test writes the pictures of the tutorial in docs/workbench.md:
+
+    PDR_FILTER_PICTURES=docs/images python -m pytest tests/apps/workbench/test_workbench_page.py -k from_a_recording
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 from benches import short_walk
 from browser import BROWSER, Browser
@@ -31,6 +34,9 @@ from pdr_filter.simulate import demo_walk
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
 READY = "document.getElementById('said').textContent.includes('up to date')"
+# Whether a place is in view on the map.
+SEEN = """(p => p.x >= 0 && p.y >= 0 && p.x <= report().map.box.clientWidth && p.y <= report().map.box.clientHeight)(
+    report().map.leaflet.latLngToContainerPoint(report().map.at(east, north)))"""
 # Address of the picture that the page would save.
 PNG = """(async () => {
     const { click } = HTMLAnchorElement.prototype;
@@ -156,7 +162,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.until("!!document.querySelector('#list li.done polyline')", 60)
         assert "notes.zip not added: notes.zip: not recognised as a recording" in browser.words("#drops")
         assert re.search(r"file of .*1:54 · \d+ steps · 1\d\d m", browser.words("#list"))
-        browser.shot(pictures / "workbench_list.png")
+        browser.shot(pictures / "workbench_list.png", is_whole=False)
         # draw
         browser.value("document.getElementById('plan-name').value = 'House'")
         press_button(browser, "#new-plan button")
@@ -180,7 +186,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.until("plan.problems.length === 1")
         assert "the wall is open at 30" in browser.words("#problems")
         assert "--plan plans/House.geojson" in browser.words("#usable")
-        browser.shot(pictures / "workbench_plan.png")
+        browser.shot(pictures / "workbench_plan.png", is_whole=False)
         browser.click("#undo")
         browser.until("plan.features.length === 2 && !document.getElementById('redo').disabled")
         browser.click("#redo")
@@ -208,7 +214,32 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         fixes = browser.value("state.marks.fixes")
         assert fixes[1][1:3] == pytest.approx([east + 15.0, north + 10.0], abs=0.5)
         assert browser.value("document.querySelectorAll('.cross').length") == 2
-        browser.shot(pictures / "workbench_walk.png")
+        # the picture of the plan lies below the path, where it was drawn
+        assert browser.value("document.querySelector('#map .picture').naturalWidth") == 900
+        browser.value("(report().map.whole(), 0)")
+        corners = browser.value("report().map.pictures.get(0).corners.map(place => report().map.frame.place(place))")
+        assert np.ptp(corners, axis=0) == pytest.approx([90.0, 50.0], abs=1.0)
+        assert browser.value(f"[{corners}[1], {corners}[2]].every(([east, north]) => {SEEN})")
+        browser.shot(pictures / "workbench_walk.png", is_whole=False)
+        # a point that does not fit is refused and says why
+        rejected_at_s = browser.value("report().map.track.time[report().map.track.time.length >> 1]")
+        browser.value(f"(edit(marks => withFix(marks, [{rejected_at_s}, 74, 12, 0.5, null, null])), 0)")
+        browser.until(f"state.marks.fixes.length === 3 && {READY}", 60)
+        assert browser.value("document.querySelectorAll('.cross.rejected').length") == 1
+        assert browser.value(f"(([east, north]) => {SEEN})([74, 12])")
+        assert "standard deviations away" in browser.words("#fixes .wrong")
+        for width, name in ((1400, "workbench_rejected"), (390, "workbench_narrow")):
+            browser.ask(
+                "Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False
+            )
+            browser.until(f"innerWidth === {width} && document.documentElement.scrollWidth === {width}")
+            browser.value("(report().map.whole(), 0)")
+            browser.settle()
+            browser.shot(pictures / f"{name}.png", is_whole=False)
+        browser.ask("Emulation.setDeviceMetricsOverride", width=1400, height=1000, deviceScaleFactor=1, mobile=False)
+        browser.until("innerWidth === 1400")
+        browser.click("#undo")
+        browser.until(f"state.marks.fixes.length === 2 && {READY}", 60)
         # mark, smooth, undo
         browser.value(
             "(report().show(report().map.track.time.length - 5), report().map.fit([-20, 90], [-20, 60], 4), 0)"
@@ -238,6 +269,9 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
             return [at.left - out.left, at.top - out.top, at.right - out.left, at.bottom - out.top].map(v => 2 * v);
         }})""")
         assert len(centres) == 6
+        browser.value("(report().map.pictures.clear(), document.querySelector('#map .picture').remove(), 0)")
+        without = Image.open(BytesIO(base64.b64decode(browser.value(PNG).partition(",")[2]))).convert("L")
+        assert np.mean(np.asarray(saved) != np.asarray(without)) > 0.01  # walls of the picture
         for sign in centres:  # each has something dark in it
             assert min(saved.crop(tuple(map(round, sign))).tobytes()) < 150, sign
         # Compare must keep the marks and the view

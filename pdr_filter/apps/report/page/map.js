@@ -64,12 +64,12 @@ class WayMap extends PlaneMap {
       const isEast = near(easts, least), isNorth = near(norths, least);
       return (east, north) => { if (isEast(east) && isNorth(north)) add(east, north); };
     };
-    const addNear = adding(20), addPlan = adding(FAR_M);
+    const addNear = adding(20), addMark = adding(100), addPlan = adding(FAR_M);
     for (const { gps } of this.hidden.has("GPS") ? [] : this.tracks) gps?.east.forEach((east, k) => addNear(east, gps.north[k]));
     for (const { band, east, north, major } of this.hidden.has("ellipses") ? [] : this.tracks) {
       for (const k of band) for (const by of [-major[k], major[k]]) addNear(east[k] + by, north[k] + by);
     }
-    this.marked.forEach(place => addNear(...place));
+    this.marked.forEach(place => addMark(...place));
     if (!this.hidden.has("plan")) {
       for (const { plan } of this.tracks) plan.forEach(({ rings }) => rings.flat().forEach(place => addPlan(...place)));
       for (const { corners } of this.pictures.values()) corners.forEach(place => addPlan(...this.frame.place(place)));
