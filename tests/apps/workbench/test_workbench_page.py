@@ -225,7 +225,16 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         rejected_at_s = browser.value("report().map.track.time[report().map.track.time.length >> 1]")
         browser.value(f"(edit(marks => withFix(marks, [{rejected_at_s}, 74, 12, 0.5, null, null])), 0)")
         browser.until(f"state.marks.fixes.length === 3 && {READY}", 60)
-        assert browser.value("document.querySelectorAll('.cross.rejected').length") == 1
+        at, box = (
+            browser.value(f"(r => [r.left + r.width / 2, r.top + r.height / 2])({element}.getBoundingClientRect())")
+            for element in ("document.querySelector('.cross.rejected')", "report().map.box")
+        )
+        off = [
+            f"{a - b} + report().map.box.client{side} / 2"
+            for a, b, side in zip(at, box, ("Width", "Height"), strict=True)
+        ]
+        place = browser.value(f"report().map.place({off[0]}, {off[1]})")
+        assert place == pytest.approx([74.0, 12.0], abs=0.5)
         assert browser.value(f"(([east, north]) => {SEEN})([74, 12])")
         assert "standard deviations away" in browser.words("#fixes .wrong")
         for width, name in ((1400, "workbench_rejected"), (390, "workbench_narrow")):

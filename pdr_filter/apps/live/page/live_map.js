@@ -18,7 +18,7 @@ class LiveMap extends PlaneMap {
     this.provisional = L.polyline([], { renderer: this.above, className: "provisional", weight: 3, dashArray: "4 5" }).addTo(this.leaflet);
     this.within = L.polygon([], { renderer: this.above, className: "within", weight: 1.2, opacity: 0.7, fillOpacity: 0.12 }).addTo(this.leaflet);
     this.fixes = L.layerGroup().addTo(this.leaflet);
-    this.cross = L.DomUtil.create("div", "cross rejected middle", box);
+    this.cross = L.DomUtil.create("div", "cross middle", box);
     this.isWhole = true; // the whole path stays in view until the user zooms or drags
     this.setFollow(true);
     this.setPlacing(false);

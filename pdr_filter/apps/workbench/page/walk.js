@@ -279,7 +279,7 @@ function drawSigns(pen, box, frameOf) {
     const x = -width / 2, y = -height / 2, kind = [...sign.classList].find(name => bars[name]);
     pen.save();
     pen.translate((at.left + at.right) / 2 - frameOf.left, (at.top + at.bottom) / 2 - frameOf.top);
-    if (style.rotate !== "none") pen.rotate(parseFloat(style.rotate) * Math.PI / 180);
+    if (sign.matches(".rejected")) pen.rotate(Math.PI / 4);
     pen.fillStyle = style.backgroundColor; // of the end, and of the numbers of warnings
     if (sign.classList.contains("place")) pen.fill(new Path2D(`M${x} 0a${-x} ${-x} 0 1 0 ${width} 0a${-x} ${-x} 0 1 0 ${-width} 0`));
     if (kind !== "end") pen.fillStyle = style.color;
