@@ -46,7 +46,8 @@ models: $(VENV)/.installed-datasets
 	@$(BIN)/python -m models.training.make_models "$(MODELS)" "$(MIRROR)"
 
 docs: $(VENV)/.installed-docs
-	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
+	@echo "building the pages; nine notebooks run in between, each for up to a minute the first time ..."
+	@$(BIN)/python -u -m sphinx -W --keep-going -b html docs docs/_build/html
 	@echo "open docs/_build/html/index.html"
 
 clean:

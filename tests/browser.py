@@ -209,10 +209,14 @@ class Browser:
         )
         return base64.b64decode(self.ask("Page.captureScreenshot", clip={**box, "scale": 1})["data"])
 
-    def shot(self, path: Path) -> Path:
-        """A picture of the whole page."""
+    def shot(self, path: Path, is_whole: bool = True) -> Path:
+        """A picture of the whole page, or of its first screen."""
         self.value("scrollTo(0, 0)")
-        size = self.ask("Page.getLayoutMetrics")["cssContentSize"]
+        size = self.ask("Page.getLayoutMetrics")["cssContentSize" if is_whole else "cssLayoutViewport"]
+        size = {
+            "width": size.get("width", size.get("clientWidth")),
+            "height": size.get("height", size.get("clientHeight")),
+        }
         clip = {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}
         data = self.ask("Page.captureScreenshot", captureBeyondViewport=True, clip=clip)["data"]
         path.write_bytes(base64.b64decode(data))

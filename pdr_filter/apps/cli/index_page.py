@@ -17,16 +17,18 @@ if TYPE_CHECKING:
 
 def write_index(tracks: Mapping[str, Track], failed: Mapping[Path, str], path: Path) -> Path:
     """Write the index page of tracks, by the names of their files, and of recordings that failed, with reasons."""
-    from pdr_filter.apps.report.templates import template
+    from pdr_filter.apps.report.templates import page
     from pdr_filter.values import how_many
 
-    page = template("pdr_filter.apps.cli", "page/index.html").render(
+    text = page(
+        "cli/page/index.html",
+        image_source="'self' file:",
         title=how_many(len(tracks), "track"),
         rows=[(quote(name), printable(track.name), _cells(track)) for name, track in tracks.items()],
         caption=console.STD_CAPTION,
         reasons=[printable(reason) for reason in failed.values()],
     )
-    return write_text(path, page + "\n")
+    return write_text(path, text)
 
 
 def _cells(track: Track) -> list[str]:

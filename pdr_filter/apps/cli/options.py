@@ -96,7 +96,13 @@ Platform = Annotated[
         "detected."
     ),
 ]
-Tiles = Annotated[str, typer.Option(metavar="URL", help="URL of map tiles, which contains {z}, {x} and {y}.")]
+Tiles = Annotated[
+    str,
+    typer.Option(
+        metavar="URL",
+        help="URL of map tiles for the page, which contains {z}, {x} and {y}. By default no server is asked.",
+    ),
+]
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
 Height = Annotated[
     float | None,

@@ -60,6 +60,7 @@ class OutputOptions:
         None, metavar="KIND,...", help="Also write NAME.KIND for each KIND: csv, geojson, gpx, kml, parquet or tum."
     )
     report: bool = typer.Option(False, "--report", help="Also write NAME.html, a page with map, charts and notes.")
+    tiles: options.Tiles = ""
     parquet: bool = typer.Option(
         False,
         "--parquet",
@@ -118,7 +119,7 @@ class OutputOptions:
         if self.report:
             from pdr_filter.apps.report.html import write_report
 
-            write_report(tracks, folder / f"{name}.html", recording)
+            write_report(tracks, folder / f"{name}.html", recording, tiles=self.tiles)
         return console.overwritten(before)
 
 

@@ -1,27 +1,22 @@
 """HTML report of tracks, a self-contained page without network access, fonts or other files.
 
-The page is the template `page/report.html`, filled with styles, scripts and the data of `page_data`. Its content
-security policy forbids the browser to load other files and to run other scripts. uPlot draws the charts over time, and
-Leaflet draws the path. Both are in `assets`, unchanged from npm (`.ci/vendor.py`).
+The page is the template `page/report.html`, filled with texts and the data of `page_data`.
 """
 
 from __future__ import annotations
 
-import math
-from base64 import b64encode
 from collections.abc import Sequence
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
+from urllib.parse import SplitResult, urlsplit
 
 import numpy as np
-from markupsafe import Markup
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan, plan_of
 from pdr_filter.apps.report import palette
 from pdr_filter.apps.report.geometry import shown_context_prob
 from pdr_filter.apps.report.page_data import track_data
-from pdr_filter.apps.report.templates import read_asset, template
+from pdr_filter.apps.report.templates import MAP_SCRIPTS, page
 from pdr_filter.data.io.describe import ReadingReport, reading_report
 from pdr_filter.tracking import trust_report as trust
 from pdr_filter.values import TrackRows, how_many
@@ -30,12 +25,14 @@ from pdr_filter.values.safe_files import write_text
 
 # A context that never exceeds this probability is invisible in the chart, and is not listed.
 _VISIBLE_PROB = 0.01
-_PACKAGE = "pdr_filter.apps.report"
-_SCRIPTS = ("assets/uPlot.iife.min.js", "assets/leaflet.js", "page/plane_map.js", "page/map.js", "page/report.js")
-_STYLES = ("assets/uPlot.min.css", "assets/leaflet.css", "page/plane_map.css", "page/report.css")
+_SCRIPTS = (*MAP_SCRIPTS, "report/assets/uPlot.iife.min.js", "report/page/map.js", "report/page/report.js")
 _SMOOTHED_OR_ONLINE = (
     "The smoothed track is the best estimate from the whole recording. The online track shows the estimates that were "
     "available at each step."
+)
+_WITHOUT_TILES = (
+    "This page loads nothing from the network. For a street map below the path, name a tile server: pdr-filter track "
+    "--report --tiles URL, or the argument tiles of write_report."
 )
 _TRACK_COLOURS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.YELLOW)
 
@@ -45,10 +42,11 @@ def write_report(
     path: str | Path,
     recording: Recording | None = None,
     plan: FloorPlan | None = None,
+    tiles: str = "",
 ) -> Path:
     """Write an HTML report of tracks to a file.
 
-    The page is self-contained: it needs no network, no fonts and no other files.
+    The page is self-contained: without `tiles` it needs no network, no fonts and no other files.
 
     Parameters
     ----------
@@ -60,6 +58,9 @@ def write_report(
         Recording of the tracks. If given, the page also shows its ground truth, its locations and how it was read.
     plan : FloorPlan, optional
         Floor plan below the path, in the frame of the tracks. The default is the plan of each track.
+    tiles : str, optional
+        URL of map tiles, which contains {z}, {x} and {y}. The browser then asks this server for tiles of the place of
+        the walk, if the walk is on Earth. By default it asks no server for anything.
 
     Returns
     -------
@@ -69,7 +70,7 @@ def write_report(
     Raises
     ------
     ValueError
-        If `tracks` is empty.
+        If `tracks` is empty, or `tiles` is not a URL of tiles.
     OSError
         If the file cannot be written.
 
@@ -88,11 +89,14 @@ def write_report(
     ...     print(path.name, path.exists())
     walk.html True
     """
-    return write_text(path, html_report(tracks, recording, plan))
+    return write_text(path, html_report(tracks, recording, plan, tiles))
 
 
 def html_report(
-    tracks: TrackRows | Sequence[TrackRows], recording: Recording | None = None, plan: FloorPlan | None = None
+    tracks: TrackRows | Sequence[TrackRows],
+    recording: Recording | None = None,
+    plan: FloorPlan | None = None,
+    tiles: str = "",
 ) -> str:
     """Return an HTML report of tracks as text.
 
@@ -108,6 +112,9 @@ def html_report(
         Recording of the tracks. If given, the page also shows its ground truth, its locations and how it was read.
     plan : FloorPlan, optional
         Floor plan below the path, in the frame of the tracks. The default is the plan of each track.
+    tiles : str, optional
+        URL of map tiles, which contains {z}, {x} and {y}. The browser then asks this server for tiles of the place of
+        the walk, if the walk is on Earth. By default it asks no server for anything.
 
     Returns
     -------
@@ -117,7 +124,7 @@ def html_report(
     Raises
     ------
     ValueError
-        If `tracks` is empty.
+        If `tracks` is empty, or `tiles` is not a URL of tiles.
 
     See Also
     --------
@@ -135,14 +142,23 @@ def html_report(
     every = [tracks] if isinstance(tracks, TrackRows) else list(tracks)
     if not every:
         raise ValueError("tracks must contain at least one track, got none; pass a Track")
+    if tiles and not all(part in tiles for part in ("://", "{z}", "{x}", "{y}")):
+        raise ValueError(
+            f"tiles must be a URL with {{z}}, {{x}} and {{y}}, such as https://tile.example.org/{{z}}/{{x}}/{{y}}.png, "
+            f"got {tiles!r}"
+        )
+    places = [track.origin for track in every if track.origin is not None and track.frame != "start"]
+    origin = [places[0].latitude_deg, places[0].longitude_deg] if places else None
+    server = urlsplit(tiles) if tiles and origin else None
     names = _names(every)
     colours = [_TRACK_COLOURS[i % len(_TRACK_COLOURS)] for i in range(len(every))]
     data = [
         track_data(track, recording, plan or plan_of(track), len(every)) | {"colour": colour}
         for track, colour in zip(every, colours, strict=True)
     ]
-    scripts = [_script(name) for name in _SCRIPTS]
-    return template(_PACKAGE, "page/report.html").render(
+    return page(
+        "report/page/report.html",
+        _SCRIPTS,
         title=_title(every, recording),
         tracks=[
             _texts(track) | {"name": name, "colour": colour, "locations": trust.about_locations(track, recording)}
@@ -150,28 +166,10 @@ def html_report(
         ],
         reading=None if recording is None else _reading(recording, reading_report(recording), set(every[0].notes)),
         estimates=_SMOOTHED_OR_ONLINE if len({track.estimate for track in every}) > 1 else "",
-        data={"tracks": data},
-        style=Markup("\n".join(read_asset(_PACKAGE, name) for name in _STYLES)),
-        scripts=[Markup(script) for script in scripts],
-        script_hashes=[_hash(script) for script in scripts],
+        data={"tracks": data, "tiles": tiles, "origin": origin},
+        about_tiles=_about_tiles(server) if origin else "",
+        image_source=f"data: {server.scheme}://{server.netloc.replace('{s}', '*')}" if server else "",
     )
-
-
-# --- scripts ---------------------------------------------------------------------------------------------------------
-
-
-def _script(name: str) -> str:
-    """Return a script. A vendored library is preceded by its licence text, as the licence requires."""
-    folder, file = name.split("/")
-    if folder == "page":
-        return read_asset(_PACKAGE, name)
-    licence = read_asset(_PACKAGE, f"assets/{file.partition('.')[0]}.LICENSE.txt")
-    return f"/*\n{licence}*/\n{read_asset(_PACKAGE, name)}"
-
-
-def _hash(script: str) -> str:
-    """Return the hash of a script in the format of a content security policy."""
-    return f"sha256-{b64encode(sha256(script.encode()).digest()).decode()}"
 
 
 # --- texts -----------------------------------------------------------------------------------------------------------
@@ -223,6 +221,12 @@ def _facts(track: TrackRows) -> str:
     return " · ".join(facts)
 
 
+def _about_tiles(server: SplitResult | None) -> str:
+    if server is None:
+        return _WITHOUT_TILES
+    return f"Map tiles are from {server.netloc}: this server learns where the walk was."
+
+
 def _seconds(track: TrackRows) -> list[tuple[str, str, str]]:
     """Return name, colour and duration (as text, with its share) of each context that occurs.
 
@@ -256,28 +260,12 @@ def _lengths(track: TrackRows) -> str:
 
 
 def _reading(recording: Recording, report: ReadingReport, already_shown: set[str]) -> dict[str, Any]:
-    """Return the texts about the reading of a recording: "lines", and "streams" with the values of each stream.
+    """Return the texts about the reading of a recording: "lines", and "streams" with a sentence about each stream.
 
-    Each value has a flag, True if it is unusual. Notes in `already_shown` are left out.
+    Each sentence has a flag, True if the stream is unusual. Notes in `already_shown` are left out.
     """
     lines = [f"File: {recording.source}"] if recording.source else []
     lines += [trust.sentence(line) for line in report.about()]
     lines += [trust.sentence(note) for note in report.notes if note not in already_shown]
-    streams = [
-        (
-            (s.name, False),
-            (f"{s.n_samples:,}", False),
-            (_or_dash(s.requested_hz, ".1f"), False),
-            (_or_dash(s.mean_rate_hz, ".1f"), s.is_slow),
-            (s.n_gaps, s.n_gaps > 0),
-            (_or_dash(s.longest_gap_s if s.n_gaps else None, ".2f"), False),
-            (s.n_duplicates, s.n_duplicates > 0),
-            (s.n_backward, s.n_backward > 0),
-        )
-        for s in report.streams
-    ]
+    streams = [(s.sentence(), s.is_slow or s.n_gaps + s.n_duplicates + s.n_backward > 0) for s in report.streams]
     return {"lines": lines, "streams": streams}
-
-
-def _or_dash(value: float | None, spec: str) -> str:
-    return "-" if value is None or not math.isfinite(value) else format(value, spec)

@@ -71,6 +71,7 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         "groups": _groups(track, shown),
         "windows": _windows(track, _MAX_WINDOWS // n_tracks),
         "plan": _plan(plan, track),
+        "storey": int(track.floor[0]) if track.n_steps else 0,
     }
     if not track.is_level:
         data["height"] = _column(track.height_m[shown], 2)

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from itertools import cycle
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from pdr_filter.apps.report.templates import template
+from pdr_filter.apps.report.palette import COLOURS
+from pdr_filter.apps.report.templates import MAP_SCRIPTS, page
 from pdr_filter.apps.walk_map.mapped_walk import MappedWalk
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, how_many
 from pdr_filter.values.optional_packages import load_optional
 from pdr_filter.values.uncertainty import worst_std_m
 
 # Half of the width of a narrow corridor. The largest standard deviations for the density and for the outline.
 _HALF_WIDTH_M, _MOST_STD_M, _MOST_AROUND_M = 1.5, 5.0, 15.0
 _SIMPLIFY_M = 0.5
-_WIDTH_PX = 900
-_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
 
 
 def density(walks: Sequence[MappedWalk], floor: int, cell_m: float) -> tuple[FloatArray, FloatArray]:
@@ -77,29 +75,30 @@ def map_report(
     walks: Sequence[MappedWalk], apart: Sequence[tuple[str, str]], moved: Sequence[int], notes: Sequence[str]
 ) -> str:
     """Return the HTML page with the paths of each group and storey, and lists of walks and moved access points."""
-    drawings: list[dict[str, Any]] = []
-    for group in sorted({w.group for w in walks}):
-        own = [w for w in walks if w.group == group]
-        for floor in sorted({int(f) for w in own for f in np.unique(w.floor)}):
-            drawings.append({"group": group, "floor": floor, **_drawing(own, floor)})
-    return template("pdr_filter.apps.walk_map", "page/map.html").render(
-        walks=[(w.name, w.group, len(w.position_m) - 1, np.median(worst_std_m(w.position_cov_m2))) for w in walks],
-        drawings=drawings,
+    colours = [COLOURS[1:][i % len(COLOURS[1:])] for i in range(len(walks))]  # grey would be hard to see
+    storeys = sorted({(w.group, int(f)) for w in walks for f in np.unique(w.floor)})
+    drawn = [
+        {
+            "group": group,
+            "floor": floor,
+            "paths": [
+                {"walk": i, "east": np.round(path_m[:, 0], 1).tolist(), "north": np.round(path_m[:, 1], 1).tolist()}
+                for i, w in enumerate(walks)
+                if w.group == group and len(path_m := w.position_m[w.floor == floor])
+            ],
+        }
+        for group, floor in storeys
+    ]
+    return page(
+        "walk_map/page/map.html",
+        (*MAP_SCRIPTS, "walk_map/page/walks.js"),
+        title=f"Map of {how_many(len(walks), 'walk')}, {len(apart)} apart",
+        walks=[
+            (w.name, colour, w.group, len(w.position_m) - 1, np.median(worst_std_m(w.position_cov_m2)))
+            for w, colour in zip(walks, colours, strict=True)
+        ],
+        data={"storeys": drawn, "walks": colours},
         apart=apart,
         moved=[int(b).to_bytes(6, "big").hex(":") for b in moved],
         notes=notes,
     )
-
-
-def _drawing(walks: Sequence[MappedWalk], floor: int) -> dict[str, Any]:
-    """Return the size of the picture of a storey and its paths: points in pixels, colour and name, north up."""
-    paths = [w.position_m[w.floor == floor] for w in walks]
-    at_m = np.concatenate(paths)
-    low, high = at_m.min(axis=0) - 5.0, at_m.max(axis=0) + 5.0
-    scale = _WIDTH_PX / float(high[0] - low[0])
-    lines: list[tuple[str, str, str]] = []
-    for walk, path_m, colour in zip(walks, paths, cycle(_COLOURS)):
-        if len(path_m):
-            pixels = scale * np.abs(path_m - (low[0], high[1]))  # from the north-west corner
-            lines.append((" ".join(f"{x:.1f},{y:.1f}" for x, y in pixels), colour, walk.name))
-    return {"width": _WIDTH_PX, "height": scale * float(high[1] - low[1]), "scale": scale, "lines": lines}

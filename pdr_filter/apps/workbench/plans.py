@@ -26,6 +26,7 @@ from pdr_filter.values.sanitise import file_name, free_name
 # Two points disagree with the scale of the picture if their distances differ by more.
 _MAX_SCALE_ERROR = 0.05
 _DIGITS_DEG, _DIGITS_M = 9, 3
+METRES_PER_PIXEL = 0.05  # of a picture without a scale, as in plan.js
 
 
 class Plans:
@@ -46,11 +47,22 @@ class Plans:
         """
         return next((path for path in self.folder.glob("*.geojson") if path.stem == name), None)
 
-    def new(self, name: str) -> str:
-        """Make an empty plan and return its name, which may differ from the given one."""
+    def new(self, name: str, text: str = "") -> str:
+        """Make an empty plan, or one from the text of a GeoJSON file, and return its name.
+
+        The name may differ from the given one. ValueError if the editor cannot show the plan.
+        """
         stem = file_name(name.strip() or "plan").replace("#", "_").replace("%", "_")
         free = free_name(stem, self.names().__contains__)
-        self._write(self.folder / f"{free}.geojson", {"type": "FeatureCollection", "name": free, "features": []})
+        path = self.folder / f"{free}.geojson"
+        write_text(path, text or json.dumps({"type": "FeatureCollection", "name": free, "features": []}) + "\n")
+        try:
+            if not isinstance(self.load(free)["features"], list):
+                raise ValueError("it has no features")
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            path.unlink()
+            words = str(error).replace(f"{path}: ", "")
+            raise ValueError(f"{name[:80]} cannot be shown as a floor plan: {words}; export it as GeoJSON") from None
         return free
 
     def picture(self, name: str, floor: int) -> Path:
@@ -163,6 +175,27 @@ class PictureGeoreference:
     def to_metres(self, coordinates: FloatArray) -> FloatArray:
         """Positions (N, 2) in the frame of the picture of longitude and latitude (N, 2)."""
         return self.origin.east_north_m(coordinates[:, 1], coordinates[:, 0]) @ self.rotation + self.zero_m
+
+
+def pictures_of(path: Path, origin: Origin | None) -> list[dict[str, Any]]:
+    """Return the pictures of the storeys of a plan in the frame of `origin`, or in its own metres without an origin.
+
+    Each has the number `floor`, the `stamp` of its last change, and its south-west, south-east and north-west
+    `corners` in m.
+    """
+    properties = read_json(path, limits.MAX_PLAN_BYTES).get("properties") or {}
+    reference, pictures = properties.get("georeference"), list[dict[str, Any]]()
+    for floor, storey in (properties.get("storeys") or {}).items():
+        if storey.get("width"):
+            size_m = np.array([storey["width"], storey["height"]]) * (
+                storey.get("metres_per_pixel") or METRES_PER_PIXEL
+            )
+            corners_m = np.array([[0.0, 0.0], [size_m[0], 0.0], [0.0, size_m[1]]])
+            if reference and origin is not None:
+                longitude, latitude = PictureGeoreference.of(reference).to_degrees(corners_m).T
+                corners_m = origin.east_north_m(latitude, longitude)
+            pictures.append({"floor": int(floor), "stamp": storey.get("stamp"), "corners": corners_m.tolist()})
+    return pictures
 
 
 def _reference_of(points: FloatArray) -> dict[str, Any] | None:

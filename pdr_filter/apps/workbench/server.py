@@ -30,7 +30,6 @@ from pdr_filter.apps.live.server import (
     attachment,
     body_of,
     event_stream,
-    image_sources,
     page_files,
     page_headers,
 )
@@ -74,7 +73,7 @@ class WorkbenchSite:
     def __init__(self, workbench: Workbench, tiles: str, address: str, phone: str, texts: dict[str, str]) -> None:
         self.workbench, self.plans = workbench, Plans(workbench.folder)
         self.tiles, self.address, self.phone, self.texts = tiles, address, phone, texts
-        self._files = page_files("live/page", "report/assets", "report/page", "workbench/page")
+        self._files = page_files("report/assets", "report/page", "workbench/page")
         self._drops: dict[Path, tuple[int, int]] = {}  # files and bytes of each drop that has not ended
 
     def routes(self) -> list[BaseRoute]:
@@ -230,12 +229,8 @@ class WorkbenchSite:
         return JSONResponse(state)
 
     def _cached(self, key: str) -> Response:
-        headers = {"Cache-Control": "no-store", "Content-Security-Policy": "frame-ancestors 'self'"}
-        page = (self.workbench.cache / f"{key}.html").read_text(encoding="utf-8")
-        if self.tiles:  # a report alone loads nothing
-            images = f"default-src 'none'; img-src {image_sources(self.tiles)};"
-            page = page.replace("default-src 'none';", images, 1)
-        return HTMLResponse(page, headers=headers)
+        headers = {"Cache-Control": "no-store", "Content-Security-Policy": "frame-ancestors 'none'"}
+        return FileResponse(self.workbench.cache / f"{key}.html", media_type="text/html", headers=headers)
 
     # --- dropped files ---
 
@@ -310,9 +305,9 @@ class WorkbenchSite:
         return JSONResponse(await asyncio.to_thread(self.plans.load, self._plan(request)))
 
     async def new_plan(self, request: Request) -> Response:
-        """Create an empty floor plan and return its name."""
+        """Create an empty floor plan, or one from the text of a GeoJSON file, and return its name."""
         content = await _json_of(request)
-        return JSONResponse({"name": self.plans.new(str(content["name"])[:100])})
+        return JSONResponse({"name": self.plans.new(str(content["name"])[:100], str(content.get("file", "")))})
 
     async def save_plan(self, request: Request) -> Response:
         """Replace a floor plan; return it with its problems."""

@@ -20,10 +20,11 @@ import numpy as np
 
 from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.apps.live.recorder import zip_parts
-from pdr_filter.apps.maps.floor_plan import FloorPlan
+from pdr_filter.apps.maps.floor_plan import FloorPlan, plan_of
 from pdr_filter.apps.maps.marks import NAMES, checksum_of, mark_files, marks_folder, marks_in, version_of
 from pdr_filter.apps.report.html import html_report
 from pdr_filter.apps.workbench.pictures import convert_picture, rectify
+from pdr_filter.apps.workbench.plans import pictures_of
 from pdr_filter.data.io.files.archive import outside
 from pdr_filter.data.io.files.track_writers import GEOGRAPHIC_KINDS, write_by_suffix
 from pdr_filter.data.io.folders import recordings_of
@@ -110,7 +111,11 @@ class Worker:
         track = _for_page(track, plan)
         write_text(self.cache / f"{key}.html", html_report(track, opened.recording, plan))
         person = marks_in(marks_folder(Path(path))).walk.get("person") or opened.recording.subject.id
-        summary = _summary(track, opened.recording) | {"key": key, "subject": str(person or "")}
+        summary = _summary(track, opened.recording) | {
+            "key": key,
+            "subject": str(person or ""),
+            "pictures": _pictures(Path(path), plan or plan_of(track)),
+        }
         write_text(file, json.dumps(summary))
         (self.cache / f"{_name_of(path)}.progress").unlink(missing_ok=True)
         if not is_to_stay:
@@ -274,8 +279,10 @@ def _for_page(track: Track, plan: FloorPlan | None) -> Track:
 def _summary(track: Track, recording: Recording) -> dict[str, Any]:
     """Return the entry of a walk in the list of walks, as JSON values by name.
 
-    It has the unix time of its begin, duration, number of steps, distance, notes, frame and origin of the track, and
-    whether the recording has waypoints. The thumbnail `path` has at most `_N_POINTS` positions of the track in m.
+    It has the unix time of its begin, duration, number of steps, distance, notes, frame and origin of the track, the
+    height of the person in the recording, and whether this has waypoints. The thumbnail `path` has at most `_N_POINTS`
+    positions of the track in m. `unused` has time, outcome and normalised innovation squared of the fixes that were
+    not used.
     """
     points = np.vstack([track.start_position_m, track.position_m])
     points = points[np.isfinite(points).all(axis=1)]
@@ -290,8 +297,20 @@ def _summary(track: Track, recording: Recording) -> dict[str, Any]:
         "notes": list(track.notes),
         "frame": track.frame,
         "origin": None if origin is None else [origin.latitude_deg, origin.longitude_deg],
+        "unused": [
+            [fix.time_s, fix.outcome, fix.nis if np.isfinite(fix.nis) else None]
+            for fix in track.fixes
+            if not fix.accepted
+        ],
+        "height_m": recording.subject.height_m,
         "has_waypoints": recording.truth.waypoints is not None,
     }
+
+
+def _pictures(path: Path, plan: FloorPlan | None) -> list[dict[str, Any]]:
+    """Return the pictures of the floor plan of a walk (`plans.pictures_of`), in the frame of the drawn plan."""
+    file = marks_in(marks_folder(path)).plan
+    return [] if file is None or plan is None else pictures_of(file, plan.origin)
 
 
 def _zipped(recording: Path) -> bytes:

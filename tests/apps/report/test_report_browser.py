@@ -355,7 +355,7 @@ def test_a_recording_without_steps_has_a_page_without_complaints(browser: Browse
     rest = pdr.simulate.simulate(legs, name="rest")
     browser.open(write_report(pdr.track(rest), tmp_path / "page.html", rest))
     assert browser.complaints == []
-    assert "No steps were detected" in browser.words("#way")
+    assert "No steps were detected" in browser.words("#facts")
     assert browser.value("document.getElementById('play').disabled")
 
 

@@ -1,6 +1,8 @@
 """The workbench in a real browser: drop, place, mark, smooth, undo, draw, export, by mouse and by keyboard.
 
-With PDR_FILTER_PICTURES=docs/images the first test writes the pictures of the tutorial in docs/workbench.md.
+With PDR_FILTER_PICTURES=docs/images the first test writes the pictures of the tutorial in docs/workbench.md:
+
+    PDR_FILTER_PICTURES=docs/images python -m pytest tests/apps/workbench/test_workbench_page.py -k from_a_recording
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 from benches import short_walk
 from browser import BROWSER, Browser
@@ -30,8 +33,10 @@ from pdr_filter.apps.maps.marks import read_marks
 from pdr_filter.simulate import demo_walk
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
-REPORT = "document.querySelector('#reports iframe')"
 READY = "document.getElementById('said').textContent.includes('up to date')"
+# Whether a place is in view on the map.
+SEEN = """(p => p.x >= 0 && p.y >= 0 && p.x <= report().map.box.clientWidth && p.y <= report().map.box.clientHeight)(
+    report().map.leaflet.latLngToContainerPoint(report().map.at(east, north)))"""
 # Address of the picture that the page would save.
 PNG = """(async () => {
     const { click } = HTMLAnchorElement.prototype;
@@ -41,8 +46,6 @@ PNG = """(async () => {
     HTMLAnchorElement.prototype.click = click;
     return saved;
 })()"""
-# Geoman calls Leaflet's `off` with nothing to take off.
-HARMLESS = "wrong listener type: undefined"
 UNBREAKABLE = "walk_" + 55 * "w"  # a name
 
 
@@ -104,10 +107,9 @@ def choose_file(browser: Browser, selector: str, file: Path) -> None:
 def click_way(browser: Browser, east_m: float, north_m: float) -> None:
     """Click the map of the report at a place."""
     x, y = browser.value(f"""(() => {{
-        const {{ map }} = report(), box = map.box.getBoundingClientRect(), out = {REPORT}.getBoundingClientRect();
+        const {{ map }} = report(), box = map.box.getBoundingClientRect();
         const at = map.leaflet.latLngToContainerPoint(map.at({east_m}, {north_m}));
-        const border = 1;
-        return [out.left + border + box.left + at.x, out.top + border + box.top + at.y];
+        return [box.left + at.x, box.top + at.y];
     }})()""")
     for kind in ("mousePressed", "mouseReleased"):
         browser.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
@@ -160,7 +162,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.until("!!document.querySelector('#list li.done polyline')", 60)
         assert "notes.zip not added: notes.zip: not recognised as a recording" in browser.words("#drops")
         assert re.search(r"file of .*1:54 · \d+ steps · 1\d\d m", browser.words("#list"))
-        browser.shot(pictures / "workbench_list.png")
+        browser.shot(pictures / "workbench_list.png", is_whole=False)
         # draw
         browser.value("document.getElementById('plan-name').value = 'House'")
         press_button(browser, "#new-plan button")
@@ -184,7 +186,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.until("plan.problems.length === 1")
         assert "the wall is open at 30" in browser.words("#problems")
         assert "--plan plans/House.geojson" in browser.words("#usable")
-        browser.shot(pictures / "workbench_plan.png")
+        browser.shot(pictures / "workbench_plan.png", is_whole=False)
         browser.click("#undo")
         browser.until("plan.features.length === 2 && !document.getElementById('redo').disabled")
         browser.click("#redo")
@@ -192,7 +194,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         read = pdr.FloorPlan.read(folder / "plans" / "House.geojson")
         assert read.storeys[0].summary()["width_m"] == pytest.approx(70.0, abs=0.6)
         # place
-        assert [words for words in browser.complaints if HARMLESS not in words and "422" not in words] == []
+        assert [words for words in browser.complaints if "422" not in words] == []
         id = browser.value("fetch('/walks').then(a => a.json()).then(found => found.walks[0].id)")
         browser.open(f"{address}walk/{id}", 1400, 1000)
         browser.until(f"report() && {READY}", 60)
@@ -211,8 +213,42 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.until(f"state.marks.fixes.length === 2 && {READY}", 60)
         fixes = browser.value("state.marks.fixes")
         assert fixes[1][1:3] == pytest.approx([east + 15.0, north + 10.0], abs=0.5)
-        assert browser.value(f"{REPORT}.contentDocument.querySelectorAll('.cross').length") == 2
-        browser.shot(pictures / "workbench_walk.png")
+        assert browser.value("document.querySelectorAll('.cross').length") == 2
+        # the picture of the plan lies below the path, where it was drawn
+        assert browser.value("document.querySelector('#map .picture').naturalWidth") == 900
+        browser.value("(report().map.whole(), 0)")
+        corners = browser.value("report().map.pictures.get(0).corners.map(place => report().map.frame.place(place))")
+        assert np.ptp(corners, axis=0) == pytest.approx([90.0, 50.0], abs=1.0)
+        assert browser.value(f"[{corners}[1], {corners}[2]].every(([east, north]) => {SEEN})")
+        browser.shot(pictures / "workbench_walk.png", is_whole=False)
+        # a point that does not fit is refused and says why
+        rejected_at_s = browser.value("report().map.track.time[report().map.track.time.length >> 1]")
+        browser.value(f"(edit(marks => withFix(marks, [{rejected_at_s}, 74, 12, 0.5, null, null])), 0)")
+        browser.until(f"state.marks.fixes.length === 3 && {READY}", 60)
+        at, box = (
+            browser.value(f"(r => [r.left + r.width / 2, r.top + r.height / 2])({element}.getBoundingClientRect())")
+            for element in ("document.querySelector('.cross.rejected')", "report().map.box")
+        )
+        off = [
+            f"{a - b} + report().map.box.client{side} / 2"
+            for a, b, side in zip(at, box, ("Width", "Height"), strict=True)
+        ]
+        place = browser.value(f"report().map.place({off[0]}, {off[1]})")
+        assert place == pytest.approx([74.0, 12.0], abs=0.5)
+        assert browser.value(f"(([east, north]) => {SEEN})([74, 12])")
+        assert "standard deviations away" in browser.words("#fixes .wrong")
+        for width, name in ((1400, "workbench_rejected"), (390, "workbench_narrow")):
+            browser.ask(
+                "Emulation.setDeviceMetricsOverride", width=width, height=1000, deviceScaleFactor=1, mobile=False
+            )
+            browser.until(f"innerWidth === {width} && document.documentElement.scrollWidth === {width}")
+            browser.value("(report().map.whole(), 0)")
+            browser.settle()
+            browser.shot(pictures / f"{name}.png", is_whole=False)
+        browser.ask("Emulation.setDeviceMetricsOverride", width=1400, height=1000, deviceScaleFactor=1, mobile=False)
+        browser.until("innerWidth === 1400")
+        browser.click("#undo")
+        browser.until(f"state.marks.fixes.length === 2 && {READY}", 60)
         # mark, smooth, undo
         browser.value(
             "(report().show(report().map.track.time.length - 5), report().map.fit([-20, 90], [-20, 60], 4), 0)"
@@ -242,6 +278,9 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
             return [at.left - out.left, at.top - out.top, at.right - out.left, at.bottom - out.top].map(v => 2 * v);
         }})""")
         assert len(centres) == 6
+        browser.value("(report().map.pictures.clear(), document.querySelector('#map .picture').remove(), 0)")
+        without = Image.open(BytesIO(base64.b64decode(browser.value(PNG).partition(",")[2]))).convert("L")
+        assert np.mean(np.asarray(saved) != np.asarray(without)) > 0.01  # walls of the picture
         for sign in centres:  # each has something dark in it
             assert min(saved.crop(tuple(map(round, sign))).tobytes()) < 150, sign
         # Compare must keep the marks and the view
@@ -249,11 +288,11 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.click("#compare")
         browser.until("!document.getElementById('show-walk').hidden", 120)
         assert browser.value("report().map.place()") == pytest.approx(view, abs=0.5)
-        assert browser.value(f"{REPORT}.contentDocument.querySelectorAll('.cross').length") == 3
+        assert browser.value("document.querySelectorAll('.cross').length") == 3
         browser.click("#show-walk")
         browser.until(f"document.getElementById('show-walk').hidden && {READY}", 60)
         # ground truth is used only if the user asks for it, and then the report says so
-        said = f"{REPORT}.contentDocument.body.textContent.includes('position fixes are ground truth of the recording')"
+        said = "document.body.textContent.includes('position fixes are ground truth of the recording')"
         assert not browser.value(said)
         browser.click("#truth_as_fixes")
         browser.until(f"state.marks.walk.truth_as_fixes && {READY} && {said}", 60)
@@ -281,8 +320,7 @@ def test_every_page_can_be_seen_and_read(several: str, tmp_path: Path, width: in
             browser.until(ready, 60)
             browser.settle()
             if page.startswith("walk"):  # the map must be visible without scrolling
-                top = f"{REPORT}.contentDocument.getElementById('map').getBoundingClientRect().top"
-                assert browser.value(f"{REPORT}.getBoundingClientRect().top + {top}") < 450
+                assert browser.value("byId('map').getBoundingClientRect().top") < 200
                 assert browser.value("byId('truth_as_fixes').disabled")  # the walk has no waypoints
             assert browser.value("document.documentElement.scrollWidth") == width, page
             unnamed = browser.value("""

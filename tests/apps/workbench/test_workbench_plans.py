@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw
 import pdr_filter as pdr
 from pdr_filter.apps.maps.plan_checks import problems_of
 from pdr_filter.apps.workbench.pictures import convert_picture, rectify
-from pdr_filter.apps.workbench.plans import Plans
+from pdr_filter.apps.workbench.plans import Plans, pictures_of
 from pdr_filter.apps.workbench.walks import ConflictError
 
 HALL = [[0.0, 0.0], [30.0, 0.0], [30.0, 20.0], [0.0, 20.0], [0.0, 0.0]]
@@ -114,6 +114,34 @@ def test_a_plan_in_degrees_of_another_program_can_be_edited(plans: Plans, tmp_pa
     np.testing.assert_allclose(loaded["features"][0]["geometry"]["coordinates"][0], HALL, atol=0.01)
     saved = plans.save(name, loaded["version"], loaded)
     np.testing.assert_allclose(saved["features"][0]["geometry"]["coordinates"][0], HALL, atol=0.01)
+
+
+def test_a_geojson_file_is_imported_as_it_is_or_refused_with_its_reason(plans: Plans) -> None:
+    text = json.dumps({"type": "FeatureCollection", "features": house()})
+    assert plans.new("House", text) == "House_2"
+    assert plans.path("House_2").read_text("utf-8") == text
+    assert len(plans.load("House_2")["features"]) == 4
+    for bad in ("{", "[]", '{"features": [{"geometry": {"type": "Point", "coordinates": [1, 2]}}]}'):
+        with pytest.raises(ValueError, match="Other cannot be shown as a floor plan: "):
+            plans.new("Other", bad)
+    assert plans.names() == ["House", "House_2"]
+
+
+def test_the_picture_of_a_plan_on_earth_is_turned_and_shifted_with_it(plans: Plans) -> None:
+    """A picture of 40 m by 20 m whose right points to the north."""
+    origin = pdr.Origin(48.0, 11.0)
+    north = [float(v) for v in np.ravel(origin.latitude_longitude_deg(np.array([[0.0, 30.0]])))]
+    loaded = plans.load("House")
+    storeys = {"0": {"metres_per_pixel": 0.1, "width": 400, "height": 200, "stamp": 7}, "1": {}}
+    content = loaded | {"features": house(), "storeys": storeys}
+    plans.save("House", loaded["version"], content)
+    (picture,) = pictures_of(plans.path("House"), None)
+    assert (picture["floor"], picture["stamp"]) == (0, 7)
+    np.testing.assert_allclose(picture["corners"], [[0, 0], [40, 0], [0, 20]], atol=1e-9)
+    reference = {"points": [[0.0, 0.0, 48.0, 11.0], [30.0, 0.0, *north]]}
+    plans.save("House", plans.load("House")["version"], content | {"georeference": reference})
+    (picture,) = pictures_of(plans.path("House"), origin)
+    np.testing.assert_allclose(picture["corners"], [[0, 0], [0, 40], [-20, 0]], atol=0.01)
 
 
 @pytest.mark.parametrize(

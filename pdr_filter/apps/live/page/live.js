@@ -1,13 +1,11 @@
 "use strict";
 // Shows the events of the server. The docstring of broadcast.py describes them.
 
-const byId = id => document.getElementById(id);
 // Colours of the contexts by position; they repeat after twelve.
 const COLOURS = [
   "#9a9a9a", "#0072b2", "#cc6600", "#44aa99", "#c9a227", "#882255", "#55aa55", "#443300", "#112288", "#888855", "#8877ff", "#00a5bf",
 ];
 const ON_DARK = { 1: "#56b4e9", 2: "#e08a3c", 5: "#d77fae", 6: "#99dd99", 7: "#b9a27c", 8: "#8fa8ff", 9: "#b5b57a", 10: "#b3a8ff", 11: "#00ddff" }; // colours with a contrast above 6 on dark
-const isDark = matchMedia("(prefers-color-scheme: dark)");
 const KEPT_S = 300; // time range of the charts
 const SILENT_MS = 5000; // longer than any batch period and most holes in a network
 const LATE_STEP_S = 1.5; // a shorter speed of zero may be a step that is detected late
@@ -99,7 +97,7 @@ function list() {
   if (listed(options) !== listed(select.options)) select.replaceChildren(...options); // do not change the list without need, because that closes it
   if (!sessions.has(shown)) shown = [...sessions.keys()].at(-1) || "";
   select.value = shown;
-  for (const id of ["way", "numbers"]) byId(id).hidden = !shown;
+  for (const id of ["way", "numbers", "input"]) byId(id).hidden = !shown;
   byId("empty").hidden = Boolean(shown);
   if (!shown) for (const id of ["charts", "state"]) byId(id).hidden = true;
   draw();
@@ -199,7 +197,7 @@ function drawCharts(known) {
   }
   if (!charts) {
     charted = names.join("\n");
-    const colours = { ...COLOURS, ...(isDark.matches ? ON_DARK : {}) };
+    const colours = { ...COLOURS, ...(isDark() ? ON_DARK : {}) };
     const ink = styleColour("--faint"), line = styleColour("--line");
     const axis = { stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line } };
     const made = (id, series, range) => new uPlot({
@@ -222,9 +220,10 @@ function drawCharts(known) {
 new ResizeObserver(draw).observe(byId("charts"));
 setInterval(draw, 1000); // without events, the page must still show that a phone is silent
 
-isDark.addEventListener("change", () => {
+addEventListener("themed", () => {
   if (charts) for (const chart of Object.values(charts)) chart.destroy();
   charts = null;
+  draw();
 });
 
 const OUTCOMES = {

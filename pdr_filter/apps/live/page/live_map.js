@@ -18,7 +18,7 @@ class LiveMap extends PlaneMap {
     this.provisional = L.polyline([], { renderer: this.above, className: "provisional", weight: 3, dashArray: "4 5" }).addTo(this.leaflet);
     this.within = L.polygon([], { renderer: this.above, className: "within", weight: 1.2, opacity: 0.7, fillOpacity: 0.12 }).addTo(this.leaflet);
     this.fixes = L.layerGroup().addTo(this.leaflet);
-    this.cross = L.DomUtil.create("div", "cross rejected middle", box);
+    this.cross = L.DomUtil.create("div", "cross middle", box);
     this.isWhole = true; // the whole path stays in view until the user zooms or drags
     this.setFollow(true);
     this.setPlacing(false);
@@ -33,14 +33,13 @@ class LiveMap extends PlaneMap {
       if (!this.isFitting) this.isWhole = false;
     });
     box.addEventListener("keydown", event => { if (event.key.startsWith("Arrow")) leave(); });
-    const isDark = matchMedia("(prefers-color-scheme: dark)");
-    isDark.addEventListener("change", () => this.paint());
+    addEventListener("themed", () => this.paint());
     this.paint();
   }
 
   paint() {
-    this.path.setStyle({ color: this.colour("--accent") });
-    this.start.setStyle({ color: this.colour("--faint") });
+    this.path.setStyle({ color: styleColour("--accent") });
+    this.start.setStyle({ color: styleColour("--faint") });
   }
 
   setFollow(follow) {
@@ -106,7 +105,7 @@ class LiveMap extends PlaneMap {
     }
     this.way = way;
     this.box.querySelector(".north").hidden = !hasNorth;
-    this.lieOn(this.tiles && way.origin ? way.origin : "");
+    this.settle(this.tiles && way.origin ? way.origin : "");
     this.keepUp();
     const { now, path } = way;
     this.drawPath(path);
@@ -126,15 +125,12 @@ class LiveMap extends PlaneMap {
     this.stand(this.at(...this.position), now.walking_heading_rad);
   }
 
-  // Set the background: map tiles if they are configured and the geographic origin is known, else the grid.
-  lieOn(origin) {
+  // Draw again in other coordinates if the geographic origin has changed.
+  settle(origin) {
     if (String(origin) === this.origin) return;
     this.origin = String(origin);
     this.drawn.path = null;
-    this.lieIn(origin ? world(origin) : PLANE);
-    this.box.classList.toggle("has-tiles", Boolean(origin));
-    this.ground ??= this.tilesOf(this.tiles);
-    this.ground[origin ? "addTo" : "removeFrom"](this.leaflet);
+    this.lieOn(this.tiles, origin);
   }
 
   drawPath(path) {

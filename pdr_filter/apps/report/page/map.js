@@ -1,6 +1,8 @@
 "use strict";
 // Map of the path of a report, with floor plan, locations, ground truth and other tracks.
 
+const FAR_M = 500; // a floor plan that is this far from the path lies at a wrong place
+
 class WayMap extends PlaneMap {
   constructor(box, onStep) {
     super(box);
@@ -13,7 +15,9 @@ class WayMap extends PlaneMap {
     this.isWhole = true;
     this.still = L.layerGroup().addTo(this.leaflet); // layers that do not depend on the selected step
     this.now = L.layerGroup().addTo(this.leaflet); // layers of the selected step
-    // A page around the report selects steps by clicks alone, and uses clicks for marks.
+    this.pictures = new Map(); // of storeys; that of the selected step is shown
+    this.marked = []; // east and north of known points, which are in view if they are near the path
+    // The workbench selects steps by clicks alone, and uses clicks for marks.
     this.followsMouse = true;
     this.isTaking = false;
     this.leaflet.on("mousemove click", event => {
@@ -48,18 +52,27 @@ class WayMap extends PlaneMap {
     for (const track of this.tracks) {
       add(...track.start);
       track.east.forEach((east, k) => add(east, track.north[k]));
-      if (!this.hidden.has("ellipses")) track.band.forEach(k => add(track.east[k], track.north[k], track.major[k]));
       if (track.anchors && !this.hidden.has("anchors")) track.anchors.east.forEach((east, k) => add(east, track.anchors.north[k]));
       if (track.truth && !this.hidden.has("truth")) track.truth.east.forEach((east, k) => add(east, track.truth.north[k]));
     }
-    // Locations as well, but none that is farther outside than the tracks are large: it is an error.
-    const near = values => {
-      const low = Math.min(...values), high = Math.max(...values), more = Math.max(high - low, 20);
+    // More than the tracks as well, but nothing that is far outside of them: it would make the path small.
+    const near = (values, least) => {
+      const low = Math.min(...values), high = Math.max(...values), more = Math.max(high - low, least);
       return value => value > low - more && value < high + more;
     };
-    const isEast = near(easts), isNorth = near(norths);
-    for (const { gps } of this.hidden.has("GPS") ? [] : this.tracks) {
-      gps?.east.forEach((east, k) => { if (isEast(east) && isNorth(gps.north[k])) add(east, gps.north[k]); });
+    const adding = least => {
+      const isEast = near(easts, least), isNorth = near(norths, least);
+      return (east, north) => { if (isEast(east) && isNorth(north)) add(east, north); };
+    };
+    const addNear = adding(20), addMark = adding(100), addPlan = adding(FAR_M);
+    for (const { gps } of this.hidden.has("GPS") ? [] : this.tracks) gps?.east.forEach((east, k) => addNear(east, gps.north[k]));
+    for (const { band, east, north, major } of this.hidden.has("ellipses") ? [] : this.tracks) {
+      for (const k of band) for (const by of [-major[k], major[k]]) addNear(east[k] + by, north[k] + by);
+    }
+    this.marked.forEach(place => addMark(...place));
+    if (!this.hidden.has("plan")) {
+      for (const { plan } of this.tracks) plan.forEach(({ rings }) => rings.flat().forEach(place => addPlan(...place)));
+      for (const { corners } of this.pictures.values()) corners.forEach(place => addPlan(...this.frame.place(place)));
     }
     this.fit(easts, norths, 4);
     this.isWhole = true;
@@ -92,32 +105,33 @@ class WayMap extends PlaneMap {
     if (track.truth && shown("truth")) this.drawTruth(track.truth);
     if (track.anchors && shown("anchors")) this.places(track.anchors).forEach(place => this.still.addLayer(this.mark(place, "anchor", "", 12)));
     this.drawEnds(track);
+    if (shown("warnings")) this.drawWarnings(track);
     this.show(this.row);
   }
 
   polygon(places, name, options) {
-    const colour = this.colour(name);
+    const colour = styleColour(name);
     this.still.addLayer(L.polygon(places, { color: colour, weight: 1.2, ...options }));
   }
 
   dot(place, radius, name, options) {
-    const colour = this.colour(name);
+    const colour = styleColour(name);
     this.still.addLayer(L.circleMarker(place, { radius, stroke: false, color: colour, fillOpacity: 1, ...options }));
   }
 
   drawPlan(plan) {
-    const opacity = Number(this.colour("--plan")); // plan colours are chosen for a white background
+    const opacity = Number(styleColour("--plan")); // plan colours are chosen for a white background
     for (const { fill, edge, rings } of plan) {
       const places = rings.map(ring => ring.map(place => this.at(...place)));
       const options = { color: edge, weight: 1.2, opacity };
-      this.still.addLayer(fill ? L.polygon(places, { ...options, fillColor: fill, fillOpacity: opacity }) : L.polyline(places, options));
+      this.still.addLayer(fill ? L.polygon(places, { ...options, fillColor: fill, fillOpacity: this.pictures.size ? 0 : opacity }) : L.polyline(places, options));
     }
   }
 
   drawGps(gps) {
     this.places(gps).forEach((place, k) => {
       const radius = gps.accuracy[k] ?? 0;
-      if (radius) this.still.addLayer(L.circle(place, { radius, color: this.colour("--gps"), weight: 1, opacity: 0.12, fill: false }));
+      if (radius) this.still.addLayer(L.circle(place, { radius, color: styleColour("--gps"), weight: 1, opacity: 0.12, fill: false }));
       this.dot(place, 2, "--gps", { fillOpacity: 0.8 });
     });
   }
@@ -126,7 +140,7 @@ class WayMap extends PlaneMap {
     const places = this.places(truth);
     // Nothing is known of the way between waypoints: a line would lead through walls.
     if (truth.points) places.forEach(place => this.dot(place, 3, "--truth"));
-    else this.still.addLayer(L.polyline(places, { color: this.colour("--truth"), weight: 1.5, dashArray: "5 5" }));
+    else this.still.addLayer(L.polyline(places, { color: styleColour("--truth"), weight: 1.5, dashArray: "5 5" }));
   }
 
   // Draw all steps in the colour of their group. Steps after the selected step are faint.
@@ -144,7 +158,7 @@ class WayMap extends PlaneMap {
       return line;
     });
     inColours(0.3);
-    this.walked = L.polyline([], { color: this.colour("--ink"), weight: 5 });
+    this.walked = L.polyline([], { color: styleColour("--ink"), weight: 5 });
     this.still.addLayer(this.walked);
     this.walkedBy = inColours(1);
   }
@@ -156,8 +170,15 @@ class WayMap extends PlaneMap {
   }
 
   drawEnds(track) {
-    this.dot(this.at(...track.start), 5, "--paper", { stroke: true, weight: 2, color: this.colour("--ink"), fillColor: this.colour("--paper") });
+    this.dot(this.at(...track.start), 5, "--paper", { stroke: true, weight: 2, color: styleColour("--ink"), fillColor: styleColour("--paper") });
     if (track.east.length) this.still.addLayer(this.mark(this.way.at(-1), "end", "", 9));
+  }
+
+  drawWarnings({ warnings = [], time, start_s: start }) {
+    for (const [number, at] of warnings) {
+      const k = time.findLastIndex(each => each <= at);
+      if (time.length && at >= start) this.still.addLayer(this.mark(this.way[k + 1], "place", number, 18));
+    }
   }
 
   ellipseOf(k) {
@@ -189,6 +210,8 @@ class WayMap extends PlaneMap {
   show(row) {
     const { track, now } = this, shape = { renderer: this.above, weight: 1.2 };
     this.row = row;
+    const floor = track.floor?.[row] ?? track.storey;
+    for (const [own, picture] of this.pictures) picture.getElement().hidden = own !== floor || this.hidden.has("plan");
     this.walked.setLatLngs(row < 0 ? [] : this.way.slice(0, row + 2));
     this.walkedBy.forEach((line, own) => line.setLatLngs(this.runsUntil(own, row + 1)));
     now.clearLayers();

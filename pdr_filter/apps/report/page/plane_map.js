@@ -33,13 +33,28 @@ function world([latitude, longitude]) {
   };
 }
 
-// Colour of a CSS variable of the page.
-const styleColour = name => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+// A picture whose south-west, south-east and north-west corners can be anywhere: a floor plan may lie at an angle.
+const PlacedPicture = L.ImageOverlay.extend({
+  initialize(address, corners, options) {
+    this.corners = corners;
+    L.ImageOverlay.prototype.initialize.call(this, address, L.latLngBounds(corners), { className: "picture", pane: "tilePane", zIndex: 2, ...options });
+  },
+  _initImage() {
+    L.ImageOverlay.prototype._initImage.call(this);
+    this._image.transformTo = pixelOf => { // matrix from pixels of the picture to those of `pixelOf`
+      const [sw, se, nw] = this.corners.map(pixelOf), { naturalWidth: w, naturalHeight: h } = this._image;
+      return new DOMMatrix([(se.x - sw.x) / w, (se.y - sw.y) / w, (sw.x - nw.x) / h, (sw.y - nw.y) / h, nw.x, nw.y]);
+    };
+    this._image.addEventListener("load", () => { if (this._map) this._reset(); });
+  },
+  _put(pixelOf) { if (this._image.naturalWidth) this._image.style.transform = this._image.transformTo(pixelOf).toString(); },
+  _reset() { this._put(place => this._map.latLngToLayerPoint(place)); },
+  _animateZoom({ zoom, center }) { this._put(place => this._map._latLngToNewLayerPoint(place, zoom, center)); },
+});
 
 class PlaneMap {
   constructor(box) {
     this.box = box;
-    this.colour = styleColour; // a page around a report has other colours
     this.frame = PLANE;
     const isCalm = matchMedia("(prefers-reduced-motion: reduce)").matches;
     const moves = { zoomAnimation: !isCalm, fadeAnimation: !isCalm, inertia: !isCalm };
@@ -58,7 +73,14 @@ class PlaneMap {
     this.bar = L.DomUtil.create("div", "bar-of-metres", box);
     L.DomUtil.create("div", "north", box).textContent = "N";
     this.leaflet.on("moveend", () => this.measure());
-    new ResizeObserver(() => this.leaflet.invalidateSize()).observe(box);
+    this.sizes = new ResizeObserver(() => this.leaflet.invalidateSize());
+    this.sizes.observe(box);
+  }
+
+  // Remove the map from the page, which keeps the box.
+  end() {
+    this.sizes.disconnect();
+    this.leaflet.remove();
   }
 
   at(east, north) { return this.frame.at(east, north); }
@@ -96,12 +118,19 @@ class PlaneMap {
     this.leaflet.setView(this.at(east, north), Math.log2(scale / this.scale), { reset: true });
   }
 
-  // Return the layer of map tiles, and show their attribution.
-  tilesOf(address) {
-    const host = new URL(address, location.href.replace(/[?#].*/, "")).hostname.replace("{s}.", "");
+  // Lie on map tiles if their address and the geographic origin are known, else on the grid.
+  lieOn(tiles, origin) {
+    this.lieIn(tiles && origin ? world(origin) : PLANE);
+    this.box.classList.toggle("has-tiles", Boolean(tiles && origin));
+    this.ground?.remove();
+    this.ground = null;
+    this.credit?.remove();
+    this.credit = null;
+    if (!tiles || !origin) return;
+    const host = new URL(tiles, location.href.replace(/[?#].*/, "")).hostname.replace("{s}.", "");
     const attribution = host.endsWith("openstreetmap.org") ? "© OpenStreetMap contributors" : host;
-    L.control.attribution({ prefix: false }).addTo(this.leaflet);
-    return L.tileLayer(address, { maxNativeZoom: 19, maxZoom: 25, attribution });
+    this.credit = L.control.attribution({ prefix: false }).addTo(this.leaflet);
+    this.ground = L.tileLayer(tiles, { maxNativeZoom: 19, maxZoom: 25, attribution }).addTo(this.leaflet);
   }
 
   // Return the corners of an ellipse. Half axes are in metres; the angle of the major axis is counter-clockwise from east.

@@ -1,31 +1,21 @@
 "use strict";
-// One step is selected at a time. Only `show` updates it, on the map, in the table and in the charts over time.
-(() => {
-  const byId = id => document.getElementById(id);
+// Contents of a report. One step is selected at a time. Only `show` updates it, on the map, in the table and in the
+// charts over time. The workbench shows reports again and again in one page: `end` removes what is outside of their elements.
+function showReport({ tracks, tiles, origin }) {
   const root = document.documentElement;
-  const { tracks } = JSON.parse(byId("data").textContent);
   const BOUT_PAUSE_S = 2.5; // a longer pause separates bouts; the speed between bouts is unknown
   const PLAY_S = 20;
+  const leaving = new AbortController(), { signal } = leaving;
   let track = tracks[0], charts = [], isFollowing = false, playing = null;
 
   const map = new WayMap(byId("map"), k => show(k));
   map.tracks = tracks;
+  map.lieOn(tiles, origin);
   map.whole();
 
   // --- texts ---------------------------------------------------------------------------------------------------------
 
-  const clock = (s, digits = 0) => {
-    const whole = Math.floor(s / 60), rest = (s - 60 * whole).toFixed(digits).padStart(digits ? 3 + digits : 2, "0");
-    return whole >= 60 ? `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}:${rest}` : `${whole}:${rest}`;
-  };
   const number = (value, digits) => value === null || value === undefined ? "–" : value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
-
-  const element = (tag, words, parent) => {
-    const made = document.createElement(tag);
-    made.textContent = words;
-    parent?.append(made);
-    return made;
-  };
 
   const degrees = value => `${number(value === null ? null : Math.round(value) % 360, 0)}°`;
 
@@ -53,21 +43,13 @@
     table.replaceChildren();
     bars.replaceChildren();
     if (k < 0) return;
-    for (const [name, value] of rows(k)) {
-      const line = element("tr", "", table);
-      element("th", name, line);
-      element("td", value, line);
-    }
+    table.append(...rows(k).map(([name, value]) => element("tr", {}, element("th", {}, name), element("td", {}, value))));
     track.contexts.forEach((name, c) => {
       const percent = track.prob[c][k];
       if (percent < 1) return;
-      const bar = element("div", "", bars);
-      bar.className = "bar";
-      element("span", name, bar);
-      const area = element("span", "", bar), fill = element("i", "", area);
-      fill.style.width = `${percent}%`;
-      fill.style.background = track.context_colours[c];
-      element("b", `${percent} %`, bar);
+      const fill = element("i");
+      Object.assign(fill.style, { width: `${percent}%`, background: track.context_colours[c] });
+      bars.append(element("div", { className: "bar" }, element("span", {}, name), element("span", {}, fill), element("b", {}, `${percent} %`)));
     });
   }
 
@@ -243,42 +225,44 @@
     isFollowing = false;
   }
 
-  // Times in the warnings show their place on the map.
-  document.querySelectorAll(".doubt li").forEach(line => {
-    const parts = line.textContent.split(/((?:from|between) (\d+) (?:to|and) \d+ s)/i);
-    line.replaceChildren(parts[0]);
-    for (let k = 1; k < parts.length; k += 3) {
-      const button = element("button", parts[k], line);
-      button.type = "button";
-      button.addEventListener("click", () => {
-        show(stepAt(Number(parts[k + 1])));
-        byId("map").scrollIntoView({ block: "center" });
-      });
-      line.append(parts[k + 2]);
-    }
+  // Times in the warnings show their place on the map. The first place of each warning has its number there.
+  document.querySelectorAll(".doubt").forEach(list => {
+    const own = tracks[list.closest("[data-track]").dataset.track];
+    own.warnings = [];
+    list.querySelectorAll("li").forEach((line, n) => {
+      const parts = line.textContent.split(/((?:from|between|at) (\d+)(?:(?: to| and|, \d+)[^.]*?)? s\b)/i);
+      line.replaceChildren(parts[0]);
+      for (let k = 1; k < parts.length; k += 3) {
+        const time = Number(parts[k + 1]);
+        if (k === 1) own.warnings.push([n + 1, time]);
+        line.append(element("button", { type: "button", onclick: () => {
+          show(stepAt(time));
+          byId("map").scrollIntoView({ block: "nearest" });
+        } }, parts[k]), parts[k + 2]);
+      }
+    });
   });
 
   // --- choices -------------------------------------------------------------------------------------------------------
 
   function layers() {
-    const list = byId("layers");
-    list.replaceChildren();
-    const all = { ellipses: track.ellipses.length, truth: track.truth, GPS: track.gps, plan: track.plan.length,
-      places: track.places, anchors: track.anchors, "other tracks": tracks.length > 1 };
-    const words = { ellipses: "95 % uncertainty", truth: track.truth?.points ? "known points, aligned" : "ground truth, aligned", GPS: "locations of the phone", plan: "floor plan",
-      places: "possible positions", anchors: "anchors of ranges" };
-    for (const [name, is_there] of Object.entries(all)) {
-      if (!is_there) continue;
-      const box = element("label", "", element("li", "", list)), tick = document.createElement("input");
-      tick.type = "checkbox";
-      tick.name = name;
-      tick.checked = !map.hidden.has(name);
-      tick.addEventListener("change", () => {
+    const all = {
+      ellipses: ["95 % uncertainty", track.ellipses.length],
+      truth: [track.truth?.points ? "known points, aligned" : "ground truth, aligned", track.truth],
+      GPS: ["locations of the phone, with their accuracies", track.gps],
+      plan: ["floor plan", track.plan.length],
+      places: ["possible positions", track.places],
+      anchors: ["anchors of ranges", track.anchors],
+      warnings: ["numbers of warnings", track.warnings?.length],
+      "other tracks": ["other tracks", tracks.length > 1],
+    };
+    byId("layers").replaceChildren(...Object.entries(all).filter(([, [, isThere]]) => isThere).map(([name, [words]]) => {
+      const tick = element("input", { type: "checkbox", name, checked: !map.hidden.has(name), onchange: () => {
         map.hidden[tick.checked ? "delete" : "add"](name);
         map.draw();
-      });
-      box.append(tick, words[name] ?? name);
-    }
+      } });
+      return element("li", {}, element("label", {}, tick, words));
+    }));
   }
 
   // Legend of the path colours, by storey or by context.
@@ -287,21 +271,19 @@
     const kind = kinds.includes(map.groups) ? map.groups : "contexts", { names, colours: of, group } = track.groups[kind];
     list.replaceChildren();
     if (kinds.length > 1) {
-      const button = element("button", `by ${kinds.find(k => k !== kind)}`, element("li", "", list));
-      button.type = "button";
-      button.addEventListener("click", () => {
-        map.groups = kinds.find(k => k !== kind);
+      const other = kinds.find(k => k !== kind);
+      list.append(element("li", {}, element("button", { type: "button", onclick: () => {
+        map.groups = other;
         map.draw();
         colours();
-      });
+      } }, `by ${other}`)));
     }
     [...new Set(group)].sort((a, b) => a - b).forEach(g => {
-      const line = element("li", "", list), key = element("span", "", line);
-      key.className = "key";
+      const key = element("span", { className: "key" });
       key.style.background = of[g];
-      line.append(names[g]);
+      list.append(element("li", {}, key, names[g]));
     });
-    for (const words of ["○ start", "■ end"]) element("li", words, list);
+    list.append(...["○ start", "■ end"].map(words => element("li", {}, words)));
   }
 
   function choose(number) {
@@ -318,16 +300,11 @@
     show(track.time.length - 1, track.end_s);
   }
 
-  function paint(theme) {
-    root.dataset.theme = theme;
-    byId("theme").textContent = theme === "dark" ? "light" : "dark";
+  const paint = () => {
     map.draw();
     for (const each of charts) each.redraw(false);
-  }
-
-  const scheme = matchMedia("(prefers-color-scheme: dark)");
-  scheme.addEventListener("change", () => paint(scheme.matches ? "dark" : "light"));
-  byId("theme").addEventListener("click", () => paint(root.dataset.theme === "dark" ? "light" : "dark"));
+  };
+  addEventListener("themed", paint, { signal });
   byId("closer").addEventListener("click", () => map.zoom(1.5));
   byId("farther").addEventListener("click", () => map.zoom(1 / 1.5));
   byId("whole").addEventListener("click", () => map.whole());
@@ -340,23 +317,30 @@
     input.addEventListener("change", () => choose(Number(input.value))));
 
   const fit = () => charts.forEach(each => each.setSize({ width: each.root.parentElement.clientWidth, height: each.height }));
-  new ResizeObserver(fit).observe(document.body);
+  const sizes = new ResizeObserver(fit);
+  sizes.observe(byId("over-time"));
   let before = "light";
   addEventListener("beforeprint", () => {
     before = root.dataset.theme;
     root.classList.add("printed");
-    paint("light");
+    setTheme("light");
     fit();
     map.leaflet.invalidateSize(); // draws immediately, before printing
-  });
+  }, { signal });
   addEventListener("afterprint", () => {
     root.classList.remove("printed");
-    paint(before);
+    setTheme(before);
     fit();
-  });
+  }, { signal });
 
-  root.dataset.theme = scheme.matches ? "dark" : "light";
-  byId("theme").textContent = scheme.matches ? "light" : "dark";
   choose(0);
-  window.report = { map, show, stepAt, get time() { return Number(byId("time").value); } }; // for a page around it
-})();
+  const end = () => {
+    leaving.abort();
+    sizes.disconnect();
+    if (playing) play();
+    charts.forEach(each => each.destroy());
+    map.end();
+  };
+  return { map, show, stepAt, end, get time() { return Number(byId("time").value); } }; // for a page around it
+}
+if (byId("data")) window.report = showReport(JSON.parse(byId("data").textContent));

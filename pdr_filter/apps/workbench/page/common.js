@@ -1,28 +1,16 @@
 "use strict";
 // Parts of all pages of the workbench: texts, requests, messages.
 
-const byId = id => document.getElementById(id);
 const about = JSON.parse(byId("about").textContent);
 const text = (key, values = {}) => about.texts[key].replace(/\{(\w+)\}/g, (_, name) => values[name]);
 const number = (value, digits = 1) => Number(value).toFixed(digits);
-const clock = s => `${Math.floor(s / 60)}:${String(Math.floor(s % 60)).padStart(2, "0")}`;
-
-// An element with properties and children; texts are never taken for HTML.
-function element(tag, properties = {}, ...children) {
-  const made = document.createElement(tag);
-  for (const [name, value] of Object.entries(properties)) {
-    if (name in made && name !== "list") made[name] = value; else made.setAttribute(name, value);
-  }
-  made.append(...children);
-  return made;
-}
 
 // Show a message; a change that can be made again has a button for it.
 function say(words, isWrong = false, again = null) {
   const box = byId("said");
   box.className = isWrong ? "wrong" : "";
-  box.replaceChildren(words, " ");
-  if (again) box.append(element("button", { type: "button", onclick: again }, text("again")));
+  box.replaceChildren(...words ? [words] : []);
+  if (again) box.append(" ", element("button", { type: "button", onclick: again }, text("again")));
 }
 
 // The answer of the server; an Error with its words and its status otherwise.

@@ -177,10 +177,16 @@ byId("copy").addEventListener("click", async () => {
   await navigator.clipboard.writeText(byId("link").value);
   say(text("copied"));
 });
+const addPlan = content => attempt(async () => {
+  const { name } = await ask("/plans", content);
+  location.href = `/plan/${encodeURIComponent(name)}`;
+});
 byId("new-plan").addEventListener("submit", event => {
   event.preventDefault();
-  attempt(async () => {
-    const { name } = await ask("/plans", { name: byId("plan-name").value });
-    location.href = `/plan/${encodeURIComponent(name)}`;
-  });
+  addPlan({ name: byId("plan-name").value });
+});
+byId("plan-file").addEventListener("change", async ({ target }) => {
+  const [file] = target.files;
+  await addPlan({ name: file.name.replace(/\.(geo)?json$/i, ""), file: await file.text() });
+  target.value = "";
 });

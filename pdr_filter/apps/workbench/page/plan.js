@@ -3,6 +3,9 @@
 
 L.Path.mergeOptions({ interactive: true }); // other maps of this package are only looked at
 L.Marker.mergeOptions({ interactive: true });
+// Geoman takes away listeners that it has never set, which Leaflet would report on the console.
+const { _off: takeOff } = L.Evented.prototype;
+L.Evented.include({ _off(...given) { if (given.length === 1 || given[1]) takeOff.apply(this, given); } });
 const COLOURS = { floor: "#8a8f98", wall: "--ink", room: "#cc6677", door: "#117733", stairs: "#cc6600", lift: "#882255" };
 const LINES = ["wall", "door"], METRES_PER_PIXEL = 0.05; // of a picture without a scale
 const base = `/plans/${location.pathname.split("/").at(-1)}`;
@@ -80,8 +83,8 @@ function drawPicture() {
   overlay = null;
   const own = storey();
   if (!own?.width) return;
-  const metres = scaleOf(own), corner = map.at(own.width * metres, own.height * metres);
-  overlay = L.imageOverlay(`${base}/${floor}.png?v=${own.stamp}`, [map.at(0, 0), corner], { opacity: 0.75, interactive: false, pane: "squares" }).addTo(map.leaflet);
+  const east = own.width * scaleOf(own), north = own.height * scaleOf(own), corners = [[0, 0], [east, 0], [0, north]];
+  overlay = new PlacedPicture(`${base}/${floor}.png?v=${own.stamp}`, corners.map(place => map.at(...place))).addTo(map.leaflet);
 }
 
 function show() {
@@ -285,9 +288,11 @@ function fillPoints() {
         point[2 + at] = field.value === "" ? undefined : Number(field.value);
         reference();
       };
-      return element("label", {}, `${text("point_n", { n: k + 1 })}: ${text(name).replace(/ .*\(/, " (")}`, field);
+      const words = text(name).replace(/ .*\(/, " (");
+      field.ariaLabel = text("of_point", { name: words, n: k + 1 });
+      return element("label", {}, words, field);
     });
-    const pick = element("button", { type: "button", "aria-pressed": "false" }, point[0] === undefined ? text("pick") : `${number(point[0])}, ${number(point[1])}`);
+    const pick = element("button", { type: "button", "aria-pressed": "false" }, point[0] === undefined ? text("pick", { n: k + 1 }) : `${k + 1}: ${number(point[0])}, ${number(point[1])}`);
     pick.onclick = () => begin(pick, () => asking(1, text("georeference_how"), ([place]) => {
       [point[0], point[1]] = place;
       reference();

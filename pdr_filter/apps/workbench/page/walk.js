@@ -5,54 +5,46 @@ const FIX_STD_M = 0.5, HEADING_STD_DEG = 5;
 const id = location.pathname.split("/").at(-1), base = `/walks/${id}`;
 const CHECKS = ["is_loop", "keep_on_plan", "truth_as_fixes"];
 let state = null; // version, marks and summary as the server gave them last
-let frame = null; // the report that is shown
+let shown = null; // the report on the page
 let mode = null; // steps that a user is taking: { button, steps, found, done }
 const ours = new Set(); // versions that this page has saved
 
 // --- the report ------------------------------------------------------------------------------------------------------
 
-const report = () => frame?.contentWindow.report;
+const report = () => shown;
+let nLoads = 0;
 
-// Load a report behind the present one, and show it with the same view and time.
-function load(address) {
-  return new Promise((done, failed) => {
-    const coming = element("iframe", { src: address, className: "coming", title: byId("reports").dataset.title });
-    coming.onload = () => {
-      const now = coming.contentWindow.report;
-      if (!now) {
-        failed(new Error(JSON.parse(coming.contentDocument.body.textContent).error));
-        coming.remove();
-        return;
-      }
-      const old = report(), { map } = now;
-      coming.contentDocument.querySelector("[data-track]").before(coming.contentDocument.getElementById("way"));
-      if (old && map.track.time.length) now.show(now.stepAt(old.time), old.time);
-      map.followsMouse = false;
-      map.leaflet.on("click", event => { if (mode) take(map.frame.place(event.latlng), event.latlng); });
-      coming.contentDocument.addEventListener("keydown", key);
-      const scrolled = frame?.contentWindow.scrollY ?? 0;
-      frame?.remove();
-      frame = coming;
-      frame.className = "";
-      now.map.box.ownerDocument.defaultView.scrollTo(0, scrolled);
-      done();
-    };
-    byId("reports").querySelector(".coming")?.remove();
-    byId("reports").append(coming);
-  });
+// Put a report onto the page, in place of the present one, with the same view and time.
+async function load(address) {
+  const number = ++nLoads, answer = await fetch(address).catch(() => { throw new Error(text("not_reached")); });
+  const words = await answer.text();
+  if (!answer.ok) throw new Error(JSON.parse(words).error);
+  if (number !== nLoads) return; // a later one comes
+  state = await ask(base);
+  const page = new DOMParser().parseFromString(words, "text/html"), { tracks, origin } = JSON.parse(page.getElementById("data").textContent);
+  const old = shown, view = old && !old.map.isWhole && [old.map.place(), old.map.scale];
+  const hasFocus = document.activeElement?.id === "map";
+  if (mode) cancel();
+  old?.end();
+  for (const part of ["way", "facts", "over-time"]) byId(part).replaceWith(page.getElementById(part));
+  byId("about-tiles")?.remove(); // the workbench has its own option
+  shown = showReport({ tracks, origin, tiles: about.tiles });
+  const { map } = shown;
+  map.followsMouse = false;
+  map.leaflet.on("click", event => { if (mode) take(map.frame.place(event.latlng), event.latlng); });
+  map.marked = state.marks.fixes.map(([, east, north]) => [east, north]);
+  drawPictures();
+  drawFixes();
+  if (old && map.track.time.length) shown.show(shown.stepAt(old.time), old.time);
+  if (view) map.leaflet.setView(map.at(...view[0]), map.leaflet.getZoom() + Math.log2(view[1] / map.scale), { animate: false });
+  else map.whole();
+  if (hasFocus) map.box.focus({ preventScroll: true });
 }
 
-// Show a report with the marks of the walk, in the view of the one before.
+// Show a report with the marks of the walk.
 async function show(address) {
   say(text("working"));
-  const old = report()?.map, view = old && !old.isWhole && [old.place(), old.scale];
   await load(address);
-  state = await ask(base);
-  drawTiles();
-  drawFixes();
-  if (!view) return;
-  const { map } = report(), [place, scale] = view;
-  map.leaflet.setView(map.at(...place), map.leaflet.getZoom() + Math.log2(scale / map.scale), { animate: false });
 }
 
 const reload = () => attempt(async () => {
@@ -62,25 +54,28 @@ const reload = () => attempt(async () => {
   fill();
 });
 
-// Map tiles below a path that lies on Earth, if the user named a source.
-function drawTiles() {
-  const { map } = report(), { origin } = state.walk;
-  if (!about.tiles || !origin) return;
-  map.lieIn(frame.contentWindow.world(origin));
-  map.box.classList.add("has-tiles");
-  map.tilesOf(about.tiles).addTo(map.leaflet);
-  map.draw();
-  map.whole();
+// Pictures of the storeys of the floor plan, below the path.
+function drawPictures() {
+  const { map } = shown, { pictures = [] } = state.walk, plan = encodeURIComponent(state.marks.walk.plan);
+  for (const { floor, stamp, corners } of pictures) {
+    const picture = new PlacedPicture(`/plans/${plan}/${floor}.png?v=${stamp}`, corners.map(place => map.at(...place)));
+    map.pictures.set(floor, picture.addTo(map.leaflet));
+  }
+  map.draw(); // areas of the plan are transparent above a picture
 }
 
+// Outcome of a mark that the smoother did not use, as [time, outcome, normalised innovation squared].
+const refusalOf = ([time]) => (state.walk.unused ?? []).find(([at]) => Math.abs(at - time) < 1e-6);
+
 function drawFixes() {
-  const { L } = frame.contentWindow, { map } = report(), group = L.layerGroup().addTo(map.leaflet);
-  for (const [, east, north, , heading] of state.marks.fixes) {
-    group.addLayer(map.mark(map.at(east, north), "cross", "", 18));
+  const { map } = shown, group = L.layerGroup().addTo(map.leaflet);
+  for (const fix of state.marks.fixes) {
+    const [, east, north, , heading] = fix;
+    group.addLayer(map.mark(map.at(east, north), refusalOf(fix) ? "cross rejected" : "cross", "", 18));
     if (heading !== null) {
       const angle = heading * Math.PI / 180, reach = 40 / map.scale;
       const tip = map.at(east + reach * Math.sin(angle), north + reach * Math.cos(angle));
-      group.addLayer(L.polyline([map.at(east, north), tip], { color: map.colour("--ink"), weight: 2 }));
+      group.addLayer(L.polyline([map.at(east, north), tip], { color: styleColour("--ink"), weight: 2 }));
     }
   }
 }
@@ -141,9 +136,8 @@ function begin(name) {
   byId(name).setAttribute("aria-pressed", true);
   const { map } = report();
   map.isTaking = true;
-  map.cross = frame.contentWindow.L.DomUtil.create("div", "cross", map.box);
-  map.cross.style.cssText = "position:absolute;z-index:800;width:28px;height:28px;left:calc(50% - 14px);top:calc(50% - 14px);pointer-events:none";
-  map.box.scrollIntoView({ block: "center" });
+  map.cross = L.DomUtil.create("div", "cross middle", map.box);
+  map.box.scrollIntoView({ block: "nearest" });
   map.box.focus({ preventScroll: true });
   hint();
 }
@@ -214,11 +208,15 @@ function fill() {
     const heading = fix[4] === null ? "" : `, ${number(fix[4], 0)}°`;
     const remove = element("button", { type: "button", ariaLabel: text("remove_fix", { time: clock(fix[0]) }) }, "×");
     remove.onclick = () => edit(changed => { changed.fixes.splice(k, 1); });
-    return element("li", {}, `${clock(fix[0])}: ${number(fix[1])}, ${number(fix[2])}${heading}`, std, remove);
+    const refusal = refusalOf(fix), why = refusal && (refusal[2] === null ? text("not_used_otherwise") : text("not_used", { n: number(Math.sqrt(refusal[2]), 0) }));
+    return element("li", {}, element("span", {}, `${refusal ? "\u2715" : "+"} ${clock(fix[0])}: ${number(fix[1])}, ${number(fix[2])}${heading}`),
+      std, remove, ...why ? [element("p", { className: "wrong" }, why)] : []);
   }));
   byId("calibrate").disabled = marks.fixes.length < 2;
   for (const name of CHECKS) byId(name).checked = Boolean(marks.walk[name]);
   for (const name of ["person", "height_m"]) byId(name).value = marks.walk[name] ?? "";
+  byId("height_m").placeholder = walk.height_m ?? "";
+  byId("height-of-file").textContent = marks.walk.height_m ? "" : walk.height_m ? text("height_of_file", { height: walk.height_m }) : text("height_unknown");
   byId("plan").value = marks.walk.plan ?? "";
   byId("keep_on_plan").disabled = !marks.walk.plan;
   byId("truth_as_fixes").disabled = !walk.has_waypoints && !marks.walk.truth_as_fixes;
@@ -271,35 +269,39 @@ byId("show-walk").addEventListener("click", reload);
 
 // --- export ----------------------------------------------------------------------------------------------------------
 
-// Draw the parts of the map that are HTML: the square at the end, crosses of known points, scale bar and north arrow.
-function drawSigns(pen, box, frameOf, styleOf) {
+// Draw the parts of the map that are HTML: the square at the end, crosses of known points, numbers of warnings, scale bar
+// and north arrow.
+function drawSigns(pen, box, frameOf) {
   const bars = { cross: ([x, y, w, h]) => [[x + w / 2 - 1, y, 2, h], [x, y + h / 2 - 1, w, 2]], end: place => [place],
     "bar-of-metres": ([x, y, w, h]) => [[x, y + h - 1.5, w, 1.5], [x, y + h / 2, 1.5, h / 2], [x + w - 1.5, y + h / 2, 1.5, h / 2]] };
-  for (const sign of box.querySelectorAll(".cross, .end, .anchor, .percent, .bar-of-metres, .north")) {
-    const at = sign.getBoundingClientRect(), style = styleOf(sign), place = [at.left - frameOf.left, at.top - frameOf.top, at.width, at.height];
-    const [x, y, width, height] = place, kind = [...sign.classList].find(name => bars[name]);
-    pen.fillStyle = kind === "end" ? style.backgroundColor : style.color;
-    if (kind) bars[kind](place).forEach(bar => pen.fillRect(...bar));
-    pen.textAlign = "center";
-    pen.textBaseline = "top";
-    pen.font = `${style.fontWeight} ${style.fontSize} ${style.fontFamily}`;
-    pen.fillText(sign.classList.contains("anchor") ? "\u25B2" : sign.textContent, x + width / 2, y);
-    if (!sign.classList.contains("north")) continue;
+  for (const sign of box.querySelectorAll(".cross, .end, .anchor, .percent, .place, .bar-of-metres, .north")) {
+    const at = sign.getBoundingClientRect(), style = getComputedStyle(sign), { offsetWidth: width, offsetHeight: height } = sign;
+    const x = -width / 2, y = -height / 2, kind = [...sign.classList].find(name => bars[name]);
+    pen.save();
+    pen.translate((at.left + at.right) / 2 - frameOf.left, (at.top + at.bottom) / 2 - frameOf.top);
+    if (sign.matches(".rejected")) pen.rotate(Math.PI / 4);
+    pen.fillStyle = style.backgroundColor; // of the end, and of the numbers of warnings
+    if (sign.classList.contains("place")) pen.fill(new Path2D(`M${x} 0a${-x} ${-x} 0 1 0 ${width} 0a${-x} ${-x} 0 1 0 ${-width} 0`));
+    if (kind !== "end") pen.fillStyle = style.color;
+    if (kind) bars[kind]([x, y, width, height]).forEach(bar => pen.fillRect(...bar));
+    Object.assign(pen, { textAlign: "center", textBaseline: "top", font: `${style.fontWeight} ${style.fontSize} ${style.fontFamily}` });
+    pen.fillText(sign.classList.contains("anchor") ? "\u25B2" : sign.textContent, 0, y + (sign.classList.contains("place") ? 3 : 0));
     pen.font = `20px ${style.fontFamily}`;
-    pen.fillText("\u2191", x + width / 2, y + height / 2 - 4);
+    if (sign.classList.contains("north")) pen.fillText("\u2191", 0, -4);
+    pen.restore();
   }
 }
 
-// The map of the report as a PNG file: its canvases and drawings in the order in which they lie.
+// The map of the report as a PNG file: its pictures, canvases and drawings in the order in which they lie.
 async function png() {
-  const { box } = report().map, frameOf = box.getBoundingClientRect(), { contentWindow } = frame;
+  const { box, leaflet } = report().map, frameOf = box.getBoundingClientRect();
   const made = element("canvas", { width: 2 * frameOf.width, height: 2 * frameOf.height }), pen = made.getContext("2d");
   pen.scale(2, 2);
-  pen.fillStyle = contentWindow.getComputedStyle(box).backgroundColor;
+  pen.fillStyle = getComputedStyle(box).backgroundColor;
   pen.fillRect(0, 0, frameOf.width, frameOf.height);
-  const parts = [...box.querySelectorAll("img.leaflet-tile, svg, canvas")], walker = box.querySelector(".walker svg");
+  const parts = [...box.querySelectorAll("img:not([hidden]), svg, canvas")], walker = box.querySelector(".walker svg");
   for (const part of [...parts.filter(each => each !== walker), walker]) {
-    if (part === walker) drawSigns(pen, box, frameOf, each => contentWindow.getComputedStyle(each));
+    if (part === walker) drawSigns(pen, box, frameOf);
     if (!part) break;
     const at = part.getBoundingClientRect();
     let picture = part;
@@ -310,14 +312,22 @@ async function png() {
       copy.setAttribute("width", at.width);
       copy.setAttribute("height", at.height);
       copy.querySelectorAll("path").forEach((shape, k) => {
-        const style = contentWindow.getComputedStyle(shapes[k]);
+        const style = getComputedStyle(shapes[k]);
         for (const name of ["fill", "fill-opacity", "stroke", "stroke-opacity", "stroke-width"]) shape.style.setProperty(name, style.getPropertyValue(name));
       });
       picture = new Image();
       picture.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(new XMLSerializer().serializeToString(copy))}`;
       await picture.decode();
     }
-    pen.drawImage(picture, at.left - frameOf.left, at.top - frameOf.top, at.width, at.height);
+    pen.save();
+    pen.globalAlpha = part.localName === "img" ? Number(getComputedStyle(part).opacity) : 1;
+    if (part.transformTo) { // a picture of the floor plan
+      await part.decode();
+      const { a, b, c, d, e, f } = part.transformTo(place => leaflet.latLngToContainerPoint(place));
+      pen.transform(a, b, c, d, e, f);
+      pen.drawImage(part, 0, 0);
+    } else pen.drawImage(picture, at.left - frameOf.left, at.top - frameOf.top, at.width, at.height);
+    pen.restore();
   }
   element("a", { href: made.toDataURL("image/png"), download: `${state.walk.name}.png` }).click();
 }
