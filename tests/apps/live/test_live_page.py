@@ -187,7 +187,7 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
 def test_everything_can_be_seen_and_read(
     server: Server, walk: Recording, tmp_path: Path, width: int, dark: bool
 ) -> None:
-    for body in own_messages(walk, f"wide {width}", part_s=1.0)[:50]:
+    for body in own_messages(walk, f"{width} {'and a name that is wider than a phone ' * 2}", part_s=1.0)[:50]:
         server.post(body)
     with Browser() as browser:
         browser.open(server.address, width, 900, "dark" if dark else "light")

@@ -258,6 +258,7 @@ def test_the_time_of_a_warning_shows_its_place(browser: Browser, track: Track, t
     note = "for 9 s <b>, from 30 to 40 s, and from 50 to 60 s the phone was elsewhere"
     browser.open(write_report(replace(track, notes=(note,)), tmp_path / "page.html"))
     assert browser.words(".doubt li") == f"F{note[1:]}."
+    assert browser.words("#map .place") == "1"  # the number of the warning, at its first time
     browser.click(".doubt li button:nth-of-type(2)")
     assert step_shown(browser) == np.searchsorted(track.time_s, 50.0, side="right")
     assert browser.complaints == []
@@ -348,6 +349,14 @@ def test_a_path_of_any_size_fills_the_map(browser: Browser, track: Track, tmp_pa
     assert 0.02 < x < 0.98
     assert 0.02 < y < 0.98
     assert len(colours_of(browser, "#map")) > 20
+
+
+def test_a_large_uncertainty_does_not_make_the_path_small(browser: Browser, track: Track, tmp_path: Path) -> None:
+    browser.open(write_report(replace(track, position_cov_m2=1e4 * track.position_cov_m2), tmp_path / "page.html"))
+    low, high = (
+        pixel_of(browser, *corner_m) for corner_m in (track.position_m.min(axis=0), track.position_m.max(axis=0))
+    )
+    assert max(high[0] - low[0], low[1] - high[1]) > 0.3
 
 
 def test_a_recording_without_steps_has_a_page_without_complaints(browser: Browser, tmp_path: Path) -> None:
