@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,13 @@ import numpy as np
 
 from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.filter.pedestrian.alignment import Pose
+from pdr_filter.filter.pedestrian.frame import Frame
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.recipes.calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.recipes.config import Config, check_config
 from pdr_filter.sensing.clock import one_clock
-from pdr_filter.sensing.conditioning import merge_streams
+from pdr_filter.sensing.conditioning import merged_parts
 from pdr_filter.sensing.contexts.context_stage import with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import ClimbState
@@ -24,6 +26,7 @@ from pdr_filter.sensing.front_end import Event, Sensing, SensingState
 from pdr_filter.sensing.heading.heading_stage import knows_north
 from pdr_filter.sensing.stream_merging import absences_in
 from pdr_filter.tracking.filtering import (
+    PART_SAMPLES,
     Output,
     State,
     WaitingClimbs,
@@ -34,7 +37,6 @@ from pdr_filter.tracking.filtering import (
     finish_filter,
     frame_name,
     init_filter,
-    parts,
     person_of,
     update_filter,
 )
@@ -274,7 +276,7 @@ def outputs(
         state = add_location(config, state, location)
     elif location is not None and with_hills and (origin := origin_of(location)) is not None:
         state = add_terrain_locations(config, state, origin, location)
-    for part in _parts(merge_streams(recording), progress):
+    for part in _parts(recording, progress):
         state, output = update_filter(config, state, part)
         yield state, output
     yield finish_filter(config, state)
@@ -287,9 +289,12 @@ def track_of_outputs(
 
     `place` is the given origin of the frame of the fixes. Locations define their own.
     """
-    state, whole = init_filter(config), Output()
+    state, whole, pieces = init_filter(config), Output(), list[Track]()
     for new_state, output in results:
         state = new_state
+        if is_settled(config, state, whole, output):  # columns take a tenth of the memory of rows
+            pieces.append(piece_of_track(recording.name, config, output))
+            output = Output(fixes=output.fixes, floor_passages=output.floor_passages)
         whole.extend(output)
     report, end_s = state.sensing.conditioner.report, state.sensing.processed_s
     late = (FixResult.of(fix, end_s, "waiting") for fix in state.waiting_fixes)
@@ -307,7 +312,8 @@ def track_of_outputs(
         frame = frame.at_most_probable_rotation() if state.locations.origin is not None else frame
         origin = state.height.start_altitude.of(frame.origin(origin))
     updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
-    track = _track(recording.name, config, updates, _windows(whole.windows, config.model.context_set))
+    pieces.append(_track(recording.name, config, updates, _windows(whole.windows, config.model.context_set)))
+    track = _joined(pieces)
     is_on_plan = any(update.on_plan is not None for update in updates)
     if config.on_plan is not None:
         track = _on_plan(track, config.on_plan.plan, updates)
@@ -330,6 +336,48 @@ def track_of_outputs(
         person=person_of(config, state),
         notes=(*recording.notes, *misplaced, *(note.text for note in notes)),
     )
+
+
+def is_settled(config: Config, state: State, before: Output, output: Output) -> bool:
+    """Return True if no later fix can move the rows of an output.
+
+    `before` is the output of the earlier parts, whose settled rows may have been removed.
+    """
+    no_fixes = not (before.fixes or output.fixes or state.waiting_fixes) and config.on_plan is None
+    return no_fixes and not before.updates and all(update.of_start is None for update in output.updates)
+
+
+def piece_of_track(name: str, config: Config, output: Output, frame: Frame | None = None) -> Track:
+    """Return the final rows and the windows of an output as a track, in a frame whose rotation is known by now."""
+    updates = [u if frame is None else u.in_frame(frame) for u in output.updates if u.is_final]
+    return _track(name, config, updates, _windows(output.windows, config.model.context_set))
+
+
+def _joined(pieces: list[Track]) -> Track:
+    """Return consecutive pieces of a track as one, and empty the list, so that one column at a time is there twice."""
+    last = pieces[-1]
+    if len(pieces) == 1:
+        return last
+    windows = _columns_of([piece.windows for piece in pieces])
+    models = tuple(chain.from_iterable(piece.windows.model for piece in pieces))
+    rows = _columns_of(pieces)
+    pieces.clear()
+    del rows["start_position_m"]
+    joined = {name: _concatenated(windows.pop(name)) for name in [*windows]}
+    whole = replace(last.windows, model=models, **joined)
+    return replace(last, windows=whole, **{name: _concatenated(rows.pop(name)) for name in [*rows]})
+
+
+def _columns_of(pieces: Sequence[Any]) -> dict[str, list[Any]]:
+    """Return the arrays of dataclasses of one type by the name of their field."""
+    names = [f.name for f in fields(pieces[0]) if isinstance(getattr(pieces[0], f.name), np.ndarray)]
+    return {name: [getattr(piece, name) for piece in pieces] for name in names}
+
+
+def _concatenated(arrays: list[Any]) -> Any:
+    joined = np.concatenate(arrays)
+    joined.flags.writeable = False
+    return joined.view(np.recarray) if isinstance(arrays[0], np.recarray) else joined
 
 
 def position_before(position_m: FloatArray, length_m: float, heading_rad: float) -> FloatArray:
@@ -446,20 +494,20 @@ def run_sensing(
     Events are steps, classified windows and gaps.
     """
     state, all_events = sensing.init(), list[tuple[int, Event]]()
-    for part in _parts(merge_streams(recording), progress):
+    for part in _parts(recording, progress):
         state, events = sensing.update(state, part)
         all_events += events
     state, events = sensing.finish(state)
     return state, [event for _, event in all_events + events]
 
 
-def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:
-    done, n = 0, len(block.time_s)
-    for part in parts(block):
+def _parts(recording: Recording, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:
+    done, n = 0, len(recording.accelerometer)
+    for part in merged_parts(recording, PART_SAMPLES):
         yield part
         done += len(part.time_s)
         if progress is not None:
-            progress(done / n)
+            progress(done / max(n, 1))
 
 
 def _windows(contexts: Sequence[WindowContext], context_set: ContextSet) -> Windows:
