@@ -52,6 +52,7 @@ from pdr_filter.values import (
     FloatArray,
     ImuBlock,
     IntArray,
+    Note,
     Origin,
     Plan,
     PositionFix,
@@ -262,12 +263,7 @@ def outputs(
     to distinguish hills from storeys (`with_hills`). MissingSensorError if the recording lacks a sensor that the recipe
     requires for a track.
     """
-    missing = [name for name in config.needs if name not in recording.streams]
-    if missing:
-        raise MissingSensorError(
-            f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
-            'needs for a track: use recipe "default", which does not need it'
-        )
+    check_sensors(recording, config)
     barometer, climbs = _climbs(config, recording)
     waiting_climbs = WaitingClimbs(barometer, tuple(climbs))
     state = add_fixes(config, replace(init_filter(config), waiting_climbs=waiting_climbs), fixes)
@@ -282,20 +278,66 @@ def outputs(
     yield finish_filter(config, state)
 
 
+def check_sensors(recording: Recording, config: Config) -> None:
+    """Raise MissingSensorError if a recording lacks a sensor that the recipe requires for a track."""
+    missing = [name for name in config.needs if name not in recording.streams]
+    if missing:
+        raise MissingSensorError(
+            f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
+            'needs for a track: use recipe "default", which does not need it'
+        )
+
+
+class Rows:
+    """Rows of a track while it is computed, in memory.
+
+    Pieces of the track are columns, which take a tenth of the memory of the outputs of the filter. Outputs whose rows a
+    later fix can move wait for the end.
+    """
+
+    def __init__(self) -> None:
+        self.pieces, self.waiting = list[Track](), list[Output]()
+
+    def add(self, piece: Track) -> None:
+        """Add consecutive rows that no fix can move any more."""
+        self.pieces.append(piece)
+
+    def wait(self, output: Output) -> None:
+        """Keep an output until the end."""
+        self.waiting.append(output)
+
+    def outputs(self) -> Iterator[Output]:
+        """Yield the outputs that wait."""
+        return iter(self.waiting)
+
+    def joined(self) -> Track:
+        """Return all pieces as one track, and release them."""
+        return _joined(self.pieces)
+
+
 def track_of_outputs(
-    recording: Recording, config: Config, results: Iterable[tuple[State, Output]], place: Origin | None = None
+    recording: Recording,
+    config: Config,
+    results: Iterable[tuple[State, Output]],
+    place: Origin | None = None,
+    rows: Rows | None = None,
+    absent: Callable[[], Sequence[Note]] | None = None,
 ) -> Track:
     """Return the track of a recording from its `outputs`. Only final steps are rows of the track.
 
-    `place` is the given origin of the frame of the fixes. Locations define their own.
+    `place` is the given origin of the frame of the fixes. Locations define their own. `rows` collects the rows, and
+    `absent` returns the notes on missing sensors at the end, by default those of the streams of the recording.
     """
-    state, whole, pieces = init_filter(config), Output(), list[Track]()
+    rows = Rows() if rows is None else rows
+    state, whole, n_waiting = init_filter(config), Output(), 0
     for new_state, output in results:
         state = new_state
-        if is_settled(config, state, whole, output):  # columns take a tenth of the memory of rows
-            pieces.append(piece_of_track(recording.name, config, output))
-            output = Output(fixes=output.fixes, floor_passages=output.floor_passages)
-        whole.extend(output)
+        whole.extend(replace(output, updates=[], windows=[]))
+        if n_waiting or not _is_settled(config, state, whole, output):
+            rows.wait(output)
+            n_waiting += 1
+        else:
+            rows.add(_piece(recording.name, config, output))
     report, end_s = state.sensing.conditioner.report, state.sensing.processed_s
     late = (FixResult.of(fix, end_s, "waiting") for fix in state.waiting_fixes)
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
@@ -311,18 +353,23 @@ def track_of_outputs(
     if origin is not None:
         frame = frame.at_most_probable_rotation() if state.locations.origin is not None else frame
         origin = state.height.start_altitude.of(frame.origin(origin))
-    updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
-    pieces.append(_track(recording.name, config, updates, _windows(whole.windows, config.model.context_set)))
-    track = _joined(pieces)
-    is_on_plan = any(update.on_plan is not None for update in updates)
+    first = next((u for output in rows.outputs() for u in output.updates if u.is_final), None)
+    is_on_plan = False
+    for output in rows.outputs() if n_waiting else ():
+        piece = replace(_piece(recording.name, config, output, frame), origin=origin)
+        if config.on_plan is not None:
+            updates = [u for u in output.updates if u.is_final]
+            is_on_plan = is_on_plan or any(update.on_plan is not None for update in updates)
+            piece = _on_plan(piece, config.on_plan.plan, updates)
+        rows.add(piece)
+    track = rows.joined()
     if config.on_plan is not None:
-        track = _on_plan(track, config.on_plan.plan, updates)
         origin = config.on_plan.plan.origin if is_on_plan else None
     start_m = frame.world(Pose(np.zeros(2), np.zeros((2, 2)), 0.0, 0)).position_m
-    if updates and updates[0].on_plan is not None:  # particles give no position before the first step
+    if first is not None and first.on_plan is not None:  # particles give no position before the first step
         start_m = position_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
     vertices = np.vstack([[start_s, *start_m], np.column_stack([track.time_s, track.position_m])])
-    notes = notes_of(config, state, vertices, absences_in(recording.streams))
+    notes = notes_of(config, state, vertices, absences_in(recording.streams) if absent is None else absent())
     return replace(
         track,
         start_time_s=start_s,
@@ -338,19 +385,24 @@ def track_of_outputs(
     )
 
 
-def is_settled(config: Config, state: State, before: Output, output: Output) -> bool:
-    """Return True if no later fix can move the rows of an output.
-
-    `before` is the output of the earlier parts, whose settled rows may have been removed.
-    """
-    no_fixes = not (before.fixes or output.fixes or state.waiting_fixes) and config.on_plan is None
-    return no_fixes and not before.updates and all(update.of_start is None for update in output.updates)
+def _is_settled(config: Config, state: State, before: Output, output: Output) -> bool:
+    """Return True if no later fix can move the rows of an output. `before` has the fixes so far."""
+    has_fixes = bool(before.fixes or state.waiting_fixes) or config.on_plan is not None
+    return not has_fixes and all(update.of_start is None for update in output.updates)
 
 
-def piece_of_track(name: str, config: Config, output: Output, frame: Frame | None = None) -> Track:
+def _piece(name: str, config: Config, output: Output, frame: Frame | None = None) -> Track:
     """Return the final rows and the windows of an output as a track, in a frame whose rotation is known by now."""
     updates = [u if frame is None else u.in_frame(frame) for u in output.updates if u.is_final]
     return _track(name, config, updates, _windows(output.windows, config.model.context_set))
+
+
+def without_rows(track: Track) -> Track:
+    """Return a track without its rows and windows."""
+    names = [f.name for f in fields(track) if isinstance(getattr(track, f.name), np.ndarray)]
+    empty = {name: getattr(track, name)[:0] for name in set(names) - {"start_position_m"}}
+    windows = replace(track.windows, model=(), **{n: a[0][:0] for n, a in _columns_of([track.windows]).items()})
+    return replace(track, windows=windows, clusters=(), **empty)
 
 
 def _joined(pieces: list[Track]) -> Track:
@@ -358,6 +410,7 @@ def _joined(pieces: list[Track]) -> Track:
     last = pieces[-1]
     if len(pieces) == 1:
         return last
+    clusters = tuple(chain.from_iterable(piece.clusters for piece in pieces))
     windows = _columns_of([piece.windows for piece in pieces])
     models = tuple(chain.from_iterable(piece.windows.model for piece in pieces))
     rows = _columns_of(pieces)
@@ -365,7 +418,7 @@ def _joined(pieces: list[Track]) -> Track:
     del rows["start_position_m"]
     joined = {name: _concatenated(windows.pop(name)) for name in [*windows]}
     whole = replace(last.windows, model=models, **joined)
-    return replace(last, windows=whole, **{name: _concatenated(rows.pop(name)) for name in [*rows]})
+    return replace(last, windows=whole, clusters=clusters, **{name: _concatenated(rows.pop(name)) for name in [*rows]})
 
 
 def _columns_of(pieces: Sequence[Any]) -> dict[str, list[Any]]:
