@@ -72,7 +72,7 @@ class WrittenTrack:
 def track_file(
     path: str | Path,
     out: str | Path,
-    config: Config | None = None,
+    config: Config | Callable[[Recording], Config] | None = None,
     *,
     weighting: str | None = None,
     fixes: Iterable[Fix] = (),
@@ -95,8 +95,9 @@ def track_file(
         File or folder of a recording.
     out : str or Path
         File to write, whose suffix is .csv or .parquet. It appears when it is complete.
-    config : Config, optional
-        Configuration, as returned by a recipe. The default is the default recipe.
+    config : Config or callable, optional
+        Configuration, as returned by a recipe, or a function that returns it for the first samples of the recording.
+        The default is the default recipe.
     weighting, fixes, calibration, device, person, gnss : optional
         Arguments of `pdr_filter.track`.
     file_format : str, optional
@@ -136,10 +137,13 @@ def track_file(
         raise ValueError(f"out must be a file with the suffix .csv or .parquet, got {out}: change its name")
     given = tuple(fixes)
 
+    def config_of(recording: Recording) -> Config | None:
+        return config(recording) if callable(config) else config
+
     def run_of(recording: Recording) -> recording_run.Run:
         georeference = Georeference(gnss)
         return recording_run.prepared_run(
-            recording, config, given, georeference, weighting, calibration, device, person
+            recording, config_of(recording), given, georeference, weighting, calibration, device, person
         )
 
     try:
@@ -160,7 +164,7 @@ def track_file(
     except WholeOnlyError:
         recording = read(path, file_format)
         track = recording_run.track(
-            recording, config, weighting, given, progress, calibration, device, person, gnss=gnss
+            recording, config_of(recording), weighting, given, progress, calibration, device, person, gnss=gnss
         )
         write_by_suffix(track, out, None)
         return WrittenTrack(out, track.n_steps, track.distance_m, recording_run.without_rows(track))

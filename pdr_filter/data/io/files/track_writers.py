@@ -78,7 +78,9 @@ class PiecesWriter:
 
             arrow: Any = pyarrow
             rows = arrow.Table.from_pandas(track_frame(piece), preserve_index=False)
-            self._rows = self._rows or arrow.parquet.ParquetWriter(self._file, rows.schema.remove_metadata())
+            self._rows = self._rows or arrow.parquet.ParquetWriter(
+                self._file, rows.schema.remove_metadata(), store_schema=False
+            )
             self._rows.write_table(rows.replace_schema_metadata())
         self._n += 1
 
