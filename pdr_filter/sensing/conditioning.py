@@ -325,6 +325,19 @@ class Conditioner:
             outputs += found
         return state, _blocks_between_gaps(outputs)
 
+    def quiet_s(self, state: ConditionerState) -> tuple[float, float]:
+        """Return the times (a, b), on the sample clock, between which rows complete no hop and change no other result.
+
+        Such rows have increasing times after a and up to b, and may be processed together with later ones. There are
+        none (b = -inf) before the first hop and the first check of units, and while the clock is in doubt.
+        """
+        clock = state.clock
+        is_begun = state.report.n_emitted > 0 and state.units.n > 0 and len(state.rows) > 0
+        if not is_begun or clock.held or clock.n_behind or clock.offset_s:
+            return np.inf, -np.inf
+        until_s = state.segment_start_s + (state.n_emitted + self.hop_samples) / self.rate_hz
+        return clock.last_s, min(until_s, clock.last_s + self.max_gap_s)
+
     def finish(self, state: ConditionerState) -> tuple[ConditionerState, list[UniformBlock]]:
         """Return the new state and the remainder of the last hop, when no further sample will come.
 
