@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import signal
 from collections import Counter
 from collections.abc import Iterator, Sequence

@@ -9,7 +9,7 @@ as steps or standing.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -27,6 +27,7 @@ from pdr_filter.values import (
     how_often,
     replace_unchecked,
 )
+from pdr_filter.values.arrays import finite_only
 from pdr_filter.values.recording import Recording
 
 # Columns of the buffered rows: time, specific force, angular rate, magnetic field, and the ages of the last finite
@@ -324,6 +325,19 @@ class Conditioner:
             outputs += found
         return state, _blocks_between_gaps(outputs)
 
+    def quiet_s(self, state: ConditionerState) -> tuple[float, float]:
+        """Return the times (a, b), on the sample clock, between which rows complete no hop and change no other result.
+
+        Such rows have increasing times after a and up to b, and may be processed together with later ones. There are
+        none (b = -inf) before the first hop and the first check of units, and while the clock is in doubt.
+        """
+        clock = state.clock
+        is_begun = state.report.n_emitted > 0 and state.units.n > 0 and len(state.rows) > 0
+        if not is_begun or clock.held or clock.n_behind or clock.offset_s:
+            return np.inf, -np.inf
+        until_s = state.segment_start_s + (state.n_emitted + self.hop_samples) / self.rate_hz
+        return clock.last_s, min(until_s, clock.last_s + self.max_gap_s)
+
     def finish(self, state: ConditionerState) -> tuple[ConditionerState, list[UniformBlock]]:
         """Return the new state and the remainder of the last hop, when no further sample will come.
 
@@ -605,22 +619,32 @@ def merge_streams(recording: Recording, max_gap_s: float = MAX_GAP_S) -> ImuBloc
     >>> np.isnan(samples.magnetic_field_ut).all()
     np.True_
     """
+    (block,) = merged_parts(recording, max(len(recording.accelerometer), 1), max_gap_s)
+    return block
+
+
+def merged_parts(recording: Recording, n: int, max_gap_s: float = MAX_GAP_S) -> Iterator[ImuBlock]:
+    """Yield the block of `merge_streams` in consecutive parts of at most n samples, one part at least.
+
+    A part is interpolated when it is due, so that the whole block is never in memory.
+    """
     recording, _ = one_clock(recording)
-    time_s = recording.accelerometer.time_s
-    for sensor in ("gyroscope", "magnetometer"):
-        _check_clock(sensor, recording.streams.get(sensor), time_s, max_gap_s)
-    return ImuBlock(
-        time_s=time_s,
-        specific_force_mps2=recording.accelerometer.values,
-        angular_rate_radps=_values_at(recording.gyroscope, time_s, max_gap_s),
-        magnetic_field_ut=_values_at(recording.magnetometer, time_s, max_gap_s),
-    )
+    force = recording.accelerometer
+    others = recording.gyroscope, recording.magnetometer
+    for sensor, stream in zip(("gyroscope", "magnetometer"), others, strict=True):
+        _check_clock(sensor, stream, force.time_s, max_gap_s)
+    usable = [None if stream is None else _usable_samples(stream) for stream in others]
+    for start in range(0, max(len(force), 1), n):
+        part = slice(start, start + n)
+        at_s = force.time_s[part]
+        unknown = np.full((len(at_s), 3), np.nan)
+        rate, field_ut = (unknown if s is None else at_times(s.time_s, s.values, at_s, max_gap_s) for s in usable)
+        yield ImuBlock(at_s, force.values[part], rate, field_ut)
 
 
 def _check_clock(sensor: str, stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> None:
     """Raise a ValueError if no time of a stream lies within the times of the accelerometer: the clocks differ."""
-    own_s = np.empty(0) if stream is None else stream.time_s[np.isfinite(stream.time_s)]
-    at_s = at_s[np.isfinite(at_s)]
+    own_s, at_s = finite_only(np.empty(0) if stream is None else stream.time_s), finite_only(at_s)
     if len(own_s) < 2 or not len(at_s):
         return
     if own_s.min() > at_s.max() + max_gap_s or own_s.max() < at_s.min() - max_gap_s:
@@ -631,19 +655,14 @@ def _check_clock(sensor: str, stream: Samples | None, at_s: FloatArray, max_gap_
         )
 
 
-def _values_at(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
-    """Return the values of a stream at some times (M,), shape (M, 3), interpolated as by `at_times`.
-
-    Rows that are not finite or not increasing are ignored. Without a stream all values are NaN.
-    """
-    if stream is None:
-        return np.full((len(at_s), 3), np.nan)
+def _usable_samples(stream: Samples) -> Samples:
+    """Return the samples of a stream without rows that are not finite or not increasing."""
     time_s, values = stream.time_s, stream.values
-    if not (np.isfinite(values).all() and (time_s[1:] > time_s[:-1]).all() and np.isfinite(time_s[-1:]).all()):
-        good = np.isfinite(time_s) & np.isfinite(values).all(axis=1)
-        time_s, first = np.unique(time_s[good], return_index=True)
-        values = values[good][first]
-    return at_times(time_s, values, at_s, max_gap_s)
+    if np.isfinite(values).all() and (time_s[1:] > time_s[:-1]).all() and np.isfinite(time_s[-1:]).all():
+        return stream
+    good = np.isfinite(time_s) & np.isfinite(values).all(axis=1)
+    time_s, first = np.unique(time_s[good], return_index=True)
+    return Samples(time_s, values[good][first])
 
 
 def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s: float) -> FloatArray:
@@ -657,8 +676,9 @@ def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s
     """
     if len(time_s) < 2 or not len(at_s):
         return np.full((len(at_s), 3), np.nan)
-    if np.array_equal(time_s, at_s):
-        return values
+    same = slice(first := int(time_s.searchsorted(at_s[0])), first + len(at_s))
+    if np.array_equal(time_s[same], at_s):
+        return values[same]
     right = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
     left_s, right_s = time_s[right - 1], time_s[right]
     # Sensors of one phone start and end a few samples apart. The first and last values are held, because linear

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import chain
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
+from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
 from pdr_filter.sensing.contexts.context_stage import ContextStage, with_cadence
 from pdr_filter.sensing.device import Device
@@ -75,6 +75,17 @@ class SensingState:
     def heading(self) -> object:
         """State of the heading stage, or None without one."""
         return self.of_steps.get("heading")
+
+
+class Detected(NamedTuple):
+    """Results of the stages before the walking direction, for one uniform block."""
+
+    state: SensingState  # state after the block, with the states of these stages
+    part: UniformBlock
+    attitude: AttitudeBlock
+    contexts: ContextBlock
+    windows: list[tuple[int, WindowContext]]
+    steps: list[tuple[int, Step]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,8 +238,11 @@ class Sensing:
         events : list of (float, Event)
             Events with the time in s at which each became known, in this order.
         """
-        conditioner, uniform = self.conditioner.update(state.conditioner, block)
+        conditioner, uniform = self._condition(state, block)
         return self._process_blocks(replace_unchecked(state, conditioner=conditioner), uniform)
+
+    def _condition(self, state: SensingState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
+        return self.conditioner.update(state.conditioner, block)
 
     def finish(self, state: SensingState) -> tuple[SensingState, KnownEvents]:
         """Return the new state and the remaining events when the recording has ended.
@@ -296,6 +310,10 @@ class Sensing:
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, KnownEvents]:
         """Return the new state and the events of one uniform block without a gap."""
+        return self._after_steps(state, self._detect_steps(state, part))
+
+    def _detect_steps(self, state: SensingState, part: UniformBlock) -> Detected:
+        """Return the results of the stages before the walking direction, for one uniform block without a gap."""
         attitude_state, attitude = self.attitude.update(state.attitude, part)
         n_before, n = state.n_samples, len(part.time_s)
         context_state, windows = None, list[tuple[int, WindowContext]]()
@@ -307,27 +325,32 @@ class Sensing:
         )
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
         step_state, steps = self.steps.update(state.steps, part, attitude, contexts)
-        of_steps = dict[str, object]()
-        for name, stage in self._step_stages.items():
-            of_steps[name], steps = stage.update(state.of_steps[name], part, attitude, contexts, steps)
-        vibration, moved = self._vibration.update(state.vibration, part, steps)
-        # A window comes before a step revealed by the same sample, because its evidence also applies to that step.
-        events = sorted([*windows, *moved], key=lambda e: e[0])
-        in_order, cadence = _with_cadences(state.cadence, events, self.context_set)
-        state = SensingState(
-            conditioner=state.conditioner,
+        after = replace_unchecked(
+            state,
             attitude=attitude_state,
             contexts=context_state,
             steps=step_state,
-            of_steps=of_steps,
-            vibration=vibration,
-            cadence=cadence,
             n_samples=n_before + n,
             context=int(context[-1]),
             carrying_mode=int(carrying_mode[-1]),
             processed_s=float(part.time_s[-1]),
         )
-        return state, [(float(part.time_s[i - n_before]), event) for i, event in in_order]
+        return Detected(after, part, attitude, contexts, windows, steps)
+
+    def _after_steps(self, before: SensingState, detected: Detected) -> tuple[SensingState, KnownEvents]:
+        """Return the new state and the events of a uniform block whose steps are detected."""
+        state, part, attitude, contexts, windows, steps = detected
+        of_steps = dict[str, object]()
+        for name, stage in self._step_stages.items():
+            of_steps[name], steps = stage.update(before.of_steps[name], part, attitude, contexts, steps)
+        vibration, moved = self._vibration.update(before.vibration, part, steps)
+        # A window comes before a step revealed by the same sample, because its evidence also applies to that step.
+        events = sorted([*windows, *moved], key=lambda e: e[0])
+        in_order, cadence = _with_cadences(before.cadence, events, self.context_set)
+        state = replace_unchecked(
+            state, conditioner=before.conditioner, of_steps=of_steps, vibration=vibration, cadence=cadence
+        )
+        return state, [(float(part.time_s[i - before.n_samples]), event) for i, event in in_order]
 
     def _close_segment(self, state: SensingState) -> tuple[SensingState, KnownEvents]:
         """Return the state at a gap or at the end, and the steps that were still waiting for samples.
@@ -358,6 +381,50 @@ class Sensing:
             cadence=(),
             n_samples=0,
         )
+
+
+# Uniform samples whose results are kept for a second pass: eleven hours at 100 Hz, which take 1 GB.
+_KEPT_SAMPLES = 4_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class SensingForTwoPasses(Sensing):
+    """Front end that keeps what does not depend on the walking direction for a second pass over the same samples.
+
+    The second pass may have another stage `heading`. `keeping` returns such a front end. All copies that
+    `dataclasses.replace` makes share the results.
+    """
+
+    conditioned: dict[int, Any] = field(default_factory=dict[int, Any])  # by the number of samples before
+    detected: dict[float, Detected] = field(default_factory=dict[float, Detected])  # by the first time of the block
+
+    @classmethod
+    def keeping(cls, sensing: Sensing) -> SensingForTwoPasses:
+        """Return a front end with the stages of another one, which has not kept anything yet."""
+        return cls(**{f.name: getattr(sensing, f.name) for f in fields(Sensing)})
+
+    def forget(self) -> None:
+        """Release all results, which no further pass needs."""
+        self.conditioned.clear()
+        self.detected.clear()
+
+    def _condition(self, state: SensingState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
+        at = state.conditioner.report.n_received
+        found = self.conditioned.get(at)
+        if found is None:
+            found = super()._condition(state, block)
+            if at < _KEPT_SAMPLES:
+                self.conditioned[at] = found
+        return found
+
+    def _detect_steps(self, state: SensingState, part: UniformBlock) -> Detected:
+        at_s = float(part.time_s[0])
+        found = self.detected.get(at_s)
+        if found is None:
+            found = super()._detect_steps(state, part)
+            if state.conditioner.report.n_received <= _KEPT_SAMPLES:
+                self.detected[at_s] = found
+        return found
 
 
 def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterator[FeatureWindow]:

@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -49,6 +50,7 @@ _BIAS, _FIELD, _ERROR = slice(0, 3), 3, 4
 _HEADINGS = slice(3, 5)  # field direction and heading error, which are driven by the same angular rate
 _N_STATES = 5
 _IDENTITY = read_only(np.eye(_N_STATES))
+_IDENTITY_3 = np.eye(3)
 _H_FIELD, _H_ERROR = read_only(_IDENTITY[_FIELD]), read_only(_IDENTITY[_ERROR])
 # Log density of a uniform direction, shifted by the constant that `_update` omits.
 _LOG_ANY_DIRECTION = 0.5 * math.log(2 * math.pi) - math.log(2 * math.pi)
@@ -387,10 +389,10 @@ class GyroBias:
         if n_still >= 1:
             std = self.still_std_radps + self.still_std_share * window.angular_rate_std_radps
             rate = window.angular_rate_radps
-            innovation, noise = rate - bank[0][:, _BIAS], std**2 * np.eye(3)
+            innovation, noise = rate - bank[0][:, _BIAS], std**2 * _IDENTITY_3
             rotating_noise = noise + self.turning_radps**2 * window.up_sensor[:, None] * window.up_sensor
             odds = self.even_turn_prob / (1.0 - self.even_turn_prob)
-            still, rotating = (_innovation_density(bank, innovation, cov) for cov in (noise, rotating_noise))
+            still, rotating = _innovation_densities(bank, innovation, np.array([noise, rotating_noise]))
             is_rotating = _likelihood(bank, still) < odds * _likelihood(bank, rotating)
             outlier = _outlier_log_density(_dot(rate, rate), 3, self.turning_radps)
             bank = _update_bias(bank, innovation, rotating if is_rotating else still, self.still_outlier_prob, outlier)
@@ -553,7 +555,7 @@ def _update_bias(
     """Return the bank of M Kalman filters (see `_Bank`) after a measurement of the gyroscope bias (3,), in rad/s.
 
     The measurement may be an outlier, with probability `outlier_prob` and log density `outlier_log_density`. Each
-    filter has its innovation, (M, 3), and `predicted` is the result of `_innovation_density`. Each filter is updated
+    filter has its innovation, (M, 3), and `predicted` is a result of `_innovation_densities`. Each filter is updated
     with the mixture of an accepted and a rejected measurement, and its weight with the likelihood of the mixture.
     """
     mean, cov, log_weight = bank
@@ -575,15 +577,18 @@ def _relative(log_weight: FloatArray) -> FloatArray:
     return np.maximum(log_weight - np.maximum.reduce(log_weight), _MIN_LOG_WEIGHT)
 
 
-def _innovation_density(bank: _Bank, innovation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _innovation_densities(
+    bank: _Bank, innovation: FloatArray, noise: FloatArray
+) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Return the inverse innovation covariances (M, 3, 3) of a bias measurement, and its log densities (M,).
 
-    `noise` (3, 3) is the covariance of the measurement. The log densities lack a common constant.
+    `noise` (K, 3, 3) are K alternative covariances of the measurement, and the result has a pair for each. The log
+    densities lack a common constant.
     """
-    inverse = np.asarray(np.linalg.inv(bank[1][:, _BIAS, _BIAS] + noise), dtype=np.float64)
+    inverse = np.asarray(np.linalg.inv(bank[1][:, _BIAS, _BIAS] + noise[:, None]), dtype=np.float64)
     log_det = np.log(np.linalg.det(inverse))
-    square = (innovation[:, None, :] @ inverse @ innovation[:, :, None])[:, 0, 0]
-    return inverse, 0.5 * (log_det - square)
+    square = (innovation[:, None, :] @ inverse @ innovation[:, :, None])[:, :, 0, 0]
+    return zip(inverse, 0.5 * (log_det - square), strict=True)
 
 
 def _likelihood(bank: _Bank, predicted: tuple[FloatArray, FloatArray]) -> float:

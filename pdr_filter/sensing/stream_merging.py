@@ -29,6 +29,7 @@ import numpy as np
 from pdr_filter.sensing.clock import MAX_GAP_S, REORDER_S, is_behind, latest_before
 from pdr_filter.sensing.conditioning import at_times
 from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Note, Samples, check_numbers, replace_unchecked
+from pdr_filter.values.arrays import finite_only
 from pdr_filter.values.limits import GAP_INTERVALS
 
 Sensor = Literal["accelerometer", "gyroscope", "magnetometer", "barometer"]
@@ -84,8 +85,7 @@ def absences_in(streams: Mapping[str, Samples]) -> list[Note]:
     """Return the notes of `absences` for the streams of a recording, by their names."""
     spans_s: dict[Sensor, tuple[float, float]] = {}
     for sensor in SENSORS:
-        time_s = streams[sensor].time_s if sensor in streams else np.empty(0)
-        time_s = time_s[np.isfinite(time_s)]
+        time_s = finite_only(streams[sensor].time_s if sensor in streams else np.empty(0))
         if len(time_s):
             spans_s[sensor] = float(time_s.min()), float(time_s.max())
     return absences(spans_s, StreamMerger().wait_s)

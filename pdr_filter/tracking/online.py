@@ -144,6 +144,45 @@ class OnlineFilter:
         self.config = config if weighting is None else config.with_weighting(weighting)
         self.state = init_filter(self.config)
 
+    @property
+    def state(self) -> State:
+        """State of the filter after all samples."""
+        if self._waiting:
+            self.state, _ = update_filter(self.config, self._state, self._with_waiting(), provisional=True)
+        return self._state
+
+    @state.setter
+    def state(self, state: State) -> None:
+        self._state: State = state
+        # Samples (N, 10) whose processing would complete no hop. Each costs some microseconds here, and together they
+        # cost as much as one. They are immutable, so that copies of the filter can share them.
+        self._waiting: tuple[FloatArray, ...] = ()
+        is_merged = not (state.finished or state.waiting_fixes or state.merger.has_received)
+        quiet = self.config.sensing.conditioner.quiet_s(state.sensing.conditioner) if is_merged else (np.inf, -np.inf)
+        self._after_s, self._until_s = quiet
+
+    def _waits(self, block: ImuBlock) -> bool:
+        """Return True if a block completes no hop, and store its samples."""
+        time_s = block.time_s
+        n = len(time_s)
+        if not n or not self._after_s < time_s[0] <= time_s[-1] <= self._until_s:
+            return False
+        if n > 1 and not (time_s[1:] > time_s[:-1]).all():
+            return False
+        rows = np.empty((n, 10))
+        rows[:, 0], rows[:, 1:4] = time_s, block.specific_force_mps2
+        rows[:, 4:7], rows[:, 7:] = block.angular_rate_radps, block.magnetic_field_ut
+        self._waiting = (*self._waiting, rows)
+        self._after_s = time_s[-1]
+        return True
+
+    def _with_waiting(self, *blocks: ImuBlock) -> ImuBlock:
+        """Return the samples that wait, and the blocks after them, as one block."""
+        rows = np.concatenate(self._waiting)
+        parts = ImuBlock(rows[:, 0], rows[:, 1:4], rows[:, 4:7], rows[:, 7:]), *blocks
+        columns = [(b.time_s, b.specific_force_mps2, b.angular_rate_radps, b.magnetic_field_ut) for b in parts]
+        return ImuBlock(*map(np.concatenate, zip(*columns, strict=True)))
+
     def __repr__(self) -> str:
         now = self.now()
         so_far = f"{now.n_steps} steps, {now.distance_m:.1f} m" if now.n_steps else "no steps"
@@ -182,14 +221,17 @@ class OnlineFilter:
         ValueError
             If shapes or units are wrong, if the filter is finished, or if it has received samples of single sensors.
         """
-        if self.state.merger.has_received:
+        if self._state.merger.has_received:
             raise ValueError(
                 "push takes merged samples, but this filter has received the samples of each sensor separately "
                 "(push_accelerometer, push_streams): use only one of the two ways"
             )
         block = imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)
-        _check_times(block.time_s, np.empty(0), self.state)
-        return self._commit(*update_filter(self.config, self.state, block, provisional=True))
+        if self._waits(block):
+            return []
+        _check_times(block.time_s, np.empty(0), self._state)
+        block = self._with_waiting(block) if self._waiting else block
+        return self._commit(*update_filter(self.config, self._state, block, provisional=True))
 
     def push_accelerometer(self, time_s: ArrayLike, specific_force_mps2: ArrayLike) -> list[StepUpdate]:
         """Process accelerometer samples and return the steps that they complete.
@@ -359,11 +401,11 @@ class OnlineFilter:
         Raise ValueError once if no specific force so far had the right unit. The samples of the block are then
         discarded.
         """
-        conditioner, units = self.state.sensing.conditioner, state.sensing.conditioner.units
+        conditioner, units = self._state.sensing.conditioner, state.sensing.conditioner.units
         if units.is_wrong and not conditioner.units.n:
             # The unit check is kept, so that the warning appears in `notes`; the rest of the block is discarded.
-            sensing = replace(self.state.sensing, conditioner=replace(conditioner, units=units))
-            self.state = replace(self.state, sensing=sensing)
+            sensing = replace(self._state.sensing, conditioner=replace(conditioner, units=units))
+            self.state = replace(self._state, sensing=sensing)
             raise ValueError(f"{units.wrong_force}; then start a new filter, because this one has refused the samples")
         self.state = state
         return output.updates

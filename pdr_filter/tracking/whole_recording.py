@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,13 @@ import numpy as np
 
 from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.filter.pedestrian.alignment import Pose
+from pdr_filter.filter.pedestrian.frame import Frame
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.recipes.calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.recipes.config import Config, check_config
 from pdr_filter.sensing.clock import one_clock
-from pdr_filter.sensing.conditioning import merge_streams
+from pdr_filter.sensing.conditioning import merged_parts
 from pdr_filter.sensing.contexts.context_stage import with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometer import ClimbState
@@ -24,6 +26,7 @@ from pdr_filter.sensing.front_end import Event, Sensing, SensingState
 from pdr_filter.sensing.heading.heading_stage import knows_north
 from pdr_filter.sensing.stream_merging import absences_in
 from pdr_filter.tracking.filtering import (
+    PART_SAMPLES,
     Output,
     State,
     WaitingClimbs,
@@ -34,7 +37,6 @@ from pdr_filter.tracking.filtering import (
     finish_filter,
     frame_name,
     init_filter,
-    parts,
     person_of,
     update_filter,
 )
@@ -50,6 +52,7 @@ from pdr_filter.values import (
     FloatArray,
     ImuBlock,
     IntArray,
+    Note,
     Origin,
     Plan,
     PositionFix,
@@ -268,12 +271,7 @@ def outputs(
     to distinguish hills from storeys (`with_hills`). MissingSensorError if the recording lacks a sensor that the recipe
     requires for a track.
     """
-    missing = [name for name in config.needs if name not in recording.streams]
-    if missing:
-        raise MissingSensorError(
-            f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
-            'needs for a track: use recipe "default", which does not need it'
-        )
+    check_sensors(recording, config)
     barometer, climbs = _climbs(config, recording)
     waiting_climbs = WaitingClimbs(barometer, tuple(climbs))
     state = add_fixes(config, replace(init_filter(config), waiting_climbs=waiting_climbs), fixes)
@@ -282,23 +280,72 @@ def outputs(
         state = add_location(config, state, location)
     elif location is not None and with_hills and (origin := origin_of(location)) is not None:
         state = add_terrain_locations(config, state, origin, location)
-    for part in _parts(merge_streams(recording), progress):
+    for part in _parts(recording, progress):
         state, output = update_filter(config, state, part)
         yield state, output
     yield finish_filter(config, state)
 
 
+def check_sensors(recording: Recording, config: Config) -> None:
+    """Raise MissingSensorError if a recording lacks a sensor that the recipe requires for a track."""
+    missing = [name for name in config.needs if name not in recording.streams]
+    if missing:
+        raise MissingSensorError(
+            f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
+            'needs for a track: use recipe "default", which does not need it'
+        )
+
+
+class Rows:
+    """Rows of a track while it is computed, in memory.
+
+    Pieces of the track are columns, which take a tenth of the memory of the outputs of the filter. Outputs whose rows a
+    later fix can move wait for the end.
+    """
+
+    def __init__(self) -> None:
+        self.pieces, self.waiting = list[Track](), list[Output]()
+
+    def add(self, piece: Track) -> None:
+        """Add consecutive rows that no fix can move any more."""
+        self.pieces.append(piece)
+
+    def wait(self, output: Output) -> None:
+        """Keep an output until the end."""
+        self.waiting.append(output)
+
+    def outputs(self) -> Iterator[Output]:
+        """Yield the outputs that wait."""
+        return iter(self.waiting)
+
+    def joined(self) -> Track:
+        """Return all pieces as one track, and release them."""
+        return _joined(self.pieces)
+
+
 def track_of_outputs(
-    recording: Recording, config: Config, results: Iterable[tuple[State, Output]], place: Origin | None = None
+    recording: Recording,
+    config: Config,
+    results: Iterable[tuple[State, Output]],
+    place: Origin | None = None,
+    rows: Rows | None = None,
+    absent: Callable[[], Sequence[Note]] | None = None,
 ) -> Track:
     """Return the track of a recording from its `outputs`. Only final steps are rows of the track.
 
-    `place` is the given origin of the frame of the fixes. Locations define their own.
+    `place` is the given origin of the frame of the fixes. Locations define their own. `rows` collects the rows, and
+    `absent` returns the notes on missing sensors at the end, by default those of the streams of the recording.
     """
-    state, whole = init_filter(config), Output()
+    rows = Rows() if rows is None else rows
+    state, whole, n_waiting = init_filter(config), Output(), 0
     for new_state, output in results:
         state = new_state
-        whole.extend(output)
+        whole.extend(replace(output, updates=[], windows=[]))
+        if n_waiting or not _is_settled(config, state, whole, output):
+            rows.wait(output)
+            n_waiting += 1
+        else:
+            rows.add(_piece(recording.name, config, output))
     report, end_s = state.sensing.conditioner.report, state.sensing.processed_s
     late = (FixResult.of(fix, end_s, "waiting") for fix in state.waiting_fixes)
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
@@ -314,17 +361,23 @@ def track_of_outputs(
     if origin is not None:
         frame = frame.at_most_probable_rotation() if state.locations.origin is not None else frame
         origin = state.height.start_altitude.of(frame.origin(origin))
-    updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
-    track = _track(recording.name, config, updates, _windows(whole.windows, config.model.context_set))
-    is_on_plan = any(update.on_plan is not None for update in updates)
+    first = next((u for output in rows.outputs() for u in output.updates if u.is_final), None)
+    is_on_plan = False
+    for output in rows.outputs() if n_waiting else ():
+        piece = replace(_piece(recording.name, config, output, frame), origin=origin)
+        if config.on_plan is not None:
+            updates = [u for u in output.updates if u.is_final]
+            is_on_plan = is_on_plan or any(update.on_plan is not None for update in updates)
+            piece = _on_plan(piece, config.on_plan.plan, updates)
+        rows.add(piece)
+    track = rows.joined()
     if config.on_plan is not None:
-        track = _on_plan(track, config.on_plan.plan, updates)
         origin = config.on_plan.plan.origin if is_on_plan else None
     start_m = frame.world(Pose(np.zeros(2), np.zeros((2, 2)), 0.0, 0)).position_m
-    if updates and updates[0].on_plan is not None:  # particles give no position before the first step
+    if first is not None and first.on_plan is not None:  # particles give no position before the first step
         start_m = position_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
     vertices = np.vstack([[start_s, *start_m], np.column_stack([track.time_s, track.position_m])])
-    notes = notes_of(config, state, vertices, absences_in(recording.streams))
+    notes = notes_of(config, state, vertices, absences_in(recording.streams) if absent is None else absent())
     return replace(
         track,
         start_time_s=start_s,
@@ -338,6 +391,54 @@ def track_of_outputs(
         person=person_of(config, state),
         notes=(*recording.notes, *misplaced, *(note.text for note in notes)),
     )
+
+
+def _is_settled(config: Config, state: State, before: Output, output: Output) -> bool:
+    """Return True if no later fix can move the rows of an output. `before` has the fixes so far."""
+    has_fixes = bool(before.fixes or state.waiting_fixes) or config.on_plan is not None
+    return not has_fixes and all(update.of_start is None for update in output.updates)
+
+
+def _piece(name: str, config: Config, output: Output, frame: Frame | None = None) -> Track:
+    """Return the final rows and the windows of an output as a track, in a frame whose rotation is known by now."""
+    updates = [u if frame is None else u.in_frame(frame) for u in output.updates if u.is_final]
+    return _track(name, config, updates, _windows(output.windows, config.model.context_set))
+
+
+def without_rows(track: Track) -> Track:
+    """Return a track without its rows and windows."""
+    names = [f.name for f in fields(track) if isinstance(getattr(track, f.name), np.ndarray)]
+    empty = {name: getattr(track, name)[:0] for name in set(names) - {"start_position_m"}}
+    windows = replace(track.windows, model=(), **{n: a[0][:0] for n, a in _columns_of([track.windows]).items()})
+    return replace(track, windows=windows, clusters=(), **empty)
+
+
+def _joined(pieces: list[Track]) -> Track:
+    """Return consecutive pieces of a track as one, and empty the list, so that one column at a time is there twice."""
+    last = pieces[-1]
+    if len(pieces) == 1:
+        return last
+    clusters = tuple(chain.from_iterable(piece.clusters for piece in pieces))
+    windows = _columns_of([piece.windows for piece in pieces])
+    models = tuple(chain.from_iterable(piece.windows.model for piece in pieces))
+    rows = _columns_of(pieces)
+    pieces.clear()
+    del rows["start_position_m"]
+    joined = {name: _concatenated(windows.pop(name)) for name in [*windows]}
+    whole = replace(last.windows, model=models, **joined)
+    return replace(last, windows=whole, clusters=clusters, **{name: _concatenated(rows.pop(name)) for name in [*rows]})
+
+
+def _columns_of(pieces: Sequence[Any]) -> dict[str, list[Any]]:
+    """Return the arrays of dataclasses of one type by the name of their field."""
+    names = [f.name for f in fields(pieces[0]) if isinstance(getattr(pieces[0], f.name), np.ndarray)]
+    return {name: [getattr(piece, name) for piece in pieces] for name in names}
+
+
+def _concatenated(arrays: list[Any]) -> Any:
+    joined = np.concatenate(arrays)
+    joined.flags.writeable = False
+    return joined.view(np.recarray) if isinstance(arrays[0], np.recarray) else joined
 
 
 def position_before(position_m: FloatArray, length_m: float, heading_rad: float) -> FloatArray:
@@ -457,20 +558,20 @@ def run_sensing(
     Events are steps, classified windows and gaps.
     """
     state, all_events = sensing.init(), list[tuple[int, Event]]()
-    for part in _parts(merge_streams(recording), progress):
+    for part in _parts(recording, progress):
         state, events = sensing.update(state, part)
         all_events += events
     state, events = sensing.finish(state)
     return state, [event for _, event in all_events + events]
 
 
-def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:
-    done, n = 0, len(block.time_s)
-    for part in parts(block):
+def _parts(recording: Recording, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:
+    done, n = 0, len(recording.accelerometer)
+    for part in merged_parts(recording, PART_SAMPLES):
         yield part
         done += len(part.time_s)
         if progress is not None:
-            progress(done / n)
+            progress(done / max(n, 1))
 
 
 def _windows(contexts: Sequence[WindowContext], context_set: ContextSet) -> Windows:

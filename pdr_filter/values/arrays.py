@@ -53,6 +53,12 @@ def median(values: FloatArray) -> float:
     return 0.5 * float(order[(len(order) - 1) // 2] + order[len(order) // 2])
 
 
+def finite_only(values: FloatArray) -> FloatArray:
+    """Return the finite values of an array (N,), without a copy if all are finite."""
+    known = np.isfinite(values)
+    return values if known.all() else values[known]
+
+
 def read_only(values: ArrayLike, name: str = "values") -> FloatArray:
     """Return a read-only contiguous float64 copy of the values."""
     return make_read_only(np.array(as_floats(values, name), order="C"))

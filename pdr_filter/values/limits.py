@@ -8,6 +8,8 @@ from __future__ import annotations
 # Maximum size of one file. A day of samples at 400 Hz is 1.3 GB of text for each of three sensors.
 MAX_MEMBER_BYTES = 2 * 1024**3
 MAX_READ_BYTES = 4 * 1024**3  # all files of a recording
+# All files of a recording that is read in parts: eight months of three sensors at 400 Hz.
+MAX_PARTS_BYTES = 1024**4
 # Maximum ratio of the unpacked size of a zip file to its own size, also for the claimed size of an array or a sparse
 # file. 588 recordings of phones have ratios up to 3.9. Two hours of constant values in the most verbose formats
 # (phyphox, CoreMotion) have up to 24. Deflate can reach 1000. In memory, text takes up to six times its size.

@@ -1,11 +1,12 @@
 """How fast the whole pipeline is: recordings of all sets, pieces of a minute, parts of the filter, and many hours.
 
-usage: python -m tests.benchmarks.throughput [recordings] [calls] [costs] [long] [--before TREE]
-       [--every 4] [--batch 1000] [--days 7]
+usage: python -m tests.benchmarks.throughput [recordings] [calls] [costs] [long] [limits] [--before TREE]
+       [--every 4] [--batch 1000] [--days 7] [--hours 1]
 
 Costs are those of one real walk, a part of the filter left out or put in. `--before` is another checkout of the
 project: its recordings are timed in turns with ours, ours twice, so that the two figures of one tree show what the
-machine adds. Times are of the processor, one core. A batch is one simulated recording of ten minutes under many names,
+machine adds. Limits are those that the package is built for, beside what is measured on a recording of `--hours`.
+Times are of the processor, one core. A batch is one simulated recording of ten minutes under many names,
 the embedded walk repeated in time. A recording of days is the same walk repeated.
 
 A step takes about 1,000 calls of Python and NumPy functions on small arrays, together 0.7 ms, and no function takes
@@ -21,6 +22,7 @@ import os
 import subprocess
 import sys
 import time
+import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -90,6 +92,13 @@ used_s, peak_mb = time.process_time() - start, resource.getrusage(resource.RUSAG
 held_mb = sum(s.time_s.nbytes + s.values.nbytes for s in (recording.accelerometer, recording.gyroscope)) / 1e6
 print(json.dumps([used_s, peak_mb, held_mb, recording.duration_s]))
 """
+_OF_PARTS = """
+import json, resource, sys, time
+import pdr_filter as pdr
+start = time.process_time()
+pdr.batch.track_file(sys.argv[1], sys.argv[2])
+print(json.dumps([time.process_time() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3]))
+"""
 
 
 def best_s(run: Callable[[], object], times: int = 3) -> float:
@@ -157,6 +166,76 @@ def long_walk(hours: float) -> pdr.Recording:
         accelerometer=repeat(walk.accelerometer),
         gyroscope=repeat(walk.gyroscope),  # type: ignore[arg-type]
     )
+
+
+def write_long_walk(hours: float, path: Path) -> Path:
+    """A file of the walk of `long_walk`, which is never in memory as a whole."""
+    walk = pdr.simulate.demo_walk()
+    period_s = walk.duration_s + 0.01
+    n = int(np.ceil(hours * 3600 / period_s))
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("meta.json", json.dumps({"name": "long"}))
+        for name in ("accelerometer", "gyroscope"):
+            stream = walk.streams[name]
+            values = [",{:.7g},{:.7g},{:.7g}\n".format(*row) for row in stream.values.tolist()]
+            with archive.open(f"{name}.csv", "w", force_zip64=True) as file:
+                file.write(b"time_s,x,y,z\n")
+                for i in range(n):
+                    times = (stream.time_s + period_s * i).tolist()
+                    file.write("".join(f"{t:.6f}{v}" for t, v in zip(times, values, strict=True)).encode())
+    return path
+
+
+def mostly_resting(hours: float, walking_share: float) -> pdr.Recording:
+    """A phone that rests on a table before and after a walk."""
+    walk = long_walk(hours * walking_share)
+    n = int(0.5 * (hours * 3600 - walk.duration_s) * 100)
+    rng = np.random.default_rng(0)
+
+    def around_walk(stream: Samples, mean: np.ndarray, std: float) -> Samples:
+        rest = [mean + rng.normal(0.0, std, (n, 3)) for _ in range(2)]
+        values = np.concatenate([rest[0], stream.values, rest[1]])
+        return Samples(0.01 * np.arange(len(values)), values)
+
+    assert walk.gyroscope is not None
+    force = around_walk(walk.accelerometer, np.array([0.2, 0.4, 9.8]), 0.03)
+    return pdr.Recording("rest", force, around_walk(walk.gyroscope, np.array([0.003, -0.002, 0.001]), 0.002))
+
+
+def limits(tables: Tables, arguments: argparse.Namespace) -> None:
+    """What is measured beside its limit."""
+    block = pdr.merge_streams(pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
+    minute = part_of(block, slice(0, int(np.searchsorted(block.time_s, block.time_s[0] + 60.0))))
+
+    def pushed(samples: int) -> None:
+        online = pdr.OnlineFilter()
+        for part in minute.parts(samples):
+            push(online, part)
+        online.finish()
+
+    online, quiet = pdr.OnlineFilter(), list[float]()
+    for part in minute.parts(1):
+        n_waiting, start = len(online._waiting), time.process_time()
+        push(online, part)
+        if len(online._waiting) > n_waiting:
+            quiet.append(time.process_time() - start)
+    whole_s, tenths_s = np.min([[best_s(lambda n=n: pushed(n), 1) for n in (100_000, 10)] for _ in range(3)], axis=0)
+    walk, day = long_walk(arguments.hours), mostly_resting(arguments.hours, 1 / 24)
+    pdr.smooth(long_walk(0.02))
+    runs = [lambda: pdr.track(walk), lambda: pdr.smooth(walk), lambda: pdr.track(day)]
+    track_s, smooth_s, day_s = np.min([[best_s(run, 1) for run in runs] for _ in range(2)], axis=0)
+    with TemporaryDirectory() as folder:
+        path = write_long_walk(24.0 * arguments.days, Path(folder) / "long.zip")
+        used_s, peak_mb = in_tree(ROOT, _OF_PARTS, str(path), str(Path(folder) / "track.parquet"))
+    rows = [
+        ["push that completes no hop", f"{1e6 * np.median(quiet):.0f} us", "15 us"],
+        ["blocks of 0.1 s against the whole recording", f"{tenths_s / whole_s:.1f}", "3"],
+        ["a day with an hour of walking against a day of walking", f"{day_s / track_s:.2f}", "0.33"],
+        ["`smooth` against `track`", f"{smooth_s / track_s:.2f}", "1.21"],
+        [f"`batch.track_file`, {arguments.days:g} days in {used_s:.0f} s", f"{peak_mb:.0f} MB", "400 MB"],
+    ]
+    about = f"Processor time; {arguments.hours:g} hours of a simulated walk repeated, {load()}."
+    tables.write("throughput_limits", ["what", "measured", "limit"], rows, about)
 
 
 def around(track: pdr.Track) -> pdr.FloorPlan:
@@ -269,10 +348,14 @@ def long(tables: Tables, arguments: argparse.Namespace) -> None:
     used_s, peak_mb, held_mb, duration_s = in_tree(ROOT, _OF_DAYS, str(arguments.days))
     title = f"one recording of {duration_s / 86400:.2g} days, {held_mb:.0f} MB of samples"
     rows.append([title, *_hours(duration_s / 3600, used_s), "", "", f"{peak_mb:.0f} MB"])
+    with TemporaryDirectory() as folder:
+        path = write_long_walk(24.0 * arguments.days, Path(folder) / "long.zip")
+        used_s, peak_mb = in_tree(ROOT, _OF_PARTS, str(path), str(Path(folder) / "track.parquet"))
+    rows.append(["the same, from a file in parts", *_hours(duration_s / 3600, used_s), "", "", f"{peak_mb:.0f} MB"])
     columns = " | hours | processor time | for each hour | each more than in a loop | a minute | largest process"
     about = f"A simulated walk repeated; that of ten minutes under many names, read from files; two cores, {load()}."
     tables.write("throughput_day", columns, rows, about)
 
 
 if __name__ == "__main__":
-    run(__doc__, recordings, calls, costs, long, before=None, every=4, batch=1000, days=7.0)
+    run(__doc__, recordings, calls, costs, long, limits, before=None, every=4, batch=1000, days=7.0, hours=1.0)

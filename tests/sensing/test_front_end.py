@@ -11,7 +11,7 @@ from pdr_filter import recipes
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.front_end import Sensing, SensingForTwoPasses
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.simulate import Leg, simulate
@@ -189,3 +189,22 @@ def test_a_recipe_for_the_foot_gives_no_note_about_sensors_on_the_foot() -> None
     for name, complains in (("zhou2019", False), ("default", True)):
         notes = pdr.track(worn, recipes.for_recording(name, worn)).notes
         assert any("for a carried phone" in note for note in notes) == complains
+
+
+def test_a_second_pass_with_kept_results_equals_one_that_senses_again() -> None:
+    walk = simulate([Leg("walking", distance_m=15.0)])
+    blocks = [*pdr.merge_streams(walk).parts(500)]
+    sensing = pdr.recipes.default().sensing
+    kept = SensingForTwoPasses.keeping(sensing)
+    sensed(kept, blocks)
+    assert kept.detected
+    assert kept.conditioned
+    other = replace(kept, heading=None)
+    again = sensed(other, blocks)
+    assert other.detected is kept.detected
+    expected = sensed(replace(sensing, heading=None), blocks)
+    assert [(known_s, type(event)) for known_s, event in again] == [
+        (known_s, type(event)) for known_s, event in expected
+    ]
+    steps, wanted = ([e for _, e in events if isinstance(e, pdr.Step)] for events in (again, expected))
+    assert steps == wanted

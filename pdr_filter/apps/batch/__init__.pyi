@@ -4,5 +4,7 @@ from .result_table import Row as Row
 from .result_table import Task as Task
 from .result_table import read_table as read_table
 from .run import track as track
+from .track_file import WrittenTrack as WrittenTrack
+from .track_file import track_file as track_file
 from .workers import Failure as Failure
 from .workers import each as each

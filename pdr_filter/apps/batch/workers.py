@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from queue import SimpleQueue
 from threading import Thread
 from typing import Any, TypeVar
@@ -149,7 +150,7 @@ def _on_cluster(work: Callable[[T], R], items: Sequence[T], scheduler: str) -> I
         client: Any = Client(scheduler, timeout=DASK_CONNECT_S, set_as_default=False)
     with client:
         # pure=False, because Dask would otherwise return the result of an earlier call for the same path
-        futures: list[Any] = [client.submit(_guarded, work, item, pure=False) for item in items]
+        futures: list[Any] = [client.submit(_on_worker, work, item, pure=False) for item in items]
         number = {future.key: i for i, future in enumerate(futures)}
         finished: Any = as_completed(futures, with_results=True, raise_errors=False, loop=client.loop)
         for future, result in finished:
@@ -162,6 +163,31 @@ def _on_cluster(work: Callable[[T], R], items: Sequence[T], scheduler: str) -> I
             else:  # not caused by the recording: the scheduler has died, or the workers lack this package
                 raise RuntimeError(f"the cluster at {scheduler} failed ({future.status}): {error!r}; check its workers")
             futures[i] = None  # release the result on the cluster
+
+
+def _on_worker(work: Callable[[T], R], item: T) -> R | Failure:
+    """Return the result of an item in a worker of a cluster."""
+    keep_freed_memory()
+    return _guarded(work, item)
+
+
+# Parameters of mallopt, and the thresholds that glibc reaches by itself when it has freed large arrays, in bytes.
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+_TRIM_BYTES, _MMAP_BYTES = 64 * 1024**2, 32 * 1024**2
+
+
+@cache
+def keep_freed_memory() -> None:
+    """Let the allocator of this process keep freed arrays, up to 64 MB, for the next ones.
+
+    Dask starts its workers with MALLOC_TRIM_THRESHOLD_=65536, so that each freed array goes back to the system, and
+    each new one is filled with zeros again: 34,000 page faults and a third more processor time for two minutes of
+    samples. Without glibc nothing is done.
+    """
+    with suppress(OSError, AttributeError):
+        libc = ctypes.CDLL("libc.so.6")
+        libc.mallopt(_M_MMAP_THRESHOLD, _MMAP_BYTES)
+        libc.mallopt(_M_TRIM_THRESHOLD, _TRIM_BYTES)
 
 
 def _exception(result: Any) -> Any:

@@ -64,7 +64,13 @@ class OutputOptions:
     parquet: bool = typer.Option(
         False,
         "--parquet",
-        help="Also write NAME.parquet. With --jobs or --scheduler, write the table as Parquet instead of CSV.",
+        help="Also write NAME.parquet. With --jobs, --scheduler or --long, write the table as Parquet instead of CSV.",
+    )
+    long: bool = typer.Option(
+        False,
+        "--long",
+        help="For recordings of days: read, filter and write in parts, in little memory. Writes the online track only, "
+        "as NAME.csv.",
     )
 
     @property
@@ -159,6 +165,8 @@ def track_command(
 
     --jobs and --scheduler write one table for all recordings, tracks.csv in the folder of --out, with online tracks.
     The table grows as recordings finish, and an interrupted run resumes from it.
+
+    --long writes the online track of each recording as a table, and needs little memory for a recording of any length.
     """
     import pdr_filter as pdr
     from pdr_filter.filter.pedestrian.person import MAX_SESSION_STD
@@ -168,6 +176,10 @@ def track_command(
         if workers.make_one_table():
             _check_one_table(method, georeference, output, as_json)
             _track_many(files, method, georeference, source, output.table, workers)
+            return
+        if output.long:
+            _check_long(method, georeference, output, as_json)
+            _track_long(files, method, georeference, source, output)
             return
         given, files = files, console.recording_paths(files)
         if output.out is not None and files != given:
@@ -240,11 +252,37 @@ def _check_one_table(
     method: Method, georeference: options.GeoreferenceOptions, output: OutputOptions, as_json: bool
 ) -> None:
     """Raise ValueError for options of a single recording if many recordings are written to one table."""
-    single_options = {
+    given = _single_options(method, georeference, output, as_json) | {
         "--classifier": method.classifier,
         "--model": method.model,
         "--transitions": method.transitions,
         "--device": method.device,
+        "--long": output.long,
+    }
+    if names := [name for name, value in given.items() if value]:
+        raise ValueError(
+            f"{', '.join(names)} cannot be used with --jobs or --scheduler, which write one table of many recordings: "
+            "omit one or the other"
+        )
+
+
+def _check_long(
+    method: Method, georeference: options.GeoreferenceOptions, output: OutputOptions, as_json: bool
+) -> None:
+    """Raise ValueError for options that need a whole recording."""
+    if names := [name for name, value in _single_options(method, georeference, output, as_json).items() if value]:
+        raise ValueError(
+            f"{', '.join(names)} cannot be used with --long, which writes the online track of a recording in parts: "
+            "omit one or the other"
+        )
+    output.check()
+
+
+def _single_options(
+    method: Method, georeference: options.GeoreferenceOptions, output: OutputOptions, as_json: bool
+) -> dict[str, object]:
+    """Return the values of the options that need a whole recording, by name."""
+    return {
         **replace(georeference, gnss=None).given(),
         "--radio": method.radio,
         "--ranges": method.ranges,
@@ -253,11 +291,49 @@ def _check_one_table(
         "--report": output.report,
         "--json": as_json,
     }
-    if given := [name for name, value in single_options.items() if value]:
-        raise ValueError(
-            f"{', '.join(given)} cannot be used with --jobs or --scheduler, which write one table of many recordings: "
-            "omit one or the other"
+
+
+def _track_long(
+    files: Sequence[Path],
+    method: Method,
+    georeference: options.GeoreferenceOptions,
+    source: options.Source,
+    output: OutputOptions,
+) -> None:
+    import pdr_filter as pdr
+    from pdr_filter.recipes.calibration import read_person
+
+    changes, written = method.changes(), set[str]()
+    person = None if method.person is None else read_person(method.person)
+
+    def config(head: Recording) -> Config:
+        head = head if source.height_m is None else head.of_height(source.height_m)
+        return changes(pdr.recipes.for_recording(method.recipe, head))
+
+    def track_one(file: Path, progress: Callable[[float], None]) -> pdr.batch.WrittenTrack:
+        name = console.unique_name(file.stem, written)
+        out = (output.out or Path()) / f"{name}.{'parquet' if output.parquet else 'csv'}"
+        console.say_replaced(console.existing(out))
+        done = pdr.batch.track_file(
+            file,
+            out,
+            config,
+            weighting=method.weighting,
+            device=method.device if method.device is not None and method.device.exists() else None,
+            person=person,
+            gnss=georeference.gnss,
+            file_format=source.file_format,
+            progress=progress,
         )
+        if method.device is not None and done.about.device is not None:
+            done.about.device.save(method.device)
+        return done
+
+    tracks, failed = console.each_file(console.recording_paths(files), track_one)
+    for done in tracks:
+        console.print_line(f"{done.path}: {done.n_steps} steps, {done.distance_m:.1f} m, {done.about.duration_s:.1f} s")
+    console.print_notes([done.about for done in tracks])
+    console.exit_if_failed(failed, len(failed) + len(tracks))
 
 
 def _track_many(

@@ -114,9 +114,21 @@ class TextTable:
         decimal: str = ".",
     ) -> NumberTable:
         """Return columns as floats, one as integers, and some as texts. The table can be parsed only once."""
-        names = tuple(self.fields[place] for place in places)
-        layout = Layout(tuple(places), whole, self.separator, decimal, names, tuple(texts))
+        layout = self._layout(places, whole, texts, decimal)
         return parse_blocks(chain([self.first_rows], self._rest), layout, self.where, notes)
+
+    def parse_in_parts(self, places: Sequence[int], notes: list[str]) -> Iterator[NumberTable]:
+        """Yield columns as floats, block by block. The table can be parsed only once."""
+        line, layout = 2, self._layout(places)
+        for block in chain([self.first_rows], self._rest):
+            yield parse_blocks([block], layout, self.where, notes, line)
+            line += block.count(b"\n")
+
+    def _layout(
+        self, places: Sequence[int], whole: int | None = None, texts: Sequence[int] = (), decimal: str = "."
+    ) -> Layout:
+        names = tuple(self.fields[place] for place in places)
+        return Layout(tuple(places), whole, self.separator, decimal, names, tuple(texts))
 
 
 def decode(content: bytes, where: str, first_line: int = 1) -> str:

@@ -14,7 +14,7 @@ from pdr_filter.offline.smoothing.smoothed import Smoothed
 from pdr_filter.offline.smoothing.storeys import with_arrivals
 from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.device import Device
-from pdr_filter.sensing.front_end import SensingState
+from pdr_filter.sensing.front_end import SensingForTwoPasses, SensingState
 from pdr_filter.sensing.heading.heading_stage import after_first_pass
 from pdr_filter.sensing.heading.walking_heading import WalkingHeadingState
 from pdr_filter.tracking.filtering import Output, State, init_filter
@@ -58,6 +58,8 @@ def dead_reckoned(
     found = track_of_outputs(recording, own, results())
     track = with_arrivals(replace(found, device=known_device or found.device))
     stood_steps = end.pedestrian.fixes.standstill_steps
+    if isinstance(own.sensing, SensingForTwoPasses):
+        own.sensing.forget()
     return own, track, end.sensing if known_device is None else None, stood_steps
 
 
@@ -79,6 +81,8 @@ def with_first_pass(
     """
     if "gyroscope" not in recording.streams:
         return config, None
+    sensing = SensingForTwoPasses.keeping(config.sensing)
+    config = replace(config, sensing=sensing)
     state, events = run_sensing(config.sensing, recording, progress)
     steps = [event for event in events if isinstance(event, Step)]
     if not steps:
@@ -86,6 +90,7 @@ def with_first_pass(
     device, known_device = config.sensing.device(state), None
     if config.sensing.attitude.bias.device is None and steps[-1].on_axes:
         config, known_device = config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
+        config = replace(config, sensing=replace(sensing, attitude=config.sensing.attitude, detected={}))
         _, events = run_sensing(config.sensing, recording)
         steps = [event for event in events if isinstance(event, Step)]
     heading = after_first_pass(config.sensing.heading, step_table(steps))

@@ -13,6 +13,9 @@ from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Generator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -33,7 +36,8 @@ SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError, OverflowError, AttributeError)
 # Filters written by h5py, each at most once: deflate, shuffle, checksum, lzf.
 FILTERS = (1, 2, 3, 32000)
-# Data set and number of its columns.
+# Data sets and numbers of their columns.
+_TIME = ("synced/time", 1)
 ARRAYS = {
     "accelerometer": ("synced/acce", 3),
     "gyroscope": ("synced/gyro", 3),
@@ -49,44 +53,59 @@ def read_ronin(path: str | Path) -> Recording:
 
     The calibration in info.json is applied if it exists. RecordingError if an array is missing or has another shape.
     """
-    path = Path(path)
-    file = inside(path / "data.hdf5", path) if path.is_dir() else path
-    parsed = Parsed(path, "RoNIN")
-    info = _info(beside(file, "info.json"), parsed)
-    time_s, arrays = _read_arrays(file, parsed.notes)
-    if "accelerometer" not in arrays:
-        raise RecordingError(f"{file}: no synced/acce, which holds the accelerometer; take data.hdf5 as published")
-    for name, values in arrays.items():
-        if len(values) != len(time_s):
+    with open_ronin(Path(path)) as ronin:
+        if ronin.n_rows > limits.MAX_ARRAY_ROWS:
             raise RecordingError(
-                f"{file}: {len(values)} rows of {name}, but {len(time_s)} times, as in a damaged file; take data.hdf5 "
-                "as published"
+                f"{ronin.file}: synced/time claims {ronin.n_rows} rows, more than {limits.MAX_ARRAY_ROWS}; cut the "
+                "recording"
             )
-    scale, bias = _vector(info, "imu_acce_scale", file), _vector(info, "imu_acce_bias", file)
-    if scale is not None and bias is not None:
-        arrays["accelerometer"] = scale * (arrays["accelerometer"] - bias)
-        parsed.found.append("accelerometer: scale (acce - bias) with info.json, m/s2")
-    else:
-        parsed.found.append("accelerometer: acce as recorded, m/s2, no calibration in info.json")
-    raw_gyroscope, gyro_bias = arrays.pop("raw gyroscope", None), _vector(info, "imu_init_gyro_bias", file)
-    if raw_gyroscope is not None and gyro_bias is not None:
-        arrays["gyroscope"] = raw_gyroscope - gyro_bias
-        parsed.found.append("gyroscope: gyro_uncalib minus the bias of info.json, rad/s")
-    elif "gyroscope" in arrays:
-        parsed.found.append("gyroscope: gyro as the phone corrected it, rad/s")
-    position_m = arrays.pop("position", None)
-    if position_m is not None:
-        east_m, north_m, up_m = position_m.T
-        parsed.truth["position"] = {"time_s": time_s, "east_m": east_m, "north_m": north_m, "up_m": up_m}
-        parsed.meta["truth"] = "visual odometry of a second phone on the body; its axes turn freely about the vertical"
-    parsed.streams = {stream: (time_s, values) for stream, values in arrays.items()}
-    parsed.requested_hz = dict.fromkeys(arrays, RATE_HZ)
-    parsed.clock = "seconds of the phone (synced/time)"
-    return parsed.recording()
+        return ronin.parsed(slice(None)).recording()
 
 
-def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return the times, and the arrays of `ARRAYS` that exist in the file."""
+@dataclass(frozen=True, slots=True, eq=False)
+class RoninFile:
+    """Open file with its data sets, which are read when they are used."""
+
+    path: Path
+    file: Path
+    data_sets: Mapping[str, Any]  # of "time" and the names of `ARRAYS` that exist
+    n_rows: int
+
+    def parsed(self, rows: slice) -> Parsed:
+        """Return the streams of some rows, with the calibration in info.json if it exists."""
+        parsed = Parsed(self.path, "RoNIN")
+        info = _info(beside(self.file, "info.json"), parsed)
+        with _hdf5_errors(self.file):
+            arrays = {name: _floats(found, rows, parsed.notes) for name, found in self.data_sets.items()}
+        time_s = arrays.pop("time")
+        scale, bias = _vector(info, "imu_acce_scale", self.file), _vector(info, "imu_acce_bias", self.file)
+        if scale is not None and bias is not None:
+            arrays["accelerometer"] = scale * (arrays["accelerometer"] - bias)
+            parsed.found.append("accelerometer: scale (acce - bias) with info.json, m/s2")
+        else:
+            parsed.found.append("accelerometer: acce as recorded, m/s2, no calibration in info.json")
+        raw_gyroscope, gyro_bias = arrays.pop("raw gyroscope", None), _vector(info, "imu_init_gyro_bias", self.file)
+        if raw_gyroscope is not None and gyro_bias is not None:
+            arrays["gyroscope"] = raw_gyroscope - gyro_bias
+            parsed.found.append("gyroscope: gyro_uncalib minus the bias of info.json, rad/s")
+        elif "gyroscope" in arrays:
+            parsed.found.append("gyroscope: gyro as the phone corrected it, rad/s")
+        position_m = arrays.pop("position", None)
+        if position_m is not None:
+            east_m, north_m, up_m = position_m.T
+            parsed.truth["position"] = {"time_s": time_s, "east_m": east_m, "north_m": north_m, "up_m": up_m}
+            about = "visual odometry of a second phone on the body; its axes turn freely about the vertical"
+            parsed.meta["truth"] = about
+        parsed.streams = {stream: (time_s, values) for stream, values in arrays.items()}
+        parsed.requested_hz = dict.fromkeys(arrays, RATE_HZ)
+        parsed.clock = "seconds of the phone (synced/time)"
+        return parsed
+
+
+@contextmanager
+def open_ronin(path: Path) -> Generator[RoninFile]:
+    """Context manager that opens the file of a recording, or that of its folder, and yields its data sets."""
+    file = inside(path / "data.hdf5", path) if path.is_dir() else path
     try:
         import h5py  # pyright: ignore[reportMissingImports]
     except ImportError as error:
@@ -95,27 +114,41 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
         open_regular(file).close()
     except OSError as error:
         raise RecordingError(f"{file}: cannot be read ({error.strerror}); check path and permissions") from error
-    try:
-        with h5py.File(file, "r") as opened:
-            data: Any = opened
-            time_s = _array(data, "synced/time", 1, file, notes)
-            if time_s is None:
-                groups = ", ".join(map(str, islice(data, 8)))
+    with ExitStack() as stack:
+        with _hdf5_errors(file):
+            data: Any = stack.enter_context(h5py.File(file, "r"))
+            known = {key: _data_set(data, name, n, file) for key, (name, n) in {"time": _TIME, **ARRAYS}.items()}
+            known = {key: found for key, found in known.items() if found is not None}
+            groups = ", ".join(map(str, islice(data, 8)))
+        if "time" not in known:
+            raise RecordingError(f"{file}: no synced/time (found: {groups or 'nothing'}); take data.hdf5 as published")
+        n_rows = len(known["time"])
+        if "accelerometer" not in known:
+            raise RecordingError(f"{file}: no synced/acce, which holds the accelerometer; take data.hdf5 as published")
+        for name, found in known.items():
+            if len(found) != n_rows:
                 raise RecordingError(
-                    f"{file}: no synced/time (found: {groups or 'nothing'}); take data.hdf5 as published"
+                    f"{file}: {len(found)} rows of {name}, but {n_rows} times, as in a damaged file; take data.hdf5 "
+                    "as published"
                 )
-            arrays = {key: _array(data, name, n, file, notes) for key, (name, n) in ARRAYS.items()}
+        yield RoninFile(path, file, known, n_rows)
+
+
+@contextmanager
+def _hdf5_errors(file: Path) -> Generator[None]:
+    """Context manager that turns errors of damaged files into a RecordingError."""
+    try:
+        yield
     except RecordingError:
         raise
     except HDF5_ERRORS as error:
         raise RecordingError(f"{file}: no hdf5 file, or a damaged one ({str(error)[:120]}); copy it again") from error
-    return time_s, {key: values for key, values in arrays.items() if values is not None}
 
 
-def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> FloatArray | None:
-    """Return a data set (N,) or (N, columns) of an HDF5 file as floats, or None if the file does not have it.
+def _data_set(data: Any, name: str, columns: int, file: Path) -> Any:
+    """Return a data set (N,) or (N, columns) of an HDF5 file, or None if the file does not have it.
 
-    RecordingError for another shape, for text and for too many rows.
+    RecordingError for another shape and for text.
     """
     found: Any = _inside_file(data, name, file)
     if found is None:
@@ -124,15 +157,16 @@ def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> 
     if shape is None or len(shape) != (1 if columns == 1 else 2) or (columns > 1 and shape[1] != columns):
         wanted = "(N,)" if columns == 1 else f"(N, {columns})"
         raise RecordingError(f"{file}: {name} has the shape {shape}; write it as an array of the shape {wanted}")
-    if shape[0] > limits.MAX_ARRAY_ROWS:
-        raise RecordingError(
-            f"{file}: {name} claims {shape[0]} rows, more than {limits.MAX_ARRAY_ROWS}; cut the recording"
-        )
     if np.dtype(found.dtype).kind not in "fiu":
         raise RecordingError(f"{file}: {name} holds {found.dtype}; write it as numbers")
     _check_storage(found, name, file)
+    return found
+
+
+def _floats(data_set: Any, rows: slice, notes: list[str]) -> FloatArray:
+    """Return some rows of a data set as floats."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return finite(np.array(found[()], dtype=np.float64), name, notes)
+        return finite(np.array(data_set[rows], dtype=np.float64), data_set.name[1:], notes)
 
 
 def _inside_file(data: Any, name: str, file: Path) -> Any:

@@ -11,7 +11,7 @@ import struct
 import tomllib
 import zipfile
 import zlib
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, cast
@@ -70,7 +70,7 @@ class Members:
         self._archive = archive
         self._infos = {} if archive is None else _infos_by_name(path, archive)
         self._n_read = 0
-        self._most = limits.MAX_READ_BYTES
+        self._most, self._most_of_one = limits.MAX_READ_BYTES, limits.MAX_MEMBER_BYTES
         self._open = gzip.open if is_gzip else open_regular
         if is_gzip:
             self._most = min(self._most, most_unpacked(path.stat().st_size))
@@ -94,6 +94,14 @@ class Members:
         """Return name, size and time of change of each file of a folder."""
         found = {name: file.lstat() for name, file in sorted(self._files.items())}
         return tuple((name, about.st_size, about.st_mtime_ns) for name, about in found.items())
+
+    def read_in_parts(self, names: Sequence[str]) -> Callable[[], float]:
+        """Accept files of any length, which are not held in memory; return a function of the fraction read of some."""
+        if self._open is not gzip.open:
+            self._most = self._most_of_one = limits.MAX_PARTS_BYTES
+        sizes = [self._files[n].stat().st_size if self._archive is None else self._infos[n].file_size for n in names]
+        before, n_bytes = self._n_read, max(sum(sizes), 1)
+        return lambda: min((self._n_read - before) / n_bytes, 1.0)
 
     def where(self, name: str) -> str:
         """Return the name of a member for messages."""
@@ -177,10 +185,10 @@ class Members:
         try:
             if self._archive is None:
                 file = self._files[name]
-                _check_size(where, file.stat().st_size)
+                _check_size(where, file.stat().st_size, self._most_of_one)
                 opened = self._open(inside(file, self._folder) if self._folder else file)
             else:
-                _check_claims(where, self._infos[name])
+                _check_claims(where, self._infos[name], self._most_of_one)
                 opened = self._archive.open(self._infos[name])
             with opened as file:
                 part = file.read(size)
@@ -422,14 +430,14 @@ def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zi
     return found
 
 
-def _check_claims(where: str, info: zipfile.ZipInfo) -> None:
+def _check_claims(where: str, info: zipfile.ZipInfo, most: int) -> None:
     if info.flag_bits & 0x1:
         raise RecordingError(f"{where} is encrypted; unpack it with its password and pack it again without one")
     if info.compress_type not in SUPPORTED_COMPRESSION:
         raise RecordingError(f"{where} uses zip compression method {info.compress_type}; pack it again with deflate")
-    _check_size(where, info.file_size)
+    _check_size(where, info.file_size, most)
 
 
-def _check_size(where: str, n_bytes: int) -> None:
-    if n_bytes > limits.MAX_MEMBER_BYTES:
-        raise RecordingError(f"{where}: {n_bytes} bytes, more than {limits.MAX_MEMBER_BYTES}; cut the recording")
+def _check_size(where: str, n_bytes: int, most: int) -> None:
+    if n_bytes > most:
+        raise RecordingError(f"{where}: {n_bytes} bytes, more than {most}; cut the recording")

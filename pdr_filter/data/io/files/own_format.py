@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import compress
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
@@ -40,8 +41,7 @@ def read_recording(path: str | Path) -> Recording:
     path = Path(path)
     notes: list[str] = []
     with open_members(path) as members:
-        folder = _folder(members)
-        meta = _read_meta(members, folder + "meta.json", notes)
+        folder = folder_of(members)
         found = {
             name: _read_stream(members, f"{folder}{name}.csv", columns, notes)
             for name, columns in STREAM_COLUMNS.items()
@@ -54,16 +54,25 @@ def read_recording(path: str | Path) -> Recording:
         }
         has_wifi = f"{folder}wifi.csv" in members.names
         wifi = _read_wifi(members, f"{folder}wifi.csv", notes) if has_wifi else None
-    found = in_order(found, ".csv", notes)
-    streams = checked_streams(found, 0.0, ".csv", str(path), notes)
+        recording = recording_of_streams(members, folder, in_order(found, ".csv", notes), notes)
+    return replace(recording, wifi=wifi, truth=Truth(**truth))
+
+
+def recording_of_streams(
+    members: Members, folder: str, found: Mapping[str, tuple[FloatArray, FloatArray]], notes: list[str]
+) -> Recording:
+    """Return the recording of streams in order of time, after checks, with its meta data."""
+    path = members.path
+    meta_notes: list[str] = []
+    meta = _read_meta(members, folder + "meta.json", meta_notes)
+    notes[:0] = meta_notes
+    streams: dict[str, Any] = {**checked_streams(found, 0.0, ".csv", str(path), notes)}
     first_s = streams["accelerometer"].time_s.min()
     if abs(first_s) > 1.0:
         notes.append(f"{REQUIRED}: begins at {first_s:.6f} s instead of 0, kept as recorded")
     return Recording(
         name=_name(path, meta, notes),
         **streams,
-        wifi=wifi,
-        truth=Truth(**truth),
         meta=meta,
         source=str(path),
         notes=tuple(note.removeprefix(f"{path}: ") for note in notes),
@@ -107,7 +116,7 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
     return recording.save(path)
 
 
-def _folder(members: Members) -> str:
+def folder_of(members: Members) -> str:
     """Return the folder of the recording inside a zip file, with its slash. RecordingError unless there is one."""
     path = members.path
     if not members.is_container and path.name == REQUIRED:
@@ -184,6 +193,16 @@ def _read_stream(
         return np.empty(0), np.empty((0, len(columns)))
     numbers = rows.parse(rows.places(("time_s", *columns)), notes).values
     return numbers[:, 0], numbers[:, 1:]
+
+
+def stream_blocks(
+    members: Members, name: str, columns: tuple[str, ...], notes: list[str]
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield times (N,) in s and values (N, d) of one sensor, block by block. An empty file may have no block."""
+    rows = TextTable(members.blocks(name), members.where(name), ",")
+    if not rows.is_empty or PurePosixPath(name).name == REQUIRED:
+        for block in rows.parse_in_parts(rows.places(("time_s", *columns)), notes):
+            yield block.values[:, 0], block.values[:, 1:]
 
 
 def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -30,14 +30,18 @@ def write_csv(track: TrackRows, path: str | Path, origin: Origin | tuple[float, 
 
     `origin` gives the track a geographic origin, with which it has columns of latitude, longitude and altitude, if any.
     """
-    columns = _columns(track if origin is None else track.placed(origin))
+    return write_text(path, _csv_text(_columns(track if origin is None else track.placed(origin)), with_header=True))
+
+
+def _csv_text(columns: Mapping[str, FloatArray], with_header: bool) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
+    if with_header:
+        writer.writerow(columns)
     formats = [_DIGITS.get(name, ".7g") for name in columns]
     for row in zip(*columns.values(), strict=True):
         writer.writerow([format(value, spec) for value, spec in zip(row, formats, strict=True)])
-    return write_text(path, text.getvalue())
+    return text.getvalue()
 
 
 def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
@@ -50,6 +54,45 @@ def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
     with whole_file(path) as file:
         frame.to_parquet(file, engine="pyarrow", index=False)
     return Path(path)
+
+
+class PiecesWriter:
+    """Writer of consecutive pieces of a track into one CSV or Parquet file, whose suffix decides.
+
+    The file has the rows of `write_csv` or `write_parquet` for the whole track.
+    """
+
+    def __init__(self, path: Path, file: IO[bytes]) -> None:
+        self._file, self._rows, self._n = file, None, 0
+        self._is_parquet = path.suffix.lower() == ".parquet"
+        if self._is_parquet:
+            pandas_for_parquet(path)
+
+    def write(self, piece: TrackRows) -> None:
+        """Append the rows of a piece."""
+        if not self._is_parquet:
+            self._file.write(_csv_text(_columns(piece), with_header=self._n == 0).encode())
+        else:
+            import pyarrow  # pyright: ignore
+            import pyarrow.parquet  # pyright: ignore
+
+            arrow: Any = pyarrow
+            rows = arrow.Table.from_pandas(track_frame(piece), preserve_index=False)
+            self._rows = self._rows or arrow.parquet.ParquetWriter(
+                self._file, rows.schema.remove_metadata(), store_schema=False
+            )
+            self._rows.write_table(rows.replace_schema_metadata())
+        self._n += 1
+
+    def close(self, track: TrackRows) -> None:
+        """Finish the file. Name, notes, frame and origin of the track are its metadata if it is a Parquet file."""
+        if self._rows is not None:
+            import pyarrow  # pyright: ignore
+
+            arrow: Any = pyarrow
+            metadata = arrow.Table.from_pandas(track_frame(track), preserve_index=False).schema.metadata
+            self._rows.add_key_value_metadata(metadata)
+            self._rows.close()
 
 
 def track_frame(track: TrackRows, origin: Origin | tuple[float, float] | None = None) -> Any:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.column_names import (
@@ -31,7 +32,7 @@ from pdr_filter.data.io.tables.matlab import is_matlab, matlab_sheets
 from pdr_filter.data.io.tables.phyphox_experiment import read_experiment
 from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.spreadsheet import is_spreadsheet, spreadsheet_sheets
-from pdr_filter.data.io.tables.table_streams import fill_streams
+from pdr_filter.data.io.tables.table_streams import Zero, fill_streams
 from pdr_filter.data.io.tables.text_sheets import TextRows, by_text, text_sheet, text_sheets
 from pdr_filter.data.io.text_table import UNKNOWN
 from pdr_filter.values import limits
@@ -67,36 +68,54 @@ def read_any_table(path: str | Path, platform: str | None = None) -> Recording:
 def read_guessed(path: Path, platform: str | None = None) -> Tables:
     """Read a recording, and return it with the column mapping that was guessed and the evidence for it."""
     with open_members(path) as members:
-        parsed = Parsed(path, "")
-        sheets = list(sheets_of(members, notes=parsed.notes))
-        where = sheets[0].where if len(sheets) == 1 else str(path)
-        groups = [group for i, sheet in enumerate(sheets) for group in groups_of(sheet, i)]
-        if not groups:
-            raise RecordingError(f"{where}: {_nothing(sheets, path)}")
-        groups += _of_phone(sheets, groups)
-        for i, sheet in enumerate(sheets):
-            used = {place for group in groups if group.sheet == i for place in (*group.places, *group.bias, group.time)}
-            sheets[i] = sheet.using(used, parsed.notes)
-        shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
-        dialect = dialect_of(shown)
-        if dialect.sign is None:
-            said = said_platform(members, "\n".join(sheet.about for sheet in sheets))
-            if platform and said and said != platform:
-                raise RecordingError(
-                    f"{where}: its metadata say {said}, and platform is {platform}; leave platform out"
-                )
-            platform = platform or said or None
-        try:
-            found = guess(sheets, groups, dialect, platform, where)
-        except NoAccelerometerError as error:
-            if (folder := _folder_of_recording(members)) is None:
-                raise
-            problem = str(error).partition("; ")[0]
-            raise RecordingError(f"{problem}; this is one sensor of a recording: give its folder {folder}") from None
-        parsed.instead = dialect.instead
-        fill_streams(parsed, found.mapping, sheets)
-        parsed.source = found.source
-        read_experiment(members, parsed)
+        notes: list[str] = []
+        filled = filled_by_guess(members, path, platform, sheets_of(members, notes=notes), notes)
+    try:
+        return Tables(filled.parsed.recording(), filled.guess)
+    except RecordingError as error:
+        raise RecordingError(f"{error} (read as {filled.guess.source})") from error
+
+
+class Filled(NamedTuple):
+    """Streams of tables, and how they were read."""
+
+    parsed: Parsed
+    guess: Guess
+    sheets: Sequence[Sheet]  # tables with the columns in use
+    zero: Zero  # origin of the times
+
+
+def filled_by_guess(
+    members: Members, path: Path, platform: str | None, tables: Sequence[Sheet], notes: list[str]
+) -> Filled:
+    """Return the streams of tables whose columns are guessed. `notes` are those about the tables so far."""
+    parsed, sheets = Parsed(path, "", notes=notes), list(tables)
+    where = sheets[0].where if len(sheets) == 1 else str(path)
+    groups = [group for i, sheet in enumerate(sheets) for group in groups_of(sheet, i)]
+    if not groups:
+        raise RecordingError(f"{where}: {_nothing(sheets, path)}")
+    groups += _of_phone(sheets, groups)
+    for i, sheet in enumerate(sheets):
+        used = {place for group in groups if group.sheet == i for place in (*group.places, *group.bias, group.time)}
+        sheets[i] = sheet.using(used, parsed.notes)
+    shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
+    dialect = dialect_of(shown)
+    if dialect.sign is None:
+        said = said_platform(members, "\n".join(sheet.about for sheet in sheets))
+        if platform and said and said != platform:
+            raise RecordingError(f"{where}: its metadata say {said}, and platform is {platform}; leave platform out")
+        platform = platform or said or None
+    try:
+        found = guess(sheets, groups, dialect, platform, where)
+    except NoAccelerometerError as error:
+        if (folder := _folder_of_recording(members)) is None:
+            raise
+        problem = str(error).partition("; ")[0]
+        raise RecordingError(f"{problem}; this is one sensor of a recording: give its folder {folder}") from None
+    parsed.instead = dialect.instead
+    zero = fill_streams(parsed, found.mapping, sheets)
+    parsed.source = found.source
+    read_experiment(members, parsed)
     parsed.found += found.evidence
     used = {name for stream in found.mapping.streams for name in (*stream.columns, *stream.bias, stream.time)}
     beside = [name for s in sheets if not used.isdisjoint(s.fields) for name in s.fields if name not in used]
@@ -104,10 +123,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         parsed.found.append(f"columns not used: {', '.join(dict.fromkeys(beside))[:300]}")
     parsed.notes[:] = list(dict.fromkeys([*found.notes, *parsed.notes]))
     parsed.is_unit_of_time_declared = found.is_time_declared
-    try:
-        return Tables(parsed.recording(), found)
-    except RecordingError as error:
-        raise RecordingError(f"{error} (read as {found.source})") from error
+    return Filled(parsed, found, sheets, zero)
 
 
 def read_generic_csv(path: str | Path) -> Recording:

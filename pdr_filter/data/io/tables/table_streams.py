@@ -25,27 +25,28 @@ class _MappedStream:
     values: FloatArray
 
 
-class _Zero(NamedTuple):
+class Zero(NamedTuple):
     """Origin of the times in s: a tick of `unit_s` seconds."""
 
     tick: float = 0
     unit_s: float = 1.0
 
 
-def fill_streams(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> None:
-    """Fill `parsed` with the streams of a mapping, read from the tables, and with the properties of their times.
+def fill_streams(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet], zero: Zero | None = None) -> Zero:
+    """Fill `parsed` with the streams of a mapping, read from the tables, and return the origin of their times.
 
-    `parsed.linear` gets the columns of an acceleration without gravity. RecordingError unless each column is there
-    once.
+    By default it is the first time of the accelerometer, if a time is a whole number. `parsed` also gets the properties
+    of the times, and in `parsed.linear` the columns of an acceleration without gravity. RecordingError unless each
+    column is there once.
     """
     _describe_clock(parsed, mapping)
     found = {stream.stream: _read(stream, mapping, sheets) for stream in mapping.streams}
     streams = _combined(found)
     first = streams.get("accelerometer")
-    zero = _Zero()
+    if zero is None:
+        is_whole = first is not None and len(first.ticks) and any(map(_has_whole_ticks, found.values()))
+        zero = Zero(first.ticks[0].item(), first.unit_s) if first is not None and is_whole else Zero()
     if first is not None and len(first.ticks):
-        if any(_has_whole_ticks(stream) for stream in found.values()):
-            zero = _Zero(first.ticks[0].item(), first.unit_s)
         unit = next((unit for unit, unit_s in TIME_UNITS.items() if unit_s == first.unit_s), "")
         epoch_s = since_1970(float(first.ticks[0]), unit) if unit else None
         if epoch_s is not None:
@@ -54,6 +55,7 @@ def fill_streams(parsed: Parsed, mapping: Mapping, sheets: Sequence[Sheet]) -> N
         parsed.streams[name] = (_seconds(stream, zero), stream.values)
     if first is not None and first is found.get(LINEAR):
         parsed.linear = ", ".join(name for s in mapping.streams if s.stream == LINEAR for name in s.columns)
+    return zero
 
 
 def _describe_clock(parsed: Parsed, mapping: Mapping) -> None:
@@ -73,7 +75,7 @@ def _name_of_time(stream: StreamMap) -> str:
 
 def _read(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> _MappedStream:
     """Return a stream of a mapping in the units and with the signs of `Recording`, without repeated locations."""
-    sheet = _sheet_of(stream, mapping, sheets)
+    sheet = sheet_of(stream, mapping, sheets)
     time = _place(stream.time, sheet, mapping) if stream.time else None
     places, bias = (
         [_place(name, sheet, mapping) if name else -1 for name in names] for names in (stream.columns, stream.bias)
@@ -127,7 +129,7 @@ def is_new_position(values: FloatArray) -> BoolArray:
 
 def _summed(linear: _MappedStream, gravity: _MappedStream) -> _MappedStream:
     """Return linear acceleration plus gravity, interpolated if its times differ, and NaN in its gaps."""
-    zero = _Zero(linear.ticks[0].item() if len(linear.ticks) else 0, linear.unit_s)
+    zero = Zero(linear.ticks[0].item() if len(linear.ticks) else 0, linear.unit_s)
     at_s, known_s = _seconds(linear, zero), _seconds(gravity, zero)
     if np.array_equal(at_s, known_s):
         return replace(linear, values=linear.values + gravity.values)
@@ -136,14 +138,15 @@ def _summed(linear: _MappedStream, gravity: _MappedStream) -> _MappedStream:
     return replace(linear, values=linear.values + at_linear)
 
 
-def _seconds(stream: _MappedStream, zero: _Zero) -> FloatArray:
+def _seconds(stream: _MappedStream, zero: Zero) -> FloatArray:
     """Return the times of a stream since `zero`, in s. Differences of whole numbers come first, to keep all digits."""
     if stream.unit_s == zero.unit_s or zero.tick == 0:
         return np.asarray(stream.ticks - zero.tick, dtype=np.float64) * stream.unit_s
     return stream.ticks.astype(np.float64) * stream.unit_s - float(zero.tick) * zero.unit_s
 
 
-def _sheet_of(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> Sheet:
+def sheet_of(stream: StreamMap, mapping: Mapping, sheets: Sequence[Sheet]) -> Sheet:
+    """Return the table of a stream. RecordingError unless one table fits."""
     if not stream.file:
         if len(sheets) == 1:
             return sheets[0]

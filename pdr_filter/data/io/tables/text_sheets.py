@@ -75,6 +75,11 @@ class TextRows:
         found = concatenated(parts)
         return NumberTable(without_midnights(found.whole), found.values)
 
+    def in_parts(self) -> Iterator[TextRows]:
+        """Yield tables of consecutive rows, one for each block of the text."""
+        for rows in self._rows():
+            yield replace(self, blocks=partial(_one_block, rows), n_before=0, packed=(), only=None)
+
     def _dated(self, rows: bytes, layout: Layout, dates: int, notes: list[str], line: int) -> NumberTable:
         """Return the numbers of rows whose column number `dates` holds dates, which become nanoseconds."""
         try:
@@ -130,6 +135,10 @@ class TextRows:
             if len(texts) > _MOST_SENSORS:
                 return []
         return [text.decode("utf-8", "replace") for text in texts if text]
+
+
+def _one_block(rows: bytes) -> Iterator[bytes]:
+    yield rows
 
 
 def by_text(sheet: Sheet, column: int) -> list[Sheet]:

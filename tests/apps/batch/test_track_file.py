@@ -1,0 +1,112 @@
+"""Tracks of files in parts: equal to those of whole recordings, in any division into parts and blocks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.data.io import parts
+from pdr_filter.data.io.formats import read
+from pdr_filter.values import Samples, limits
+
+
+@pytest.fixture(scope="module")
+def walk() -> pdr.Recording:
+    """A walk whose gyroscope has a hole, has other times than the accelerometer, and begins late."""
+    whole = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0, turn_rad=1.0)])
+    assert whole.gyroscope is not None
+    time_s, values = whole.gyroscope.time_s + 0.003, whole.gyroscope.values
+    kept = (np.abs(time_s - 6.0) > 0.4) & (time_s > 0.2)
+    pressure = Samples(np.arange(0.0, 15.0, 0.2), 1000.0 + 0.01 * np.arange(75.0)[:, None])
+    return replace(whole, gyroscope=Samples(time_s[kept], values[kept]), magnetometer=None, barometer=pressure)
+
+
+def own(walk: pdr.Recording, path: Path) -> Path:
+    return walk.save(path / "walk.zip")
+
+
+def table(walk: pdr.Recording, path: Path) -> Path:
+    block = pdr.merge_streams(walk)
+    rows = np.column_stack([block.time_s + 7.1, block.specific_force_mps2, block.angular_rate_radps])
+    text = "\n".join(",".join(format(v, ".9g") for v in row) for row in rows.tolist())
+    (path / "walk.csv").write_text(f"time,ax,ay,az,gx,gy,gz\n{text}\n".replace("nan", ""))
+    return path / "walk.csv"
+
+
+def ronin(walk: pdr.Recording, path: Path) -> Path:
+    h5py: Any = pytest.importorskip("h5py")
+    block = pdr.merge_streams(walk)
+    with h5py.File(path / "data.hdf5", "w") as file:
+        file["synced/time"], file["synced/acce"] = block.time_s + 7.1, block.specific_force_mps2
+        file["synced/gyro"] = block.angular_rate_radps
+    return path / "data.hdf5"
+
+
+def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parts, "_PART_SAMPLES", 170)
+    monkeypatch.setattr(parts, "_RONIN_ROWS", 330)
+    monkeypatch.setattr(limits, "BLOCK_BYTES", 9_000)
+
+
+@pytest.mark.parametrize("write", [own, table, ronin])
+def test_the_file_of_a_track_in_parts_equals_that_of_the_whole_recording(
+    walk: pdr.Recording, write: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write(walk, tmp_path)
+    whole = pdr.track(read(path))
+    small_parts(monkeypatch)
+    done: list[float] = []
+    written = pdr.batch.track_file(path, tmp_path / "parts.csv", progress=done.append)
+    assert written.path.read_bytes() == whole.to_csv(tmp_path / "whole.csv").read_bytes()
+    assert (written.n_steps, written.distance_m) == (whole.n_steps, whole.distance_m)
+    assert written.about.notes == whole.notes
+    assert len(done) > 5
+    assert done == sorted(done)
+    assert done[-1] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_merged_parts_equal_merged_streams(
+    walk: pdr.Recording, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(seed)
+    late_s = rng.choice([0.0, 0.06], len(walk.accelerometer), p=[0.98, 0.02])  # sorted by time
+    force = Samples(walk.accelerometer.time_s - late_s, walk.accelerometer.values)
+    path = own(replace(walk, accelerometer=force), tmp_path)
+    whole = pdr.merge_streams(read(path))
+    small_parts(monkeypatch)
+    with parts.recording_in_parts(path) as opened:
+        blocks = [part.block for part in opened.parts]
+    assert len(blocks) > 5
+    for name in ("time_s", "specific_force_mps2", "angular_rate_radps", "magnetic_field_ut"):
+        np.testing.assert_array_equal(np.concatenate([getattr(block, name) for block in blocks]), getattr(whole, name))
+
+
+def test_a_clock_that_is_set_back_is_tracked_as_a_whole(
+    walk: pdr.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    time_s = walk.accelerometer.time_s - 3.0 * (walk.accelerometer.time_s > 9.0)
+    path = own(replace(walk, accelerometer=Samples(time_s, walk.accelerometer.values)), tmp_path)
+    small_parts(monkeypatch)
+    written = pdr.batch.track_file(path, tmp_path / "parts.csv")
+    whole = pdr.track(read(path)).to_csv(tmp_path / "whole.csv")
+    assert written.path.read_bytes() == whole.read_bytes()
+
+
+def test_rows_that_fixes_move_are_written_in_the_last_frame(
+    walk: pdr.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fixes = [pdr.HeadingFix(12.0, 1.0, 0.1)]
+    path = own(walk, tmp_path)
+    small_parts(monkeypatch)
+    written = pdr.batch.track_file(path, tmp_path / "parts.parquet", fixes=fixes)
+    pandas: Any = pytest.importorskip("pandas")
+    whole = pdr.track(read(path), fixes=fixes).to_parquet(tmp_path / "whole.parquet")
+    found, expected = pandas.read_parquet(written.path), pandas.read_parquet(whole)
+    pandas.testing.assert_frame_equal(found, expected, check_exact=True)
+    assert found.attrs == expected.attrs
