@@ -15,6 +15,7 @@ from pdr_filter.simulate import Gait, Leg, walk
 from pdr_filter.simulate.gait import StepPlan
 from pdr_filter.simulate.motion import Carrying, Motion, build_motion
 from tests.data_folder import DATA, DataSets
+from tests.sensed_once import sense_once
 
 _TESTS = Path(__file__).parent
 if not (_TESTS / "benchmarks").is_dir():  # in the sdist, which has no experiments
@@ -64,6 +65,14 @@ def _motions_once() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(walk, "build_motion", once)
+        yield
+
+
+@pytest.fixture(scope="module")
+def sensing_once() -> Iterator[None]:
+    """Let equal recordings of a module pass the front end once, in modules that test what happens after it."""
+    with pytest.MonkeyPatch.context() as patch:
+        sense_once(patch)
         yield
 
 

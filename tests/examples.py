@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import deque
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import pytest
 
 import pdr_filter as pdr
+from pdr_filter.apps.maps import floor_plan
 
 _demo_walk = cache(pdr.simulate.demo_walk)
 _track = pdr.track
@@ -30,3 +31,9 @@ def compute_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Make `demo_walk` and `track` return stored results: some pages track the demo walk up to 13 times."""
     monkeypatch.setattr(pdr.simulate, "demo_walk", _demo_walk)
     monkeypatch.setattr(pdr, "track", _tracked_once)
+
+
+def use_few_particles(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Track and smooth on a floor plan with fewer particles, where no number is compared: it took 10 s of all pages."""
+    few = partial(floor_plan.ParticleFilter, n_least=200, n_most=2_000)
+    monkeypatch.setattr(floor_plan, "ParticleFilter", few)

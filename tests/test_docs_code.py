@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer.main
-from examples import compute_once
+from examples import compute_once, use_few_particles
 from heard import heard_along
 from true_positions import located, true_m
 from typer.testing import CliRunner
@@ -28,6 +28,8 @@ from pdr_filter.simulate.sensors import BAROMETER, SensorErrors
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Truth
 from tests.benchmarks.common import FOLDER, Tables, readme_with_tables
+
+pytestmark = pytest.mark.usefixtures("sensing_once")
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
@@ -69,6 +71,7 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     compute_once(monkeypatch)
+    use_few_particles(monkeypatch)
     recording.save("walk.zip")
     Path("building.geojson").write_text(BUILDING, "utf-8")
     names: dict[str, Any] = {}
@@ -132,6 +135,7 @@ def test_the_commands_of_a_page_run_as_they_are_typed(
     (tmp_path / "loops.csv").write_text("first_s,second_s,std_m\n3.0,6.0,10\n", encoding="utf-8")
     (tmp_path / "building.geojson").write_text(BUILDING, "utf-8")
     monkeypatch.chdir(tmp_path)
+    use_few_particles(monkeypatch)
     for block in BLOCK.findall(PAGES[page]):
         for line in block.splitlines():  # each names the one command: no shell and no process of its own is needed
             done = CliRunner().invoke(app, shlex.split(line, comments=True)[1:])

@@ -17,6 +17,8 @@ from pdr_filter.values import RADIUS_68, RADIUS_95, HeadingFix, Origin, Position
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.uncertainty import worst_std_m
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 HERE = (48.137, 11.575)
 
 

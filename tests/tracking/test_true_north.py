@@ -21,6 +21,8 @@ from pdr_filter.simulate.walk import phone_motion
 from pdr_filter.values import Origin, PositionFix, Samples, wrap_angle
 from pdr_filter.values.recording import MissingSensorError, Recording
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 LEGS = [Leg("walking", distance_m=35.0), Leg("walking", distance_m=30.0, turn_rad=1.4)]
 HERE = Origin(48.137, 11.575)
 WRONG_RAD = math.radians(90.0)

@@ -23,6 +23,8 @@ from pdr_filter.recipes.calibration import load_calibration
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Truth
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 
 def assert_written(expected: pdr.Smoothed, folder: Path) -> None:
     """Check the table that a command wrote for the short walk."""

@@ -21,6 +21,8 @@ from pdr_filter.data.io.files.own_format import write_recording
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.sensing.contexts.learned_contexts import LearnedContexts
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 MODELS = Path(__file__).resolve().parents[3] / "models"
 
 

@@ -25,6 +25,8 @@ from pdr_filter.apps.maps.storey import FREE
 from pdr_filter.filter.chain.handler import FixUse
 from pdr_filter.values import FloorPassage, Step
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 WALK = round_the_block()
 # Two fixes a few metres apart: they say the start, and hardly the direction.
 FIXES = [pdr.PositionFix(0.0, [0.0, 0.0], 0.25 * np.eye(2)), pdr.PositionFix(7.0, [8.0, 0.5], 0.5 * np.eye(2))]

@@ -24,6 +24,8 @@ from pdr_filter.values import Fix, HeadingFix, PositionFix, SpeedFix, Standstill
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.serialisation import to_bytes
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:

@@ -31,6 +31,8 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, Origin, PositionFix, Samples, SpeedFix
 from pdr_filter.values.recording import MissingSensorError, Recording
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 HERE = Origin(48.137, 11.575)
 TURN_RAD = 2.1
 

@@ -13,6 +13,8 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, wrap_angle
 from pdr_filter.values.recording import Recording
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 NORTH_RAD = (math.radians(45), math.radians(90), math.radians(180))
 
 

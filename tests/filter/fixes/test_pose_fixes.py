@@ -16,6 +16,8 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloatArray, stated_fixes
 from tests.simulated_steps import simulated_walk
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 ANGLE_RAD, SHIFT_M = 2.0, np.array([100.0, 50.0])
 TIMES_S = (4.0, 14.0, 26.0, 38.0)
 

@@ -31,6 +31,8 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, FloatArray, Measurement
 from tests.benchmarks.consistency import own_model, simulated_walk
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 ANCHORS = ((-8.0, -6.0), (25.0, -5.0), (5.0, 25.0))
 
 

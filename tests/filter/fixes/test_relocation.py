@@ -18,6 +18,8 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix
 from pdr_filter.values.recording import Recording
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 TURN_RAD = 1.9
 FAR_M = np.array([80.0, -60.0])
 # Time until the odds are sufficient, plus the interval of ten seconds between two fixes.

@@ -11,6 +11,8 @@ from pdr_filter.filter.pedestrian.fix_history import STANDSTILL_LOG_EVIDENCE, St
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Recording
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 STEP_LOG_RATIO = math.log(110 / 16)  # rates of detections per minute in walking and in standing
 STATED = pdr.Standstill(15.0, 35.0)
 

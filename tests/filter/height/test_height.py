@@ -23,6 +23,8 @@ from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray, ImuBlock, PositionFix, Samples
 from pdr_filter.values.recording import Recording
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 ERRORS = SensorErrors(barometer=BAROMETER)
 AROUND = [Leg("walking", distance_m=15.0), Leg("walking", distance_m=15.0, turn_rad=np.pi / 2)]
 LANDING = Leg("walking", distance_m=2.0, turn_rad=np.pi)

@@ -20,6 +20,8 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, PositionFix, Samples
 from pdr_filter.values.recording import Truth
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 STD_M = 3.0
 PRIOR = ShiftPrior(0.02)
 R = np.pi / 2

@@ -15,6 +15,8 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.simulate import Leg, demo_walk, simulate
 from pdr_filter.values import PositionFix, WindowContext
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 
 def fixes_of(walk: pdr.Recording, seed: int = 0, std_m: float = 2.0) -> list[PositionFix]:
     """Return a noisy fix every ten seconds."""

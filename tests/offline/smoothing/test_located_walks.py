@@ -31,6 +31,8 @@ from pdr_filter.offline.smoothing.storeys import with_named_floors
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloorPassage, HeadingFix, PositionFix, Samples, SpeedFix, Standstill
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 TURN_RAD = 2.1
 
 
