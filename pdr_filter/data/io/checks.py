@@ -60,11 +60,11 @@ def is_of_phone(name: str, time_s: FloatArray, values: FloatArray, duration_s: f
     Headings exceed no full turn, and counts of steps grow, but not faster than steps. `duration_s` is that of the
     recording. Any other stream is True.
     """
+    if name not in (PHONE_HEADING, PHONE_STEPS):
+        return True
     known = values[np.isfinite(time_s) & np.isfinite(values).all(axis=1), 0] if len(values) else np.empty(0)
     if name == PHONE_HEADING:
         return bool((np.abs(known) <= _TURN_RAD).all())
-    if name != PHONE_STEPS:
-        return True
     most = min(_MOST_STEPS_PER_S * duration_s, limits.LARGEST_VALUE)
     grows = bool((np.diff(known) >= 0).all())
     return len(known) == 0 or (grows and known[0] >= 0 and known[-1] <= known[0] + most)

@@ -433,6 +433,7 @@ def is_interval(name: str) -> bool:
     return _INTERVAL.search(letters(_UNIT.sub("", name))) is not None
 
 
+@lru_cache(maxsize=256)
 def states_period(name: str) -> bool:
     """Return True if a number of this name may be a sampling rate or interval."""
     return is_interval(name) or _RATE.fullmatch(letters(_UNIT.sub("", name))) is not None

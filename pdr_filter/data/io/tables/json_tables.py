@@ -184,9 +184,12 @@ def _of_data_frame(item: Row) -> Row:
 
     Its columns are then objects of values by row number, or the names and the rows are two lists.
     """
-    by_number = {key: cast("Row", value) for key, value in item.items() if isinstance(value, dict) and "0" in value}
-    if by_number and all(next(reversed(rows)) == str(len(rows) - 1) for rows in by_number.values()):
-        return item | {key: [*rows.values()] for key, rows in by_number.items()}
+    for value in item.values():  # of each row of a large file
+        if isinstance(value, dict) and "0" in value:
+            by_number = {key: cast("Row", rows) for key, rows in item.items() if isinstance(rows, dict)}
+            return item | {key: [*rows.values()] for key, rows in by_number.items() if _is_numbered(rows)}
+    if "columns" not in item:
+        return item
     names: Any = item.get("columns")
     for rows in (item.get(key) for key in ("data", "values", "rows")):
         if isinstance(names, list) and isinstance(rows, list) and _are_rows(rows, len(cast("list[Any]", names))):
@@ -197,6 +200,11 @@ def _of_data_frame(item: Row) -> Row:
     return item
 
 
+def _is_numbered(rows: Row) -> bool:
+    """Return True for values whose keys are their numbers, judged by the first and the last."""
+    return "0" in rows and next(reversed(rows)) == str(len(rows) - 1)
+
+
 def _are_rows(values: list[Any], n: int) -> bool:
     """Return True for a list of lists of `n` values each."""
     return values != [] and all(isinstance(row, list) and len(cast("list[Any]", row)) == n for row in values)
@@ -204,13 +212,14 @@ def _are_rows(values: list[Any], n: int) -> bool:
 
 def _times_in(item: Row) -> Row:
     """Return the times of an object, and its sampling rate or interval, which may be among its metadata."""
-    times = {key: value for key, value in item.items() if is_time(key) and not isinstance(value, dict)}
-    plain = (cast("Row", value) for value in item.values() if isinstance(value, dict) and _is_plain(value))
-    periods = (
-        {key: value for key, value in found.items() if states_period(key) and isinstance(value, int | float)}
-        for found in (*plain, item)
-    )
-    return dict(chain.from_iterable(found.items() for found in periods)) | times
+    found: Row = {}
+    for key, value in item.items():
+        if isinstance(value, dict):
+            inside = cast("Row", value)
+            found |= {k: v for k, v in inside.items() if states_period(k) and isinstance(v, int | float)}
+        elif is_time(key) or (isinstance(value, int | float) and states_period(key)):
+            found[key] = value
+    return found
 
 
 def _is_plain(item: Row) -> bool:
