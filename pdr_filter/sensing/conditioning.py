@@ -326,10 +326,20 @@ class Conditioner:
         return state, _blocks_between_gaps(outputs)
 
     def quiet_s(self, state: ConditionerState) -> tuple[float, float]:
-        """Return the times (a, b), on the sample clock, between which rows complete no hop and change no other result.
+        """Return the times between which rows complete no hop, so that they may be processed together with later ones.
 
-        Such rows have increasing times after a and up to b, and may be processed together with later ones. There are
-        none (b = -inf) before the first hop and the first check of units, and while the clock is in doubt.
+        There are none before the first hop and the first check of units, and while the clock is in doubt.
+
+        Parameters
+        ----------
+        state : ConditionerState
+            State after the previous block.
+
+        Returns
+        -------
+        after_s, until_s : float
+            Such rows have increasing times after the first and up to the second time, s. If there are none, the second
+            time is minus infinity.
         """
         clock = state.clock
         is_begun = state.report.n_emitted > 0 and state.units.n > 0 and len(state.rows) > 0

@@ -153,6 +153,7 @@ class OnlineFilter:
 
     @state.setter
     def state(self, state: State) -> None:
+        """Replace the state. Samples that wait are part of the earlier state, and are dropped."""
         self._state: State = state
         # Samples (N, 10) whose processing would complete no hop. Each costs some microseconds here, and together they
         # cost as much as one. They are immutable, so that copies of the filter can share them.

@@ -296,7 +296,7 @@ def check_sensors(recording: Recording, config: Config) -> None:
         )
 
 
-class Rows:
+class RowStore:
     """Rows of a track while it is computed, in memory.
 
     Pieces of the track are columns, which take a tenth of the memory of the outputs of the filter. Outputs whose rows a
@@ -328,7 +328,7 @@ def track_of_outputs(
     config: Config,
     results: Iterable[tuple[State, Output]],
     place: Origin | None = None,
-    rows: Rows | None = None,
+    rows: RowStore | None = None,
     absent: Callable[[], Sequence[Note]] | None = None,
 ) -> Track:
     """Return the track of a recording from its `outputs`. Only final steps are rows of the track.
@@ -336,7 +336,7 @@ def track_of_outputs(
     `place` is the given origin of the frame of the fixes. Locations define their own. `rows` collects the rows, and
     `absent` returns the notes on missing sensors at the end, by default those of the streams of the recording.
     """
-    rows = Rows() if rows is None else rows
+    rows = RowStore() if rows is None else rows
     state, whole, n_waiting = init_filter(config), Output(), 0
     for new_state, output in results:
         state = new_state

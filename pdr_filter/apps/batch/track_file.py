@@ -13,7 +13,7 @@ from typing import IO
 
 from pdr_filter.data.io.files.track_writers import PiecesWriter, write_by_suffix
 from pdr_filter.data.io.formats import read
-from pdr_filter.data.io.parts import Part, WholeOnlyError, recording_in_parts
+from pdr_filter.data.io.parts import RecordingPart, WholeOnlyError, recording_in_parts
 from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.recipes.config import Config
@@ -171,7 +171,7 @@ def track_file(
 
 
 def _outputs(
-    run: recording_run.Run, config: Config, parts: Iterator[Part], progress: Callable[[float], None] | None
+    run: recording_run.Run, config: Config, parts: Iterator[RecordingPart], progress: Callable[[float], None] | None
 ) -> Iterator[tuple[State, Output]]:
     """Yield the state of the filter and its output for each part of a recording, and at its end."""
     state = add_fixes(config, init_filter(config), run.fixes)
@@ -191,7 +191,7 @@ def _absences(spans_s: Mapping[str, tuple[float, float]]) -> list[Note]:
     return absences({sensor: spans_s[sensor] for sensor in SENSORS if sensor in spans_s}, StreamMerger().wait_s)
 
 
-class _WrittenRows(recording_run.Rows):
+class _WrittenRows(recording_run.RowStore):
     """Rows of a track that are written at once, or wait in a temporary file if a later fix can move them."""
 
     def __init__(self, writer: PiecesWriter, waiting: IO[bytes]) -> None:

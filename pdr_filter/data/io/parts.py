@@ -55,7 +55,7 @@ class WholeOnlyError(Exception):
     """The recording can only be read as a whole. The message is the reason."""
 
 
-class Part(NamedTuple):
+class RecordingPart(NamedTuple):
     """Consecutive samples of a recording."""
 
     block: ImuBlock  # samples of the accelerometer with the other sensors interpolated at their times
@@ -71,14 +71,14 @@ class RecordingInParts:
     ----------
     head : Recording
         Names, meta data and the first samples of each stream, without ground truth.
-    parts : iterator of Part
+    parts : iterator of RecordingPart
         All samples, in order of time.
     spans_s : dict of str to (float, float)
         First and last time of each stream so far, s.
     """
 
     head: Recording
-    parts: Iterator[Part]
+    parts: Iterator[RecordingPart]
     spans_s: dict[str, tuple[float, float]]
 
 
@@ -264,7 +264,7 @@ class _Merger:
         self._buffers: dict[str, _Buffer] = {}
         self.spans_s: dict[str, tuple[float, float]] = {}
 
-    def parts(self) -> Iterator[Part]:
+    def parts(self) -> Iterator[RecordingPart]:
         """Yield all parts of the recording."""
         for source in self._sources:
             self._read(source)
@@ -285,7 +285,7 @@ class _Merger:
             others = (self._interpolated(name, at_s) for name in _INTERPOLATED)
             block = ImuBlock(at_s, force.values[:n], *others)
             force.drop(n)
-            yield Part(block, self._others(np.inf if is_last else end_s), self._fraction())
+            yield RecordingPart(block, self._others(np.inf if is_last else end_s), self._fraction())
 
     def _read(self, source: _Source) -> None:
         """Read the next block of a source into the buffers of its streams."""

@@ -102,6 +102,7 @@ REFUSED = {
     "track {walk} --classifier rvm --model {models}/context_boosted.npz": "of the recipe default, but --model",
     "track {walk} --radio {out}/none.json": "none.json: no such file",
     "track {walk} --jobs 2 --out x --radio none.json": "--radio cannot be used with",
+    "track {walk} --long --loop --out x": "--loop cannot be used with --long",
     "track {walk} --jobs 1 --json": "--json cannot be used with --jobs or --scheduler",
     "track {walk} --jobs 1": "add --out FOLDER",
     "track {walk} --out {broken}": "a file with this name exists where a folder is needed",

@@ -45,6 +45,13 @@ def test_track_json_is_one_object_a_line_and_nothing_else_on_stdout(walk: Path, 
     assert "Traceback" not in done.stderr
 
 
+def test_long_writes_the_table_of_the_online_track(walk: Path, tmp_path: Path) -> None:
+    result = succeed("track", walk, "--long", "--out", tmp_path, "--height", "1.9")
+    expected = pdr.track(pdr.read(walk).of_height(1.9))
+    assert (tmp_path / f"{walk.stem}.csv").read_bytes() == expected.to_csv(tmp_path / "whole.csv").read_bytes()
+    assert f"{expected.n_steps} steps, {expected.distance_m:.1f} m" in result.stdout
+
+
 def test_track_prints_one_row_for_each_file(walk: Path) -> None:
     result = run("track", walk, walk)
     summary = pdr.smooth(pdr.read(walk)).track.summary()

@@ -56,6 +56,10 @@ def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
     return Path(path)
 
 
+# Rows of a group of a Parquet file: some hours of walking, 15 MB. Each group adds 20 kB of metadata.
+_GROUP_ROWS = 50_000
+
+
 class PiecesWriter:
     """Writer of consecutive pieces of a track into one CSV or Parquet file, whose suffix decides.
 
@@ -63,7 +67,9 @@ class PiecesWriter:
     """
 
     def __init__(self, path: Path, file: IO[bytes]) -> None:
-        self._file, self._rows, self._n = file, None, 0
+        self._file, self._n = file, 0
+        self._writer: Any = None
+        self._tables: list[Any] = []  # rows of the next row group
         self._is_parquet = path.suffix.lower() == ".parquet"
         if self._is_parquet:
             pandas_for_parquet(path)
@@ -77,22 +83,31 @@ class PiecesWriter:
             import pyarrow.parquet  # pyright: ignore
 
             arrow: Any = pyarrow
-            rows = arrow.Table.from_pandas(track_frame(piece), preserve_index=False)
-            self._rows = self._rows or arrow.parquet.ParquetWriter(
-                self._file, rows.schema.remove_metadata(), store_schema=False
-            )
-            self._rows.write_table(rows.replace_schema_metadata())
+            rows = arrow.Table.from_pandas(track_frame(piece), preserve_index=False).replace_schema_metadata()
+            if self._writer is None:
+                self._writer = arrow.parquet.ParquetWriter(self._file, rows.schema, store_schema=False)
+            self._tables.append(rows)
+            if sum(map(len, self._tables)) >= _GROUP_ROWS:
+                self._write_group()
         self._n += 1
+
+    def _write_group(self) -> None:
+        import pyarrow  # pyright: ignore
+
+        arrow: Any = pyarrow
+        self._writer.write_table(arrow.concat_tables(self._tables))
+        self._tables.clear()
 
     def close(self, track: TrackRows) -> None:
         """Finish the file. Name, notes, frame and origin of the track are its metadata if it is a Parquet file."""
-        if self._rows is not None:
+        if self._writer is not None:
             import pyarrow  # pyright: ignore
 
             arrow: Any = pyarrow
+            self._write_group()
             metadata = arrow.Table.from_pandas(track_frame(track), preserve_index=False).schema.metadata
-            self._rows.add_key_value_metadata(metadata)
-            self._rows.close()
+            self._writer.add_key_value_metadata(metadata)
+            self._writer.close()
 
 
 def track_frame(track: TrackRows, origin: Origin | tuple[float, float] | None = None) -> Any:
