@@ -106,10 +106,10 @@ class DeviceSession:
         self._ready_s = 0.0  # time that they span
         self._received_s = math.nan  # unix time of the last message
         self._told: Event = {}  # by the last `session` event
-        self.path = Rows(6)  # time, east, north and the covariance ee, en, nn after each step
+        self.path = PathRows(6)  # time, east, north and the covariance ee, en, nn after each step
         # For each row of `path`: the place in the frame of the start, if the row still turns until north is settled.
         self._starts: deque[Pose | None] = deque(maxlen=_MAX_PATH)
-        self._drawn = Rows(3)  # time, east and north of the path that pages draw
+        self._drawn = PathRows(3)  # time, east and north of the path that pages draw
         self._unsaved_at = math.inf  # monotonic time of the first change that is not saved
         self._history: deque[Event] = deque(maxlen=_HISTORY)  # of `now` events, for the charts
         self._is_untold = False  # whether samples came after the last `now` event
@@ -410,7 +410,7 @@ class DeviceSession:
                 row[:] = _row(row[0], place.position_m, place.cov_m2)
         if frame.is_joined:  # for good
             self._starts = deque([None] * len(rows), maxlen=_MAX_PATH)
-        self.path, self._drawn = Rows(6, rows), Rows(3, rows[:, :3])
+        self.path, self._drawn = PathRows(6, rows), PathRows(3, rows[:, :3])
         return [self.track()]
 
     def _corrected(self, is_due: bool = False) -> list[Event]:
@@ -429,7 +429,7 @@ class DeviceSession:
         off_m = interpolated_rows(drawn[:, 0], rows[:, 0], rows[:, 1:]) - drawn[:, 1:]
         if np.hypot(*off_m.T).max() <= _CORRECTED_M:
             return []
-        self._drawn = Rows(3, rows)
+        self._drawn = PathRows(3, rows)
         return [self._drawn_path()]
 
     def _drawn_path(self) -> Event:
@@ -483,7 +483,7 @@ class DeviceSession:
         silent_s = time.time() - max((file.stat().st_mtime for file in files), default=0.0)
         with self.recorder.trying():
             self._resume()
-        self._drawn = Rows(3, self.path.values[:, :3])
+        self._drawn = PathRows(3, self.path.values[:, :3])
         self._turned(is_due=True)
         self._corrected(is_due=True)
         self.seen_at = time.monotonic() - max(silent_s, 0.0)
@@ -517,7 +517,7 @@ class DeviceSession:
                 self._starts.append(None if start is None else _pose(start))
 
 
-class Rows:
+class PathRows:
     """The newest `_MAX_PATH` rows of `width` numbers each, in a tenth of the memory of a list of lists."""
 
     def __init__(self, width: int, rows: FloatArray | None = None) -> None:

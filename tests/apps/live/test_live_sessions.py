@@ -25,7 +25,7 @@ from pdr_filter.apps.live import sessions as live_sessions
 from pdr_filter.apps.live.assembly import LateError, SessionError
 from pdr_filter.apps.live.messages import MessageBatch, parse
 from pdr_filter.apps.live.recorder import exported_files, zip_parts
-from pdr_filter.apps.live.session import DeviceSession, Rows, session_id
+from pdr_filter.apps.live.session import DeviceSession, PathRows, session_id
 from pdr_filter.apps.live.sessions import Sessions
 from pdr_filter.apps.live.settings import BusyError, Event, FixError, Settings, worker_of
 from pdr_filter.data.io.fix_files import ranges_of_file
@@ -588,8 +588,8 @@ def test_a_zip_file_of_a_long_recording_needs_little_memory(tmp_path: Path) -> N
 def test_a_path_keeps_its_newest_rows_in_the_bytes_of_its_numbers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("pdr_filter.apps.live.session._MAX_PATH", 100)
     rows = np.arange(450.0).reshape(150, 3)
-    path = Rows(3, rows[:20])
+    path = PathRows(3, rows[:20])
     for row in rows[20:]:
         path.append(row.tolist())
     np.testing.assert_array_equal(path.values, rows[-100:])
-    np.testing.assert_array_equal(Rows(3, rows).values, rows[-100:])
+    np.testing.assert_array_equal(PathRows(3, rows).values, rows[-100:])
