@@ -164,7 +164,15 @@ def track_file(
     except WholeOnlyError:
         recording = read(path, file_format)
         track = recording_run.track(
-            recording, config_of(recording), weighting, given, progress, calibration, device, person, gnss=gnss
+            recording,
+            config_of(recording),
+            weighting=weighting,
+            fixes=given,
+            progress=progress,
+            calibration=calibration,
+            device=device,
+            person=person,
+            gnss=gnss,
         )
         write_by_suffix(track, out, None)
         return WrittenTrack(out, track.n_steps, track.distance_m, recording_run.without_rows(track))
