@@ -13,7 +13,7 @@ import pytest
 import pdr_filter as pdr
 
 PUBLIC = {"pdr_filter": pdr} | {
-    f"pdr.{name}": getattr(pdr, name) for name in pdr.__all__ if inspect.ismodule(getattr(pdr, name))
+    f"pdr.{name}": getattr(pdr, name) for name in dir(pdr) if inspect.ismodule(getattr(pdr, name))
 }
 PACKAGES = [m.name for m in pkgutil.walk_packages(pdr.__path__, "pdr_filter.") if m.ispkg]
 
