@@ -26,7 +26,7 @@ from pdr_filter.values.sanitise import file_name, free_name
 # Two points disagree with the scale of the picture if their distances differ by more.
 _MAX_SCALE_ERROR = 0.05
 _DIGITS_DEG, _DIGITS_M = 9, 3
-METRES_PER_PIXEL = 0.05  # of a picture without a scale, as in plan.js
+METRES_PER_PIXEL = 0.05  # Scale that plan.js assumes for a picture without a scale.
 
 
 class Plans:

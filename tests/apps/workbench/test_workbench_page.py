@@ -215,7 +215,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         assert fixes[1][1:3] == pytest.approx([east + 15.0, north + 10.0], abs=0.5)
         assert browser.value("document.querySelectorAll('.cross').length") == 2
         # the picture of the plan lies below the path, where it was drawn
-        assert browser.value("document.querySelector('#map .picture').naturalWidth") == 900
+        browser.until("document.querySelector('#map .picture').naturalWidth === 900")
         browser.value("(report().map.whole(), 0)")
         corners = browser.value("report().map.pictures.get(0).corners.map(place => report().map.frame.place(place))")
         assert np.ptp(corners, axis=0) == pytest.approx([90.0, 50.0], abs=1.0)

@@ -114,7 +114,7 @@ async def test_pages_are_served_after_another_version_was_installed(
     monkeypatch.setattr(Path, "read_text", read_text)
     monkeypatch.setattr(Path, "read_bytes", read_text)
     monkeypatch.setattr(Path, "iterdir", read_text)
-    for path in ("/", "/plan/House", "/page/walk.js", "/page/leaflet.js", "/page/plane_map.css"):
+    for path in ("/", "/plan/House", "/page/walk.js", "/page/leaflet.js", "/page/page.css"):
         assert await client.get(path)
     # the worker processes may still need other files
     monkeypatch.setattr(worker.Worker, "walk", lambda *_: read_text(Path(server.__file__)))
