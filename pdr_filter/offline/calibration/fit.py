@@ -39,6 +39,7 @@ from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, Fix, FloatArray, Table, check_array, check_number, table
 from pdr_filter.values.checks import shown
+from pdr_filter.values.optional_packages import load_optional
 from pdr_filter.values.recording import Recording
 
 _BIAS_LIMIT_STDS = 3.0  # A mean held-out error above this many standard errors is reported as a bias.
@@ -183,6 +184,7 @@ def calibrate(
     if smooth:
         if known != [None] * len(known):
             raise ValueError("smooth computes the tracks itself, got tracks, too: omit them")
+        load_optional("gtsam")  # before the tracks are computed
         observed = _for_each("fixes", fixes, chosen), _for_each("loop_closures", loop_closures, chosen)
         # imported late: most calibrations do not smooth
         from pdr_filter.offline.calibration.smoothed_calibration import calibrate_by_smoothing
