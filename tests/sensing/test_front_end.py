@@ -17,6 +17,7 @@ from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, Step, WindowContext, known_context
 from pdr_filter.values.events import Gap
+from tests.sensed_once import MIN_SAMPLES, sense_once
 
 WALKING, POCKET, TEXTING = CONTEXTS.index("walking"), CARRYING_MODES.index("pocket"), CARRYING_MODES.index("texting")
 
@@ -189,3 +190,16 @@ def test_a_recipe_for_the_foot_gives_no_note_about_sensors_on_the_foot() -> None
     for name, complains in (("zhou2019", False), ("default", True)):
         notes = pdr.track(worn, recipes.for_recording(name, worn)).notes
         assert any("for a carried phone" in note for note in notes) == complains
+
+
+def test_stored_events_give_the_track_of_the_same_samples_and_of_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As modules with the fixture `sensing_once` rely on."""
+    walk = simulate([Leg("walking", distance_m=18.0)], seed=1)
+    assert walk.gyroscope is not None
+    turned = replace(walk, gyroscope=Samples(walk.gyroscope.time_s, walk.gyroscope.values + np.array([0.0, 0.0, 0.1])))
+    assert len(walk.gyroscope) > MIN_SAMPLES
+    expected = [pdr.track(recording).position_m for recording in (walk, turned)]
+    sense_once(monkeypatch)
+    for _ in range(2):
+        for recording, position_m in zip((walk, turned), expected, strict=True):
+            np.testing.assert_array_equal(pdr.track(recording).position_m, position_m)
