@@ -77,7 +77,7 @@ def sensing_once() -> Iterator[None]:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark what is slow, and begin with the files that have most of it, so that no worker ends with a long one."""
+    """Mark slow tests, and begin with the files that have most of them, so that no worker ends with a long file."""
     n_tests, n_slow = Counter[Path](), Counter[Path]()
     for item in items:
         n_tests[item.path] += 1

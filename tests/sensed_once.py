@@ -11,7 +11,7 @@ import pytest
 from pdr_filter.sensing.front_end import KnownEvents, Sensing, SensingState
 from pdr_filter.values import ImuBlock
 
-_MIN_SAMPLES = 1_000  # blocks of a recording; the short blocks of an online filter are seldom equal
+MIN_SAMPLES = 1_000  # blocks of a recording; the short blocks of an online filter are seldom equal
 
 # Configurations and states are compared by their identity, and stored results return the same state.
 _init, _finished = lru_cache(128)(Sensing.init), lru_cache(128)(Sensing.finish)
@@ -25,7 +25,7 @@ def _updated(sensing: Sensing, state: SensingState, columns: tuple[bytes, ...]) 
 
 
 def _updated_once(sensing: Sensing, state: SensingState, block: ImuBlock) -> tuple[SensingState, KnownEvents]:
-    if len(block.time_s) < _MIN_SAMPLES:
+    if len(block.time_s) < MIN_SAMPLES:
         return _update(sensing, state, block)
     state, events = _updated(sensing, state, tuple(column.tobytes() for column in astuple(block)))
     return state, list(events)

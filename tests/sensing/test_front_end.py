@@ -17,6 +17,7 @@ from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, Step, WindowContext, known_context
 from pdr_filter.values.events import Gap
+from tests.sensed_once import MIN_SAMPLES, sense_once
 
 WALKING, POCKET, TEXTING = CONTEXTS.index("walking"), CARRYING_MODES.index("pocket"), CARRYING_MODES.index("texting")
 
@@ -208,3 +209,16 @@ def test_a_second_pass_with_kept_results_equals_one_that_senses_again() -> None:
     ]
     steps, wanted = ([e for _, e in events if isinstance(e, pdr.Step)] for events in (again, expected))
     assert steps == wanted
+
+
+def test_stored_events_give_the_track_of_the_same_samples_and_of_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As modules with the fixture `sensing_once` rely on."""
+    walk = simulate([Leg("walking", distance_m=18.0)], seed=1)
+    assert walk.gyroscope is not None
+    turned = replace(walk, gyroscope=Samples(walk.gyroscope.time_s, walk.gyroscope.values + np.array([0.0, 0.0, 0.1])))
+    assert len(walk.gyroscope) > MIN_SAMPLES
+    expected = [pdr.track(recording).position_m for recording in (walk, turned)]
+    sense_once(monkeypatch)
+    for _ in range(2):
+        for recording, position_m in zip((walk, turned), expected, strict=True):
+            np.testing.assert_array_equal(pdr.track(recording).position_m, position_m)

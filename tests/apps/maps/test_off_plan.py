@@ -16,6 +16,8 @@ import pdr_filter as pdr
 from pdr_filter.apps.maps.storey import OUTSIDE
 from pdr_filter.simulate import Gait, Leg, simulate
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 HALL = box(-15, -15, 45, 15)
 WALK = simulate([Leg("walking", distance_m=20.0)], Gait(height_m=1.8), seed=1, start_heading_rad=math.pi / 2)
 OFF = "in a wall, in a hole of the plan or outside of its outline"

@@ -19,6 +19,8 @@ from pdr_filter.values import HeadingFix, PositionFix
 from pdr_filter.values.recording import Recording, Samples
 from pdr_filter.values.uncertainty import worst_std_m
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 # The person turns by 2.2 rad in the gap.
 GAP_BEGIN_S, GAP_END_S = 97.0, 102.0
 FIX_STD_M = 2.0

@@ -24,6 +24,8 @@ from pdr_filter.recipes.calibration import Calibration
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Recording, Subject
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 HERE = pdr.Origin(48.137, 11.575)
 
 

@@ -15,6 +15,8 @@ from pdr_filter.filter.imm.motion_model import stepless_var_m2
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.uncertainty import worst_std_m
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 WALK = simulate([Leg("walking", distance_m=25.0, turn_rad=1.2), Leg("walking", distance_m=20.0, turn_rad=-1.0)], seed=3)
 # The shortest recording of each of these data sets, with and without its gyroscope.
 FOLDERS = (
