@@ -26,7 +26,8 @@ from pdr_filter.values.sanitise import file_name, free_name
 # Two points disagree with the scale of the picture if their distances differ by more.
 _MAX_SCALE_ERROR = 0.05
 _DIGITS_DEG, _DIGITS_M = 9, 3
-METRES_PER_PIXEL = 0.05  # Scale that plan.js assumes for a picture without a scale.
+# Scale that plan.js assumes for a picture without a scale.
+_METRES_PER_PIXEL = 0.05
 
 
 class Plans:
@@ -188,7 +189,7 @@ def pictures_of(path: Path, origin: Origin | None) -> list[dict[str, Any]]:
     for floor, storey in (properties.get("storeys") or {}).items():
         if storey.get("width"):
             size_m = np.array([storey["width"], storey["height"]]) * (
-                storey.get("metres_per_pixel") or METRES_PER_PIXEL
+                storey.get("metres_per_pixel") or _METRES_PER_PIXEL
             )
             corners_m = np.array([[0.0, 0.0], [size_m[0], 0.0], [0.0, size_m[1]]])
             if reference and origin is not None:
