@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import cut, cut_randomly, from_hand_to_pocket
+from helpers import cut, cut_randomly, from_hand_to_pocket, part_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -615,3 +615,22 @@ def test_a_weighting_beside_a_configuration_or_none_is_that_of_a_track_with_it(
         nobody = replace(short_walk, meta={})
         track = pdr.track(nobody, config, weighting=weighting)
         np.testing.assert_array_equal([u.position_m for u in updates], track.position_m)
+
+
+def test_pushed_samples_wait_for_a_hop_and_a_reused_buffer_does_not_change_them(short_walk: pdr.Recording) -> None:
+    samples = part_of(pdr.merge_streams(short_walk), slice(300, 1300))
+    online, buffer = pdr.OnlineFilter(), np.empty((1, 10))
+    updates: list[pdr.StepUpdate] = []
+    n_processed = set[int]()
+    for i in range(1000):
+        buffer[0, 0], buffer[0, 1:4] = samples.time_s[i], samples.specific_force_mps2[i]
+        buffer[0, 4:7], buffer[0, 7:] = samples.angular_rate_radps[i], samples.magnetic_field_ut[i]
+        updates += online.push(buffer[:, 0], buffer[:, 1:4], buffer[:, 4:7], buffer[:, 7:])
+        n_processed.add(online._state.sensing.conditioner.report.n_received)
+        if i == 505:
+            assert online.now().time_s == samples.time_s[i]
+    assert len(n_processed) < 400
+    assert len(updates) > 3
+    whole = pdr.OnlineFilter()
+    assert_same_updates(updates, push(whole, samples))
+    np.testing.assert_array_equal(online.position_m, whole.position_m)

@@ -326,9 +326,9 @@ class Conditioner:
         return state, _blocks_between_gaps(outputs)
 
     def quiet_s(self, state: ConditionerState) -> tuple[float, float]:
-        """Return the times between which rows complete no hop, so that they may be processed together with later ones.
+        """Return the times between which rows complete no hop.
 
-        There are none before the first hop and the first check of units, and while the clock is in doubt.
+        Such rows may be processed together with later ones. There are none before the first hop and the first check of units, and while the clock is in doubt.
 
         Parameters
         ----------
@@ -337,9 +337,10 @@ class Conditioner:
 
         Returns
         -------
-        after_s, until_s : float
-            Such rows have increasing times after the first and up to the second time, s. If there are none, the second
-            time is minus infinity.
+        after_s : float
+            The rows have increasing times after this time, s.
+        until_s : float
+            The last row has this time or an earlier one, s. Minus infinity if there are no such rows.
         """
         clock = state.clock
         is_begun = state.report.n_emitted > 0 and state.units.n > 0 and len(state.rows) > 0

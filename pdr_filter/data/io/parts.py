@@ -270,7 +270,7 @@ class _Merger:
             self._read(source)
         force = self._buffers["accelerometer"]
         while True:
-            while len(force.time_s) < _PART_SAMPLES and not force.source.has_ended:
+            while force.n_known < _PART_SAMPLES and not force.source.has_ended:
                 self._read(force.source)
             n = min(_PART_SAMPLES, force.n_known)
             if n == 0:

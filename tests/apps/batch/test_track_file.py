@@ -75,11 +75,12 @@ def test_merged_parts_equal_merged_streams(
     walk: pdr.Recording, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng = np.random.default_rng(seed)
-    late_s = rng.choice([0.0, 0.06], len(walk.accelerometer), p=[0.98, 0.02])  # sorted by time
+    late_s = rng.choice([0.0, 0.06], len(walk.accelerometer), p=[0.6, 0.4])  # sorted by time
     force = Samples(walk.accelerometer.time_s - late_s, walk.accelerometer.values)
     path = own(replace(walk, accelerometer=force), tmp_path)
     whole = pdr.merge_streams(read(path))
     small_parts(monkeypatch)
+    monkeypatch.setattr(parts, "_PART_SAMPLES", 1)  # so that parts end where blocks end
     with parts.recording_in_parts(path) as opened:
         blocks = [part.block for part in opened.parts]
     assert len(blocks) > 5

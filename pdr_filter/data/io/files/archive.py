@@ -176,12 +176,12 @@ class Members:
         if rest:
             yield rest.replace(b"\r", b"\n")
 
-    def parts(self, name: str, size: int = limits.BLOCK_BYTES) -> Iterator[bytes]:
-        """Yield the bytes of a file in parts of `size` bytes, so that no more is unpacked at once.
+    def parts(self, name: str, size: int | None = None) -> Iterator[bytes]:
+        """Yield the bytes of a file in parts of `size` bytes (`BLOCK_BYTES`), so that no more is unpacked at once.
 
         RecordingError if the file is damaged, encrypted or too large.
         """
-        where = self.where(name)
+        where, size = self.where(name), limits.BLOCK_BYTES if size is None else size
         try:
             if self._archive is None:
                 file = self._files[name]
