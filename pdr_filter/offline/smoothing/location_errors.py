@@ -12,7 +12,7 @@ The error of a location is the sum of these parts, each a Gauss-Markov process:
 - varying, east and north: sqrt(0.7) of that of the location, memory 20 s (the correlation time of the fix);
 - shrinkage of the walk towards its mean within 2 min before and after: standard deviation half of the distance from
   this mean, memory 1 h. It is limited to 1.5 standard deviations of the location where the locations themselves show
-  that their extent is right (`_shrinkage_m`);
+  that their extent is right, and to 7 % of the distance where they are larger than the walk (`_shrinkage_m`);
 - delay, along the velocity of the walk: standard deviation 3 s, memory 30 s;
 - white: the remaining tenth of the variance.
 
@@ -44,6 +44,11 @@ _SHRUNK_WITHIN_S = 120.0
 # most 15 % of it, and if it is not below 0.87 of that of the walk, two standard deviations (7 %) of the step length of
 # people. Smaller extents are shrinkage rather than a person with short steps.
 _LONG_WAY, _MIN_SIZE = 10.0, 0.87
+# Locations shrink a walk and never enlarge it. Where their extent is larger than that of the walk, the steps are longer
+# than those of the model, and a shrinkage that longer steps hide is about the standard deviation of the step length of
+# people. The extent must be seven errors, so that an enlargement by two of these standard deviations (14 %) is more than
+# the error of a location at the edge of the walk.
+_LONG_WAY_OF_LARGER, _PEOPLE_STD = 7.0, 0.07
 # Median and 99.9 % quantile of the length of a vector with two standard normal components.
 _MEDIAN_RADIUS, _OUTLIER_RADIUS = 1.177, 3.717
 _LATE_STD_S, _LATE_WITHIN_S = 3.0, 15.0
@@ -134,8 +139,8 @@ def _shrinkage_m(time_s: FloatArray, position_m: FloatArray, shape_m: FloatArray
 
     It is half of the position in `shape_m` (E, 2) relative to the mean of all positions in [t - d, t + d), with d =
     `_SHRUNK_WITHIN_S`. Its length is limited where the extent of these locations is right: they follow the shape of the
-    walk with an error below a tenth of the extent, and are not smaller than the walk. The error is that of the best
-    similarity, or the stated one if that is larger.
+    walk with an error below a tenth of the extent, and are not smaller than the walk. It is limited further where they
+    are larger than the walk. The error is that of the best similarity, or the stated one if that is larger.
     """
     place, shape = (m[:, 0] + 1j * m[:, 1] for m in (position_m, shape_m))
     most_m = np.full(len(time_s), np.inf)
@@ -144,9 +149,12 @@ def _shrinkage_m(time_s: FloatArray, position_m: FloatArray, shape_m: FloatArray
     for k, (i, j) in enumerate(zip(first, end, strict=True)):
         size, error_m = _size_and_error(shape[i:j], place[i:j])
         error_m = max(error_m, float(std_m[k]))
-        if size > _MIN_SIZE and float(np.std(shape[i:j])) > _LONG_WAY * error_m:
+        extent_m = float(np.std(shape[i:j]))
+        if size > _MIN_SIZE and extent_m > _LONG_WAY * error_m:
             most_m[k] = MAX_SHRINKAGE * error_m
         away[k] = shape_m[k] - shape_m[i:j].mean(axis=0)
+        if size > 1.0 and extent_m > _LONG_WAY_OF_LARGER * error_m:
+            most_m[k] = min(most_m[k], _PEOPLE_STD * float(np.hypot(*away[k])))
     return _limited(SHRINKAGE_STD * away, most_m)
 
 

@@ -189,17 +189,17 @@ def test_locations_share_a_constant_error_and_other_correlated_fixes_do_not() ->
     np.testing.assert_allclose(np.linalg.norm(others.by[0], axis=1) ** 2, 0.99 * 25.0)
 
 
-@pytest.mark.parametrize("size", [0.6, 0.75, 1.25])
-def test_locations_of_a_small_area_do_not_change_the_step_length(size: float) -> None:
+@pytest.mark.parametrize(("size", "accuracy_m"), [(0.6, 5.0), (0.75, 5.0), (1.25, 8.0)])
+def test_locations_of_a_small_area_do_not_change_the_step_length(size: float, accuracy_m: float) -> None:
     truth = truth_m(bare(), located().location.time_s)
-    resized = pdr.smooth(located((size - 1.0) * (truth - truth.mean(axis=0)), accuracy_m=5.0))
+    resized = pdr.smooth(located((size - 1.0) * (truth - truth.mean(axis=0)), accuracy_m))
     assert resized.scale == pytest.approx(smoothed_bare().scale, rel=0.03)
     assert resized.track.person is None
 
 
-@pytest.mark.parametrize(("size", "is_right"), [(1.1, True), (0.75, False)])
+@pytest.mark.parametrize(("size", "share", "limit_m"), [(1.1, 0.07, np.inf), (0.95, 0.5, 4.5), (0.75, 0.5, np.inf)])
 def test_locations_determine_the_step_length_on_a_long_way_unless_they_are_drawn_together(
-    size: float, is_right: bool
+    size: float, share: float, limit_m: float
 ) -> None:
     time_s = np.arange(0.0, 240.0, 10.0)
     corner_m = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 100.0], [0.0, 100.0]])
@@ -208,9 +208,8 @@ def test_locations_determine_the_step_length_on_a_long_way_unless_they_are_drawn
     node = np.arange(len(fixes))
     shrunk = np.linalg.norm(errors_of(fixes, np.full(len(fixes), True), node, walk_m).by[:, :, 4], axis=1)
     middle = 12  # the location whose window is the whole walk
-    half_m = 0.5 * np.linalg.norm(walk_m - walk_m.mean(axis=0), axis=1)
-    expected = np.minimum(half_m, 1.5 * 3.0) if is_right else half_m
-    np.testing.assert_allclose(shrunk[middle], expected[middle])
+    away_m = np.linalg.norm(walk_m - walk_m.mean(axis=0), axis=1)
+    assert shrunk[middle] == pytest.approx(min(share * away_m[middle], limit_m))
 
 
 def test_an_outlier_does_not_hide_that_the_extent_of_locations_is_right() -> None:
