@@ -12,7 +12,6 @@ _USES = {
         "pip install gtsam. On Windows, where it has no wheel, use the Windows Subsystem for Linux",
     ),
     "filterpy": ("FilterpyImm", "pip install filterpy, or use NumpyImm, which gives the same results"),
-    "pywt": ("the wavelet step detector of martinelli2018", "pip install pywavelets, or use another recipe"),
     "matplotlib": ("a picture", "pip install matplotlib; reports and tables work without it"),
     "pandas": ("a data frame", 'pip install "pdr_filter[parquet]"'),
     "shapely": ("a floor plan", 'pip install "pdr_filter[maps]"'),

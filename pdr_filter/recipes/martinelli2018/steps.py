@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
@@ -22,7 +22,6 @@ from pdr_filter.sensing.signal_filters import butterworth, low_pass_kernel, with
 from pdr_filter.sensing.steps.step_detector import ContextBlock, ResponseState, ResponseStepDetector
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, replace_unchecked
-from pdr_filter.values.optional_packages import load_optional
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,9 +167,15 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
 
 def wavelet_kernel(wavelet: str, frequency_hz: float, rate_hz: float) -> FloatArray:
     """Return a sampled wavelet with odd length, zero mean (eq. 2), and unit gain at its frequency."""
-    pywt = load_optional("pywt")  # imported here, because other recipes need neither pywt nor SciPy
+    try:
+        import pywt  # imported here, because other recipes need neither pywt nor SciPy
+    except ImportError:
+        remedy = "pip install pywavelets, or use another recipe"
+        raise ImportError(
+            f"the wavelet step detector of martinelli2018 needs pywt, which is not installed: {remedy}", name="pywt"
+        ) from None
     scale = float(pywt.frequency2scale(wavelet, frequency_hz / rate_hz))
-    psi, t = pywt.ContinuousWavelet(wavelet).wavefun(10)
+    psi, t = cast(Any, pywt).ContinuousWavelet(wavelet).wavefun(10)
     # beyond four scales, the Mexican hat is below 0.5 % of its peak, and a longer kernel would only add latency
     half = int(np.ceil(4.0 * scale))
     kernel = np.interp(np.arange(-half, half + 1) / scale, t, np.real(psi), left=0.0, right=0.0)
