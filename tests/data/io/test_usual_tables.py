@@ -194,6 +194,11 @@ def test_times_in_minutes_hours_and_days_are_read(
     assert recording.epoch_s == (None if epoch_s is None else pytest.approx(epoch_s + TIME_S[0], abs=1e-3))
 
 
+@pytest.mark.parametrize("name", ["time_of_day", "Time of hour", "minute time", "timestamp day"])
+def test_a_word_for_a_longer_span_in_the_name_of_seconds_is_no_unit(tmp_path: Path, name: str) -> None:
+    assert_same_streams(read(write(tmp_path, table_text({name: TIME_S} | BOTH))), WALK, "accelerometer gyroscope")
+
+
 @pytest.mark.parametrize("form", ["columns", "split", "of another key"])
 def test_tables_that_pandas_writes_as_json_are_read(tmp_path: Path, form: str) -> None:
     columns = {"t": TIME_S.tolist()} | {name: values.tolist() for name, values in BOTH.items()}
