@@ -184,7 +184,10 @@ _TIME_UNIT_WORDS = {
 # These words are units of a time only in brackets or behind a plain word for time: a column `minute` is a part of a
 # date, and `time_of_day` has seconds.
 _LONG_UNIT_WORDS = {"min": r"min|mins|minutes?", "h": r"h|hr|hrs|hours?", "days": r"d|days?"}
-_LONG_UNIT = re.compile(r"(?:t|ts|time|timestamp|elapsed|elapsedtime|timeelapsed)(min|mins|minutes|h|hr|hrs|hours|days)")
+_LONG_UNIT = re.compile(
+    r"(?:t|ts|timestamp|(?:elapsed)?[ _]?(?:time)?[ _]?(?:elapsed)?)[ _]?(min|mins|minutes|h|hr|hrs|hours|days)",
+    re.IGNORECASE,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -478,7 +481,7 @@ def has_time_unit(name: str) -> bool:
 
 def time_unit_of(name: str) -> str:
     """Return the unit that the name of a column of times states, or an empty string."""
-    stated = _UNIT.search(name) or _LONG_UNIT.fullmatch(letters(name))
+    stated = _UNIT.search(name) or _LONG_UNIT.fullmatch(name.strip())
     words = [stated[1].strip()] if stated else [*re.split(r"[^A-Za-z\u00b5\u03bc]+", name), *words_of(name)[-1:]]
     words = [normal_unit(word) for word in words]
     for unit, pattern in (_TIME_UNIT_WORDS | (_LONG_UNIT_WORDS if stated else {})).items():

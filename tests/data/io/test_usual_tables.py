@@ -196,7 +196,8 @@ def test_times_in_minutes_hours_and_days_are_read(
 
 @pytest.mark.parametrize("name", ["time_of_day", "Time of hour", "minute time", "timestamp day"])
 def test_a_word_for_a_longer_span_in_the_name_of_seconds_is_no_unit(tmp_path: Path, name: str) -> None:
-    assert_same_streams(read(write(tmp_path, table_text({name: TIME_S} | BOTH))), WALK, "accelerometer gyroscope")
+    recording = read(write(tmp_path, table_text({name: TIME_S} | BOTH)))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
 
 
 @pytest.mark.parametrize("form", ["columns", "split", "of another key"])
