@@ -170,7 +170,7 @@ _RATE = re.compile(
 _PERIODS_S = (1e-3, 0.2)  # of the accelerometers of phones, and of slower loggers
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
 _STEP_COUNTS = re.compile(r"(pedometer)?((numberof|n)steps?|steps|steps?(n|count(er)?))|schritte")
-_HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)(deg(rees)?)?")
+_HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)((deg)(rees)?|(rad)(ians)?)?")
 _TIME_WORDS = {  # in other languages
     *("tiempo", "temps", "tempo", "tijd", "czas", "aika", "tid", "hora", "heure", "ora", "uhr", "zaman", "waktu"),
     *("\u0432\u0440\u0435\u043c\u044f", "\u6642\u9593", "\u65f6\u95f4", "\u6642\u523b", "\uc2dc\uac04"),
@@ -404,6 +404,12 @@ def is_heading(name: str) -> bool:
     unit = _UNIT.search(name)
     is_angle = unit is None or normal_unit(unit[1]) in UNITS[PHONE_HEADING]
     return is_angle and _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
+
+
+def heading_unit(name: str) -> str:
+    """Return the unit that the name of a heading states in brackets or at its end, or an empty string."""
+    stated, at_end = _UNIT.search(name), _HEADINGS.fullmatch(letters(name))
+    return normal_unit(stated[1]) if stated else (at_end[5] or at_end[7] or "") if at_end else ""
 
 
 def bias_of(name: str) -> tuple[str, str] | None:

@@ -119,6 +119,9 @@ def test_a_list_of_times_belongs_to_the_lists_of_the_same_length_beside_it(tmp_p
     [
         ("heading(rad)", np.full(N, 3.1), np.full(N, np.degrees(3.1)), None),
         ("azimuth", np.full(N, -0.1), np.full(N, np.degrees(-0.1)), None),
+        ("heading_rad", np.full(N, 3.1), np.full(N, np.degrees(3.1)), None),
+        ("headingDegrees", np.full(N, 3.1), np.full(N, 3.1), None),
+        ("trueHeading (\u00b0)", np.full(N, 3.1), np.full(N, 3.1), None),
         ("heading(m)", np.full(N, 3.1), None, None),
         ("heading", np.full(N, 400.0), None, None),
         ("locationTrueHeading", np.append(-1.0, np.full(N - 1, 20.0)), np.full(N - 1, 20.0), None),
