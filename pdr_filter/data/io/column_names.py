@@ -167,6 +167,10 @@ _RATE = re.compile(
     r"(data|sensor)?sampl(es?|ing)?(rate|freq|frequency|persecond)(hz)?|(data|sensor|update)?(rate|freq|frequency)hz"
     r"|frequency|fs|hz|odr"
 )
+_PERIOD = re.compile(
+    r"(data|sensor|update|log|logging|record|recording)?(sampl(es?|ing))?"
+    r"(time)?(dt|deltat?|interval|period|spacing)(time)?(s|sec|seconds?|ms|millis|milliseconds?|us|ns)?"
+)
 _PERIODS_S = (1e-3, 0.2)  # of the accelerometers of phones, and of slower loggers
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
 _STEP_COUNTS = re.compile(r"(pedometer)?((numberof|n)steps?|steps|steps?(n|count(er)?))|schritte")
@@ -447,7 +451,8 @@ def is_interval(name: str) -> bool:
 @lru_cache(maxsize=256)
 def states_period(name: str) -> bool:
     """Return True if a number of this name may be a sampling rate or interval."""
-    return is_interval(name) or _RATE.fullmatch(letters(_UNIT.sub("", name))) is not None
+    stem = letters(_UNIT.sub("", name))
+    return any(pattern.fullmatch(stem) for pattern in (_PERIOD, _RATE))
 
 
 def period_of(name: str, value: float) -> float:

@@ -203,6 +203,35 @@ def test_a_word_for_a_longer_span_in_the_name_of_seconds_is_no_unit(tmp_path: Pa
     assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"gps": {"frequency": 10}} | SAMPLES,
+        {"meta": {"gpsInterval": 100}} | SAMPLES,
+        f"GPS interval: 100 ms\n{table_text(BOTH)}",
+    ],
+)
+def test_a_rate_of_something_else_does_not_stand_for_times(tmp_path: Path, content: object) -> None:
+    is_text = isinstance(content, str)
+    path = write(tmp_path, content if is_text else json.dumps(content), "walk.csv" if is_text else "walk.json")
+    assert "no column of times" in refusal(path, format="table")
+
+
+def test_values_by_row_number_are_read_in_the_order_of_the_numbers(tmp_path: Path) -> None:
+    columns = {name: {str(i): v for i, v in enumerate(values[:100].tolist())} for name, values in BOTH.items()}
+    recording = read(write(tmp_path, json.dumps({"dt": PERIOD_S} | columns, sort_keys=True), "walk.json"))
+    np.testing.assert_array_equal(recording.accelerometer.values, FORCE[:100])
+
+
+def test_each_table_of_a_database_names_its_sensor(tmp_path: Path) -> None:
+    series = [
+        {"name": name, "columns": ["time", *"xyz"], "values": np.column_stack([TIME_S, values]).tolist()}
+        for name, values in (("accelerometer", FORCE), ("gyroscope", RATE))
+    ]
+    recording = read(write(tmp_path, json.dumps({"results": [{"series": series}]}), "walk.json"))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
+
+
 @pytest.mark.parametrize("form", ["columns", "split", "of another key"])
 def test_tables_that_pandas_writes_as_json_are_read(tmp_path: Path, form: str) -> None:
     columns = {"t": TIME_S.tolist()} | {name: values.tolist() for name, values in BOTH.items()}
