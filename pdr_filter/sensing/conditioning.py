@@ -348,7 +348,7 @@ class Conditioner:
         if not is_begun or clock.held or clock.n_behind or clock.offset_s:
             return np.inf, -np.inf
         until_s = state.segment_start_s + (state.n_emitted + self.hop_samples) / self.rate_hz
-        return clock.last_s, min(until_s, clock.last_s + self.max_gap_s)
+        return clock.last_s, min(until_s, float(state.rows[-1, 0]) + self.max_gap_s)
 
     def finish(self, state: ConditionerState) -> tuple[ConditionerState, list[UniformBlock]]:
         """Return the new state and the remainder of the last hop, when no further sample will come.

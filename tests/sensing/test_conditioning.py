@@ -228,6 +228,22 @@ def test_the_output_does_not_depend_on_how_samples_arrive(
     assert state.report == whole_state.report
 
 
+@pytest.mark.parametrize("hop_samples", [20, 100])
+def test_rows_of_quiet_times_complete_no_hop(hop_samples: int) -> None:
+    rng, conditioner = np.random.default_rng(0), Conditioner(hop_samples=hop_samples)
+    force, rate = rng.normal(size=(600, 3)) + 9.8, rng.normal(size=(600, 3))
+    force[:, 0] = np.where(np.arange(600) % 200 < 150, 1.0, force[:, 0])  # stuck now and then: samples are dropped
+    state, n_quiet = conditioner.init(), 0
+    for row in imu(np.cumsum(rng.uniform(0.005, 0.01, 600)), force, rate).parts(1):
+        after_s, until_s = conditioner.quiet_s(state)
+        state, blocks = conditioner.update(state, row)
+        is_quiet = after_s < row.time_s[0] <= until_s
+        assert not (is_quiet and blocks)
+        n_quiet += is_quiet
+    assert state.report.n_dead_force > 50
+    assert n_quiet > 100
+
+
 def test_the_conditioner_does_not_modify_its_input() -> None:
     block = messy_block(1, 100.0, jitter=True)
     copies = [getattr(block, n).copy() for n in ImuBlock.__slots__]

@@ -167,10 +167,14 @@ _RATE = re.compile(
     r"(data|sensor)?sampl(es?|ing)?(rate|freq|frequency|persecond)(hz)?|(data|sensor|update)?(rate|freq|frequency)hz"
     r"|frequency|fs|hz|odr"
 )
+_PERIOD = re.compile(
+    r"(data|sensor|update|log|logging|record|recording)?(sampl(es?|ing))?"
+    r"(time)?(dt|deltat?|interval|period|spacing)(time)?(s|sec|seconds?|ms|millis|milliseconds?|us|ns)?"
+)
 _PERIODS_S = (1e-3, 0.2)  # of the accelerometers of phones, and of slower loggers
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
 _STEP_COUNTS = re.compile(r"(pedometer)?((numberof|n)steps?|steps|steps?(n|count(er)?))|schritte")
-_HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)(deg(rees)?)?")
+_HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)((deg)(rees)?|(rad)(ians)?)?")
 _TIME_WORDS = {  # in other languages
     *("tiempo", "temps", "tempo", "tijd", "czas", "aika", "tid", "hora", "heure", "ora", "uhr", "zaman", "waktu"),
     *("\u0432\u0440\u0435\u043c\u044f", "\u6642\u9593", "\u65f6\u95f4", "\u6642\u523b", "\uc2dc\uac04"),
@@ -181,8 +185,13 @@ _TIME_UNIT_WORDS = {
     "us": r"us|usec|micros|microseconds?",
     "ns": r"ns|nsec|nanos|nanoseconds?",
 }
-# These words are units of a time, but columns of this name are also parts of a date.
+# These words are units of a time only in brackets or behind a plain word for time: a column `minute` is a part of a
+# date, and `time_of_day` has seconds.
 _LONG_UNIT_WORDS = {"min": r"min|mins|minutes?", "h": r"h|hr|hrs|hours?", "days": r"d|days?"}
+_LONG_UNIT = re.compile(
+    r"(?:t|ts|timestamp|(?:elapsed)?[ _]?(?:time)?[ _]?(?:elapsed)?)[ _]?(min|mins|minutes|h|hr|hrs|hours|days)",
+    re.IGNORECASE,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -401,6 +410,12 @@ def is_heading(name: str) -> bool:
     return is_angle and _HEADINGS.fullmatch(letters(_UNIT.sub("", name))) is not None
 
 
+def heading_unit(name: str) -> str:
+    """Return the unit that the name of a heading states in brackets or at its end, or an empty string."""
+    stated, at_end = _UNIT.search(name), _HEADINGS.fullmatch(letters(name))
+    return normal_unit(stated[1]) if stated else (at_end[5] or at_end[7] or "") if at_end else ""
+
+
 def bias_of(name: str) -> tuple[str, str] | None:
     """Return quantity and axis of a column with the bias of an uncalibrated sensor, or None for another column.
 
@@ -436,7 +451,8 @@ def is_interval(name: str) -> bool:
 @lru_cache(maxsize=256)
 def states_period(name: str) -> bool:
     """Return True if a number of this name may be a sampling rate or interval."""
-    return is_interval(name) or _RATE.fullmatch(letters(_UNIT.sub("", name))) is not None
+    stem = letters(_UNIT.sub("", name))
+    return any(pattern.fullmatch(stem) for pattern in (_PERIOD, _RATE))
 
 
 def period_of(name: str, value: float) -> float:
@@ -476,10 +492,10 @@ def has_time_unit(name: str) -> bool:
 
 def time_unit_of(name: str) -> str:
     """Return the unit that the name of a column of times states, or an empty string."""
-    found = _UNIT.search(name)
-    words = [found[1].strip()] if found else [*re.split(r"[^A-Za-z\u00b5\u03bc]+", name), *words_of(name)[-1:]]
+    stated = _UNIT.search(name) or _LONG_UNIT.fullmatch(name.strip())
+    words = [stated[1].strip()] if stated else [*re.split(r"[^A-Za-z\u00b5\u03bc]+", name), *words_of(name)[-1:]]
     words = [normal_unit(word) for word in words]
-    for unit, pattern in (_TIME_UNIT_WORDS | _LONG_UNIT_WORDS).items():
+    for unit, pattern in (_TIME_UNIT_WORDS | (_LONG_UNIT_WORDS if stated else {})).items():
         if any(re.fullmatch(pattern, word) for word in words if word):
             return unit
     return ""

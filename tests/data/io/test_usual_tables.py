@@ -119,6 +119,9 @@ def test_a_list_of_times_belongs_to_the_lists_of_the_same_length_beside_it(tmp_p
     [
         ("heading(rad)", np.full(N, 3.1), np.full(N, np.degrees(3.1)), None),
         ("azimuth", np.full(N, -0.1), np.full(N, np.degrees(-0.1)), None),
+        ("heading_rad", np.full(N, 3.1), np.full(N, np.degrees(3.1)), None),
+        ("headingDegrees", np.full(N, 3.1), np.full(N, 3.1), None),
+        ("trueHeading (\u00b0)", np.full(N, 3.1), np.full(N, 3.1), None),
         ("heading(m)", np.full(N, 3.1), None, None),
         ("heading", np.full(N, 400.0), None, None),
         ("locationTrueHeading", np.append(-1.0, np.full(N - 1, 20.0)), np.full(N - 1, 20.0), None),
@@ -192,6 +195,41 @@ def test_times_in_minutes_hours_and_days_are_read(
     recording = read(write(tmp_path, table_text({name: times} | BOTH)))
     assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=2e-5, rtol=1e-12)
     assert recording.epoch_s == (None if epoch_s is None else pytest.approx(epoch_s + TIME_S[0], abs=1e-3))
+
+
+@pytest.mark.parametrize("name", ["time_of_day", "Time of hour", "minute time", "timestamp day"])
+def test_a_word_for_a_longer_span_in_the_name_of_seconds_is_no_unit(tmp_path: Path, name: str) -> None:
+    recording = read(write(tmp_path, table_text({name: TIME_S} | BOTH)))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        {"gps": {"frequency": 10}} | SAMPLES,
+        {"meta": {"gpsInterval": 100}} | SAMPLES,
+        f"GPS interval: 100 ms\n{table_text(BOTH)}",
+    ],
+)
+def test_a_rate_of_something_else_does_not_stand_for_times(tmp_path: Path, content: object) -> None:
+    is_text = isinstance(content, str)
+    path = write(tmp_path, content if is_text else json.dumps(content), "walk.csv" if is_text else "walk.json")
+    assert "no column of times" in refusal(path, format="table")
+
+
+def test_values_by_row_number_are_read_in_the_order_of_the_numbers(tmp_path: Path) -> None:
+    columns = {name: {str(i): v for i, v in enumerate(values[:100].tolist())} for name, values in BOTH.items()}
+    recording = read(write(tmp_path, json.dumps({"dt": PERIOD_S} | columns, sort_keys=True), "walk.json"))
+    np.testing.assert_array_equal(recording.accelerometer.values, FORCE[:100])
+
+
+def test_each_table_of_a_database_names_its_sensor(tmp_path: Path) -> None:
+    series = [
+        {"name": name, "columns": ["time", *"xyz"], "values": np.column_stack([TIME_S, values]).tolist()}
+        for name, values in (("accelerometer", FORCE), ("gyroscope", RATE))
+    ]
+    recording = read(write(tmp_path, json.dumps({"results": [{"series": series}]}), "walk.json"))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
 
 
 @pytest.mark.parametrize("form", ["columns", "split", "of another key"])

@@ -23,6 +23,7 @@ from pdr_filter.data.io.column_names import (
     column_of,
     column_of_nanoseconds,
     has_time_unit,
+    heading_unit,
     is_heading,
     is_step_count,
     is_time,
@@ -111,7 +112,8 @@ def phone_groups_of(sheet: Sheet, at: int) -> list[Group]:
         named = (i for i in _numbers(sheet) if i not in sheet.dates and is_named(sheet.fields[i]))
         place = next((i for i in named if _is_readable(sheet, i)), None)
         if place is not None:
-            name, unit = sheet.fields[place], column_of(place, sheet.fields[place]).unit
+            name = sheet.fields[place]
+            unit = heading_unit(name) if quantity == PHONE_HEADING else "steps"
             time = _time_of(sheet, quantity, [place], times)
             time_unit = "" if time is None else time_unit_of(sheet.fields[time])
             groups.append(Group(at, quantity, (place,), time, time_unit, unit, name))

@@ -186,28 +186,30 @@ def _of_data_frame(item: Row) -> Row:
     """
     for value in item.values():  # of each row of a large file
         if isinstance(value, dict) and "0" in value:
-            by_number = {key: cast("Row", rows) for key, rows in item.items() if isinstance(rows, dict)}
-            return item | {key: [*rows.values()] for key, rows in by_number.items() if _is_numbered(rows)}
-    if "columns" not in item:
-        return item
+            return {key: _by_number(rows) if isinstance(rows, dict) else rows for key, rows in item.items()}
     names: Any = item.get("columns")
-    for rows in (item.get(key) for key in ("data", "values", "rows")):
+    for key in ("data", "values", "rows"):
+        rows: Any = item.get(key)
         if isinstance(names, list) and isinstance(rows, list) and _are_rows(rows, len(cast("list[Any]", names))):
-            by_name = zip(
-                map(str, cast("list[Any]", names)), zip(*cast("list[list[Any]]", rows), strict=True), strict=True
-            )
-            return {name: [*column] for name, column in by_name}
+            columns = map(list, zip(*cast("list[list[Any]]", rows), strict=True))
+            others = {name: value for name, value in item.items() if name not in ("columns", "index", key)}
+            return others | dict(zip(map(str, cast("list[Any]", names)), columns, strict=True))
     return item
 
 
-def _is_numbered(rows: Row) -> bool:
-    """Return True for values whose keys are their numbers, judged by the first and the last."""
-    return "0" in rows and next(reversed(rows)) == str(len(rows) - 1)
+def _by_number(rows: Row) -> list[Any] | Row:
+    """Return the values whose keys are all row numbers in the order of the numbers, and other objects unchanged."""
+    numbers = [str(i) for i in range(len(rows))]
+    return [rows[number] for number in numbers] if numbers and all(n in rows for n in numbers) else rows
 
 
 def _are_rows(values: list[Any], n: int) -> bool:
     """Return True for a list of lists of `n` values each."""
     return values != [] and all(isinstance(row, list) and len(cast("list[Any]", row)) == n for row in values)
+
+
+# Keys of objects about the whole recording. A rate in another object, such as that of locations, is not of all rows.
+_ABOUT = re.compile(r"(?i).*(meta|info|header|about|setting|config|sampling|recording|session|device)\w*")
 
 
 def _times_in(item: Row) -> Row:
@@ -216,7 +218,8 @@ def _times_in(item: Row) -> Row:
     for key, value in item.items():
         if isinstance(value, dict):
             inside = cast("Row", value)
-            found |= {k: v for k, v in inside.items() if states_period(k) and isinstance(v, int | float)}
+            if _ABOUT.fullmatch(key) and not _holds_samples(inside):
+                found |= {k: v for k, v in inside.items() if states_period(k) and isinstance(v, int | float)}
         elif is_time(key) or (isinstance(value, int | float) and states_period(key)):
             found[key] = value
     return found
