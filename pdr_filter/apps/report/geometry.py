@@ -21,6 +21,9 @@ _MIN_SHARE = 0.02
 # Minimum width of a map in metres. A smaller map of a short track would magnify noise.
 MIN_EXTENT_M = 4.0
 _WINDOW_S = 2.0
+# Largest margin of the uncertainty around a path in a picture, in m and relative to the path, as in map.js. A picture
+# of a larger band would show the path as a dot.
+_BAND_M, _BAND_SHARE = 8.0, 0.25
 
 
 def ellipse_rows(track: TrackRows) -> list[int]:
@@ -73,8 +76,18 @@ def band_rings(position_m: FloatArray, cov_m2: FloatArray) -> list[FloatArray]:
     quads = []
     for a, b, cov_a, cov_b, n in zip(position_m[:-1], position_m[1:], cov_m2[:-1], cov_m2[1:], left, strict=True):
         side_a, side_b = (RADIUS_95 * cov @ n / max(np.sqrt(n @ cov @ n), 1e-9) for cov in (cov_a, cov_b))
-        quads.append(np.array([a - side_a, b - side_b, b + side_b, a + side_a, a - side_a]))
+        # sorted by direction, because a ring that crosses itself or is clockwise would be a hole in the ellipses
+        corners = np.array([a - side_a, b - side_b, b + side_b, a + side_a])
+        east, north = (corners - 0.5 * (a + b)).T
+        round_ = np.argsort(np.arctan2(north, east))
+        quads.append(corners[[*round_, round_[0]]])
     return [*rings, *quads]
+
+
+def band_margin_m(track: TrackRows) -> FloatArray:
+    """Return how far from the path its band of uncertainty widens a picture at most, to east and north, (2,) in m."""
+    way_m = np.vstack([track.start_position_m, track.position_m])
+    return np.maximum(_BAND_M, _BAND_SHARE * np.ptp(way_m, axis=0))
 
 
 def ellipse_axes(cov_m2: FloatArray) -> tuple[FloatArray, FloatArray]:

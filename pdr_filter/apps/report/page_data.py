@@ -190,6 +190,7 @@ def _plan(plan: FloorPlan | None, track: TrackRows) -> list[dict[str, Any]]:
         {
             "fill": colour if feature.is_area else None,
             "edge": palette.WALL if feature.is_area or kind == "wall" else colour,
+            "width": 1.2 if feature.is_area else palette.PLAN_WIDTHS[kind],
             "rings": [np.round(ring, 2).tolist() for ring in feature.lines],
         }
         for storey in storeys_of(plan, track.floor)

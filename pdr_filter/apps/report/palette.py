@@ -19,16 +19,17 @@ FAINT = "#777777"  # remarks, baselines
 GRID = "#E6E6E6"
 WRONG = "#AA0000"  # rejected or unusual values
 ELLIPSE = "#556677"  # outline and fill, with the opacities below
-# Colours of floor plans are pale, so that a track is visible on them.
-WALL = "#8A8478"
+# Areas of floor plans are pale, so that a track is visible on them. Lines are visible on a picture of the plan.
+WALL = "#6E675B"
 PLAN_COLOURS = {
     "floor": "#FBFAF6",
     "room": "#E4DFD3",
     "stairs": "#D3E0EC",
     "lift": "#E8D8E4",
     "wall": "#B7B0A2",
-    "door": "#9BC29B",
+    "door": "#3F9142",
 }
+PLAN_WIDTHS = {"wall": 2.5, "door": 5.0}  # of lines, pixels
 ELLIPSE_EDGE_ALPHA, BAND_ALPHA = 0.6, 0.2
 
 

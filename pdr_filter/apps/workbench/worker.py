@@ -1,7 +1,8 @@
 """Worker process of the workbench: reads, smooths and exports walks, and converts pictures of floor plans.
 
 Every request names files that the server has chosen, so no text from a browser becomes a path here. Results are in the
-cache under the checksum of all that they depend on: the recording, its marks, its floor plan and the version.
+cache under the checksum of all that they depend on: the recording, its marks, its floor plan, the version and the
+files of the report.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -221,7 +223,7 @@ class Worker:
         folder = marks_folder(path)
         plan = marks_in(folder).plan
         drawn = b"" if plan is None or not plan.exists() else read_small(plan, limits.MAX_PLAN_BYTES)
-        parts = checksum, version_of(mark_files(folder)), hashlib.sha256(drawn).hexdigest(), __version__
+        parts = checksum, version_of(mark_files(folder)), hashlib.sha256(drawn).hexdigest(), __version__, _of_report()
         return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
 
     def _progress(self, path: str) -> Callable[[float], None]:
@@ -249,6 +251,13 @@ def progress_of(cache: Path, path: str) -> float:
     with suppress(OSError, ValueError):
         return float((cache / f"{_name_of(path)}.progress").read_text())
     return 0.0
+
+
+@cache
+def _of_report() -> str:
+    """Return the checksum of all files that make a report: a stored report must fit the page that shows it."""
+    files = [p for p in (_PACKAGE / "apps" / "report").rglob("*") if p.suffix in (".py", ".js", ".css", ".html")]
+    return hashlib.sha256(b"".join(path.read_bytes() for path in sorted(files))).hexdigest()
 
 
 def _name_of(path: str) -> str:

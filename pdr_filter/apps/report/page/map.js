@@ -2,6 +2,7 @@
 // Map of the path of a report, with floor plan, locations, ground truth and other tracks.
 
 const FAR_M = 500; // a floor plan that is this far from the path lies at a wrong place
+const BAND_M = 8, BAND_SHARE = 0.25; // largest margin of the uncertainty around the whole path: in metres, or relative to it
 
 class WayMap extends PlaneMap {
   constructor(box, onStep) {
@@ -15,6 +16,8 @@ class WayMap extends PlaneMap {
     this.isWhole = true;
     this.still = L.layerGroup().addTo(this.leaflet); // layers that do not depend on the selected step
     this.now = L.layerGroup().addTo(this.leaflet); // layers of the selected step
+    this.numbers = L.layerGroup().addTo(this.leaflet); // of warnings, which depend on the zoom
+    this.leaflet.on("zoomend", () => { if (this.way) this.drawWarnings(); });
     this.pictures = new Map(); // of storeys; that of the selected step is shown
     this.marked = []; // east and north of known points, which are in view if they are near the path
     // The workbench selects steps by clicks alone, and uses clicks for marks.
@@ -32,7 +35,7 @@ class WayMap extends PlaneMap {
 
   get track() { return this.tracks[this.chosen]; }
 
-  // Select the step nearest to a position, if it is within this many pixels.
+  // Select the step nearest to a position, if it is within this many pixels. Return whether there is one.
   point(latlng, within) {
     const { east, north } = this.track, place = this.frame.place(latlng);
     let best = -1, least = (within / this.scale) ** 2;
@@ -41,6 +44,7 @@ class WayMap extends PlaneMap {
       if (apart <= least) [best, least] = [k, apart];
     }
     if (best >= 0) this.onStep(best);
+    return best >= 0;
   }
 
   whole() {
@@ -56,18 +60,23 @@ class WayMap extends PlaneMap {
       if (track.truth && !this.hidden.has("truth")) track.truth.east.forEach((east, k) => add(east, track.truth.north[k]));
     }
     // More than the tracks as well, but nothing that is far outside of them: it would make the path small.
-    const near = (values, least) => {
-      const low = Math.min(...values), high = Math.max(...values), more = Math.max(high - low, least);
+    const near = (values, least, share) => {
+      const low = Math.min(...values), high = Math.max(...values), more = Math.max(share * (high - low), least);
       return value => value > low - more && value < high + more;
     };
-    const adding = least => {
-      const isEast = near(easts, least), isNorth = near(norths, least);
-      return (east, north) => { if (isEast(east) && isNorth(north)) add(east, north); };
+    const adding = (least, share = 1) => {
+      const isEast = near(easts, least, share), isNorth = near(norths, least, share);
+      return (east, north) => {
+        const isNear = isEast(east) && isNorth(north);
+        if (isNear) add(east, north);
+        return isNear;
+      };
     };
-    const addNear = adding(20), addMark = adding(100), addPlan = adding(FAR_M);
+    const addNear = adding(20), addBand = adding(BAND_M, BAND_SHARE), addMark = adding(100), addPlan = adding(FAR_M);
     for (const { gps } of this.hidden.has("GPS") ? [] : this.tracks) gps?.east.forEach((east, k) => addNear(east, gps.north[k]));
-    for (const { band, east, north, major } of this.hidden.has("ellipses") ? [] : this.tracks) {
-      for (const k of band) for (const by of [-major[k], major[k]]) addNear(east[k] + by, north[k] + by);
+    for (const track of this.hidden.has("ellipses") ? [] : this.tracks) {
+      const { band, east, north, major } = track, beyond = k => [-major[k], major[k]].filter(by => !addBand(east[k] + by, north[k] + by)).length;
+      track.beyond = band.filter(beyond).reduce((most, k) => Math.max(most, major[k]), 0); // half axis of the largest ellipse that is cut off
     }
     this.marked.forEach(place => addMark(...place));
     if (!this.hidden.has("plan")) {
@@ -105,7 +114,7 @@ class WayMap extends PlaneMap {
     if (track.truth && shown("truth")) this.drawTruth(track.truth);
     if (track.anchors && shown("anchors")) this.places(track.anchors).forEach(place => this.still.addLayer(this.mark(place, "anchor", "", 12)));
     this.drawEnds(track);
-    if (shown("warnings")) this.drawWarnings(track);
+    this.drawWarnings();
     this.show(this.row);
   }
 
@@ -121,9 +130,9 @@ class WayMap extends PlaneMap {
 
   drawPlan(plan) {
     const opacity = Number(styleColour("--plan")); // plan colours are chosen for a white background
-    for (const { fill, edge, rings } of plan) {
+    for (const { fill, edge, width, rings } of plan) {
       const places = rings.map(ring => ring.map(place => this.at(...place)));
-      const options = { color: edge, weight: 1.2, opacity };
+      const options = { color: edge, weight: width, opacity: fill ? opacity : Math.max(opacity, 0.8), lineCap: "butt" };
       this.still.addLayer(fill ? L.polygon(places, { ...options, fillColor: fill, fillOpacity: this.pictures.size ? 0 : opacity }) : L.polyline(places, options));
     }
   }
@@ -171,14 +180,21 @@ class WayMap extends PlaneMap {
 
   drawEnds(track) {
     this.dot(this.at(...track.start), 5, "--paper", { stroke: true, weight: 2, color: styleColour("--ink"), fillColor: styleColour("--paper") });
-    if (track.east.length) this.still.addLayer(this.mark(this.way.at(-1), "end", "", 9));
+    if (track.east.length) this.still.addLayer(this.mark(this.way.at(-1), "end", "", 12).setZIndexOffset(1e6)); // above the arrow
   }
 
-  drawWarnings({ warnings = [], time, start_s: start }) {
-    for (const [number, at] of warnings) {
-      const k = time.findLastIndex(each => each <= at);
-      if (time.length && at >= start) this.still.addLayer(this.mark(this.way[k + 1], "place", number, 18));
+  // Draw the numbers of warnings, and those whose signs would overlap in one sign.
+  drawWarnings() {
+    const { warnings = [], time, start_s: start } = this.track, signs = [];
+    this.numbers.clearLayers();
+    if (!time.length || this.hidden.has("warnings")) return;
+    for (const [number, at] of warnings.filter(([, at]) => at >= start)) {
+      const place = this.way[time.findLastIndex(each => each <= at) + 1], pixel = this.leaflet.project(place);
+      const other = signs.find(each => each.pixel.distanceTo(pixel) < 20);
+      if (other) other.numbers.push(number);
+      else signs.push({ place, pixel, numbers: [number] });
     }
+    for (const { place, numbers } of signs) this.numbers.addLayer(this.mark(place, "place", numbers.join(", ")));
   }
 
   ellipseOf(k) {
@@ -199,9 +215,12 @@ class WayMap extends PlaneMap {
     };
     const quads = track.band.slice(1).map((b, i) => {
       const a = track.band[i], { east, north } = track, left = [north[a] - north[b], east[b] - east[a]];
-      const [one, other] = [sides(a)(...left), sides(b)(...left)];
+      const [one, other] = [sides(a)(...left), sides(b)(...left)], middle = [(east[a] + east[b]) / 2, (north[a] + north[b]) / 2];
+      // Sorted by direction, the corners go round counter-clockwise, as those of ellipses do: other rings would be holes.
+      const round = ([x, y]) => Math.atan2(y - middle[1], x - middle[0]);
       return [[a, one, -1], [b, other, -1], [b, other, 1], [a, one, 1]]
-        .map(([k, side, sign]) => this.at(east[k] + sign * side[0], north[k] + sign * side[1]));
+        .map(([k, side, sign]) => [east[k] + sign * side[0], north[k] + sign * side[1]])
+        .sort((p, q) => round(p) - round(q)).map(place => this.at(...place));
     });
     return [...track.band.map(k => this.ellipseOf(k)), ...quads];
   }

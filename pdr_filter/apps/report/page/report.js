@@ -154,13 +154,28 @@ function showReport({ tracks, tiles, origin }) {
     return data;
   }
 
-  // Direction at the top and at the bottom of the chart of headings: the one near which the fewest steps are, because
-  // these are drawn at both ends. South, if there are none.
+  // Direction at the top and at the bottom of the chart of headings: the one near which the fewest steps are, because legs
+  // in this direction leave the range of one turn. South, if there are none.
   function cutOf(headings) {
     const steps = headings.filter(v => v !== null), apart = (a, b) => Math.abs((a - b + 540) % 360 - 180);
     const near = cut => steps.filter(v => apart(v, cut) < 40).length;
     const cuts = Array.from({ length: 24 }, (_, k) => 15 * (k + 1)).sort((a, b) => apart(a, 180) - apart(b, 180));
     return cuts.map(cut => [near(cut), cut]).reduce((best, each) => each[0] < best[0] ? each : best)[1];
+  }
+
+  // Headings with whole turns added, so that the steps of one leg are drawn without a jump. A leg begins within half a turn
+  // of `middle`, and may then leave this range by a quarter turn. The median of five steps ignores single odd steps.
+  function unwrapped(headings, middle) {
+    const near = (value, to) => to + ((value - to + 180) % 360 + 360) % 360 - 180, known = headings.filter(value => value !== null), drawn = [];
+    for (const value of known) {
+      const recent = drawn.slice(-5).sort((a, b) => a - b), leg = [drawn.at(-1), recent[recent.length >> 1]];
+      const found = near(value, leg.find(each => each !== undefined && Math.abs(near(value, each) - each) < 45) ?? middle);
+      const back = Math.abs(found - middle) > 270 ? near(value, middle) - found : 0; // with the steps of its leg before
+      for (let k = drawn.length - 1; back && k >= 0 && Math.abs(drawn[k] - found) < 45; k--) drawn[k] += back;
+      drawn.push(found + back);
+    }
+    let k = 0;
+    return headings.map(value => value === null ? null : drawn[k++]);
   }
 
   const band = { bands: [{ series: [2, 1], fill: () => styleColour("--accent") + "33" }] };
@@ -211,13 +226,13 @@ function showReport({ tracks, tiles, origin }) {
       made.push(chart("speed", 180, banded(t.speed, t.speed_std, 0), [hidden, hidden, drawn("--accent")], { ...band, scale: from0 }));
       const of = t.contexts.map((_, c) => t.groups.contexts.group.map((own, k) => own === c ? t.length[k] : null));
       made.push(chart("lengths", 180, [t.time, ...of], t.context_colours.map(dots), { scale: from0 }));
-      const cut = cutOf(t.heading), quarters = [-270, -180, -90, 0, 90, 180, 270];
-      const below = headings => headings.map(v => v !== null && v > cut ? v - 360 : v);
-      const phone = t.phone_heading ? [below(t.phone_heading)] : [];
-      made.push(chart("heading", 180, [t.time, ...phone, below(t.heading)],
-        [...phone.map(() => dots(() => styleColour("--faint"))), dots(() => styleColour("--accent"))],
-        { scale: { range: [cut - 370, cut + 10] }, splits: quarters.filter(v => v >= cut - 360 && v <= cut),
-          yValues: (_, at) => at.map(v => `${(v + 360) % 360}°`) }));
+      const middle = cutOf(t.heading) - 180, headings = [t.phone_heading, t.heading].filter(Boolean).map(each => unwrapped(each, middle));
+      const ends = [Math.min, Math.max].map((end, k) => headings.flat().filter(v => v !== null).reduce((a, b) => end(a, b), middle + (k ? 180 : -180)));
+      const quarters = Array.from({ length: 11 }, (_, k) => 90 * (k - 5));
+      made.push(chart("heading", 180, [t.time, ...headings],
+        [...headings.slice(1).map(() => dots(() => styleColour("--faint"))), dots(() => styleColour("--accent"))],
+        { scale: { range: [ends[0] - 10, ends[1] + 10] }, splits: quarters.filter(v => v >= ends[0] && v <= ends[1]),
+          yValues: (_, at) => at.map(v => `${(v + 720) % 360}°`) }));
     }
     charts = made;
     isFollowing = true;
@@ -247,7 +262,7 @@ function showReport({ tracks, tiles, origin }) {
 
   function layers() {
     const all = {
-      ellipses: ["95 % uncertainty", track.ellipses.length],
+      ellipses: [`95 % uncertainty${track.beyond ? `, which is larger than the map (± ${number(track.beyond, 0)} m)` : ""}`, track.ellipses.length],
       truth: [track.truth?.points ? "known points, aligned" : "ground truth, aligned", track.truth],
       GPS: ["locations of the phone, with their accuracies", track.gps],
       plan: ["floor plan", track.plan.length],

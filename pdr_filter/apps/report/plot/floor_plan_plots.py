@@ -15,7 +15,7 @@ from matplotlib.transforms import Bbox
 
 from pdr_filter.apps.maps.floor_plan import FloorPlan
 from pdr_filter.apps.maps.storey import Storey
-from pdr_filter.apps.report.palette import INK, PLAN_COLOURS, WALL
+from pdr_filter.apps.report.palette import INK, PLAN_COLOURS, PLAN_WIDTHS, WALL
 from pdr_filter.apps.report.plot.figures import PLAIN_TEXT, add_legend, new_figure, save
 
 
@@ -29,10 +29,10 @@ def draw_storey(axes: Axes, storey: Storey) -> None:
         ]
         filled = PathCollection(areas, facecolors=colour, edgecolors=WALL, linewidths=0.6, zorder=0.5)
         axes.add_collection(filled, autolim=False)
-    for kind, width in (("wall", 1.4), ("door", 2.6)):
+    for kind, width in PLAN_WIDTHS.items():
         lines = [line for f in storey.features if f.kind == kind and not f.is_area for line in f.lines]
         colour = WALL if kind == "wall" else PLAN_COLOURS["door"]
-        axes.add_collection(LineCollection(lines, colors=colour, linewidths=width, zorder=0.6), autolim=False)
+        axes.add_collection(LineCollection(lines, colors=colour, linewidths=0.6 * width, zorder=0.6), autolim=False)
 
 
 def plan(plan: FloorPlan, path: str | pathlib.Path | None = None) -> Figure:

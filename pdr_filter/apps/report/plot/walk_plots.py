@@ -19,6 +19,7 @@ from pdr_filter.apps.maps.floor_plan import FloorPlan, plan_of
 from pdr_filter.apps.report import palette
 from pdr_filter.apps.report.geometry import (
     MIN_EXTENT_M,
+    band_margin_m,
     band_rings,
     band_rows,
     ellipse_axes,
@@ -321,7 +322,7 @@ def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
         )
     )
     # matplotlib ignores both when it sets the limits of axes, so the bounding boxes of all ellipses are added
-    reach_m = ellipse_extent(track.position_cov_m2[band])
+    reach_m = np.minimum(ellipse_extent(track.position_cov_m2[band]), band_margin_m(track))
     axes.update_datalim(np.vstack([track.position_m[band] - reach_m, track.position_m[band] + reach_m]))
 
 
@@ -382,7 +383,9 @@ def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]
     if len(track.anchors_m):
         handles.append(Line2D([], [], marker="^", markerfacecolor="white", label="anchor of ranges", **ends))
     if track.n_steps:
-        handles.append(Patch(facecolor=(palette.ELLIPSE, palette.BAND_ALPHA), label="95 % uncertainty"))
+        reach_m = ellipse_extent(track.position_cov_m2)
+        larger = f" (±{reach_m.max():.0f} m, cut off)" if (reach_m > band_margin_m(track)).any() else ""
+        handles.append(Patch(facecolor=(palette.ELLIPSE, palette.BAND_ALPHA), label=f"95 % uncertainty{larger}"))
     if track.n_steps and places_at(track, -1):
         handles.append(Patch(**_PLACE_STYLE, label="possible end"))
     if has_reference:
@@ -409,5 +412,5 @@ def _write_notes(figure: Figure, notes: tuple[str, ...]) -> None:
     shown = [f"Note: {note}" for note in notes[:_MAX_NOTES]]
     if len(notes) > _MAX_NOTES:
         shown.append(f"and {len(notes) - _MAX_NOTES} more notes")
-    text = "\n".join(textwrap.fill(note, 110) for note in shown)
+    text = "\n".join(textwrap.fill(note, 110) for note in shown).replace("`", "")
     figure.supxlabel(text, x=0.02, ha="left", fontsize=9, color=FAINT, **PLAIN_TEXT)

@@ -131,10 +131,10 @@ const MODES = {
 function begin(name) {
   if (mode?.name === name) return cancel();
   if (mode) cancel();
-  if (!report() || now() === null) return say(text("no_step"), true);
-  mode = { name, steps: [...MODES[name].steps], fixes: [], time: now() };
-  byId(name).setAttribute("aria-pressed", true);
+  if (!report() || now() === null) return say(text("no_path"), true);
   const { map } = report();
+  mode = { name, steps: [...MODES[name].steps], fixes: [], time: now(), crosses: L.layerGroup().addTo(map.leaflet) };
+  byId(name).setAttribute("aria-pressed", true);
   map.isTaking = true;
   map.cross = L.DomUtil.create("div", "cross middle", map.box);
   map.box.scrollIntoView({ block: "nearest" });
@@ -143,8 +143,9 @@ function begin(name) {
 }
 
 function hint() {
-  report().map.cross.hidden = mode.steps[0] === "choose";
-  say(text(`step_${mode.steps[0]}`, { time: clock(mode.time) }));
+  const [step] = mode.steps;
+  report().map.cross.hidden = step === "choose";
+  say(text(step === "choose" && mode.fixes.length ? "step_second" : `step_${step}`, { time: clock(mode.time) }));
 }
 
 function end() {
@@ -152,6 +153,7 @@ function end() {
   const { map } = report();
   map.isTaking = false;
   map.cross.remove();
+  mode.crosses.remove();
   mode = null;
 }
 
@@ -164,14 +166,11 @@ function cancel() {
 function take([east, north], latlng = null) {
   const { map } = report(), what = mode.steps[0];
   if (what === "choose") {
-    if (latlng) {
-      map.row = -1;
-      map.point(latlng, 60);
-    }
-    if (now() === null) return say(text("no_step"), true);
+    if (latlng && !map.point(latlng, 60)) return say(text("no_step"), true);
     mode.time = now();
   } else if (what === "place") {
     mode.fixes.push([mode.time, east, north, FIX_STD_M, null, null]);
+    mode.crosses.addLayer(map.mark(map.at(east, north), "cross waiting", "", 18));
   } else {
     const fix = mode.fixes.at(-1), heading = Math.atan2(east - fix[1], north - fix[2]) * 180 / Math.PI;
     fix.splice(4, 2, (heading + 360) % 360, HEADING_STD_DEG);
@@ -269,20 +268,32 @@ byId("show-walk").addEventListener("click", reload);
 
 // --- export ----------------------------------------------------------------------------------------------------------
 
-// Draw the parts of the map that are HTML: the square at the end, crosses of known points, numbers of warnings, scale bar
-// and north arrow.
+// Draw the parts of the map that are HTML: the arrow of the pedestrian, the square at the end, crosses of known points,
+// numbers of warnings, scale bar and north arrow.
 function drawSigns(pen, box, frameOf) {
-  const bars = { cross: ([x, y, w, h]) => [[x + w / 2 - 1, y, 2, h], [x, y + h / 2 - 1, w, 2]], end: place => [place],
+  const bars = { cross: ([x, y, w, h]) => [[x + w / 2 - 1, y, 2, h], [x, y + h / 2 - 1, w, 2]], end: ([x, y, w, h]) => [[x + 1.5, y + 1.5, w - 3, h - 3]],
     "bar-of-metres": ([x, y, w, h]) => [[x, y + h - 1.5, w, 1.5], [x, y + h / 2, 1.5, h / 2], [x + w - 1.5, y + h / 2, 1.5, h / 2]] };
-  for (const sign of box.querySelectorAll(".cross, .end, .anchor, .percent, .place, .bar-of-metres, .north")) {
+  for (const sign of box.querySelectorAll(".walker svg, .cross, .end, .anchor, .percent, .place, .bar-of-metres, .north")) {
     const at = sign.getBoundingClientRect(), style = getComputedStyle(sign), { offsetWidth: width, offsetHeight: height } = sign;
     const x = -width / 2, y = -height / 2, kind = [...sign.classList].find(name => bars[name]);
     pen.save();
     pen.translate((at.left + at.right) / 2 - frameOf.left, (at.top + at.bottom) / 2 - frameOf.top);
+    if (sign.localName === "svg") {
+      const { a, b, c, d } = new DOMMatrix(style.transform), arrow = new Path2D(sign.firstChild.getAttribute("d"));
+      pen.transform(a, b, c, d, 0, 0);
+      Object.assign(pen, { fillStyle: style.fill, strokeStyle: style.stroke, lineWidth: parseFloat(style.strokeWidth) });
+      pen.fill(arrow);
+      pen.stroke(arrow);
+      pen.restore();
+      continue;
+    }
     if (sign.matches(".rejected")) pen.rotate(Math.PI / 4);
     pen.fillStyle = style.backgroundColor; // of the end, and of the numbers of warnings
-    if (sign.classList.contains("place")) pen.fill(new Path2D(`M${x} 0a${-x} ${-x} 0 1 0 ${width} 0a${-x} ${-x} 0 1 0 ${-width} 0`));
+    pen.beginPath();
+    pen.roundRect(x, y, width, height, height / 2);
+    if (sign.classList.contains("place")) pen.fill();
     if (kind !== "end") pen.fillStyle = style.color;
+    else Object.assign(pen, { strokeStyle: style.borderTopColor, lineWidth: 1.5 }).strokeRect(x + 0.75, y + 0.75, width - 1.5, height - 1.5);
     if (kind) bars[kind]([x, y, width, height]).forEach(bar => pen.fillRect(...bar));
     Object.assign(pen, { textAlign: "center", textBaseline: "top", font: `${style.fontWeight} ${style.fontSize} ${style.fontFamily}` });
     pen.fillText(sign.classList.contains("anchor") ? "\u25B2" : sign.textContent, 0, y + (sign.classList.contains("place") ? 3 : 0));
@@ -299,10 +310,9 @@ async function png() {
   pen.scale(2, 2);
   pen.fillStyle = getComputedStyle(box).backgroundColor;
   pen.fillRect(0, 0, frameOf.width, frameOf.height);
-  const parts = [...box.querySelectorAll("img:not([hidden]), svg, canvas")], walker = box.querySelector(".walker svg");
-  for (const part of [...parts.filter(each => each !== walker), walker]) {
-    if (part === walker) drawSigns(pen, box, frameOf);
-    if (!part) break;
+  const depth = part => Number(getComputedStyle(part.closest(".leaflet-pane > .leaflet-pane")).zIndex);
+  const parts = [...box.querySelectorAll("img:not([hidden]), :not(.walker) > svg, canvas")];
+  for (const part of parts.sort((one, other) => depth(one) - depth(other))) {
     const at = part.getBoundingClientRect();
     let picture = part;
     if (part.localName === "svg") {
@@ -313,7 +323,7 @@ async function png() {
       copy.setAttribute("height", at.height);
       copy.querySelectorAll("path").forEach((shape, k) => {
         const style = getComputedStyle(shapes[k]);
-        for (const name of ["fill", "fill-opacity", "stroke", "stroke-opacity", "stroke-width"]) shape.style.setProperty(name, style.getPropertyValue(name));
+        for (const name of ["display", "fill", "fill-opacity", "stroke", "stroke-opacity", "stroke-width"]) shape.style.setProperty(name, style.getPropertyValue(name));
       });
       picture = new Image();
       picture.src = `data:image/svg+xml;charset=utf-8,${encodeURIComponent(new XMLSerializer().serializeToString(copy))}`;
@@ -329,6 +339,7 @@ async function png() {
     } else pen.drawImage(picture, at.left - frameOf.left, at.top - frameOf.top, at.width, at.height);
     pen.restore();
   }
+  drawSigns(pen, box, frameOf);
   element("a", { href: made.toDataURL("image/png"), download: `${state.walk.name}.png` }).click();
 }
 
@@ -368,4 +379,5 @@ attempt(async () => {
   state = await ask(base);
   fill();
   await reload();
+  document.querySelector(".side").inert = false; // the result has moved the form down
 });
