@@ -681,10 +681,12 @@ class ReckonedWalk:
         # across a gap, the positions give the displacement during the gap, not that of the step
         moved = np.where((steps.gap_var_m2 > 0)[:, None], own, moved)
         heading = np.where(np.hypot(*moved.T) > 0.01, np.arctan2(moved[:, 0], moved[:, 1]), track.walking_heading_rad)
-        of_map = (found.weight[: len(problem.positions)] > 0) & (problem.positions.other < 0)
-        anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
+        is_used, nodes = found.weight[: len(problem.positions)] > 0, problem.intervals.nodes
+        of_map, closed = is_used & (problem.positions.other < 0), is_used & (problem.positions.other >= 0)
+        anchored = np.unique(nodes[problem.positions.node[of_map]])
+        ends = np.column_stack([nodes[problem.positions.other[closed]], nodes[problem.positions.node[closed]]])
         error_m = _consider_errors_m(own, cov, np.einsum("kab,kmb->kma", rotation, parameter_error_m))
-        position_cov = cov[:, :2, :2] + _since_fix_cov_m2(error_m, anchored)
+        position_cov = cov[:, :2, :2] + _since_fix_cov_m2(error_m, anchored, ends)
         start_cov = found.joint_cov[0, :2, :2]
         for source, clock in self.clocks.items():
             if clock.var_s2:
@@ -828,17 +830,31 @@ def _consider_errors_m(moved: FloatArray, cov: FloatArray, parameter_error_m: Fl
     return np.concatenate([np.stack(of_step, axis=1), parameter_error_m], axis=1)
 
 
-def _since_fix_cov_m2(error_m: FloatArray, anchored: IntArray) -> FloatArray:
+def _since_fix_cov_m2(error_m: FloatArray, anchored: IntArray, closures: IntArray) -> FloatArray:
     """Return the covariance (K, 2, 2) in m2 of each position due to errors (K, C, 2) that all steps share.
 
-    Each error is summed over the steps from the last or to the next anchor with a used fix, whichever sum is shorter.
-    `anchored` are the numbers of steps before these anchors. Without any, the sum begins at the start.
+    Each error is summed over the steps from the last or to the next known position, whichever sum is shorter. Known
+    positions are the anchors with a used fix, or the start without any. `anchored` are the numbers of steps before
+    these anchors. Both ends of a used loop closure have the smaller one of their errors. `closures` (L, 2) are the
+    numbers of steps before them.
     """
     total = np.concatenate([np.zeros_like(error_m[:1]), np.cumsum(error_m, axis=0)])
-    fixed = anchored if len(anchored) else np.zeros(1, dtype=np.int64)
-    after = np.searchsorted(fixed, np.arange(1, len(error_m) + 1))
-    back = total[1:] - total[fixed[np.maximum(after - 1, 0)]]
-    ahead = total[fixed[np.minimum(after, len(fixed) - 1)]] - total[1:]
-    nearer = (ahead**2).sum(axis=-1) < (back**2).sum(axis=-1)
-    nearest = np.where(nearer[..., None], ahead, back)
+    known = {int(k): np.zeros_like(total[0]) for k in (anchored if len(anchored) else [0])}
+
+    def smallest(steps: IntArray) -> FloatArray:
+        at = np.array(sorted(known))
+        known_m, after = np.array([known[k] for k in at.tolist()]) - total[at], np.searchsorted(at, steps)
+        back = total[steps] + known_m[np.maximum(after - 1, 0)]
+        ahead = total[steps] + known_m[np.minimum(after, len(at) - 1)]
+        return _shorter(ahead, back)
+
+    for ends in sorted(closures.tolist()):
+        at_ends = smallest(np.array(ends))
+        known |= dict.fromkeys(ends, _shorter(*at_ends))
+    nearest = smallest(np.arange(1, len(total)))
     return np.einsum("kca,kcb->kab", nearest, nearest)
+
+
+def _shorter(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the shorter one of two vectors (..., 2), the second one if both have the same length."""
+    return np.where(((first**2).sum(axis=-1) < (second**2).sum(axis=-1))[..., None], first, second)

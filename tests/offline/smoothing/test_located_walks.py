@@ -313,6 +313,17 @@ def test_a_walk_with_loop_ends_at_its_start() -> None:
     assert closed_end.position_std_m[-1] < 0.7 * open_end.position_std_m[-1]
 
 
+def test_a_loop_ends_as_certain_as_stated_after_the_gyroscope_has_ended() -> None:
+    """The second-order errors of an unknown heading are those of all steps, and the loop bounds their sum."""
+    walk = closed()
+    gyroscope = walk.gyroscope
+    is_first = gyroscope.time_s < 0.5 * walk.duration_s
+    half = Samples(gyroscope.time_s[is_first], gyroscope.values[is_first])
+    std_m = pdr.smooth(replace(walk, gyroscope=half), loop=True).track.position_std_m
+    assert std_m[-1] < 1.0
+    assert std_m.max() > 5.0
+
+
 def test_a_wrong_loop_is_reported_and_not_used() -> None:
     plain, stated = (pdr.smooth(closed(25.0), loop=loop) for loop in (False, True))
     (note,) = set(stated.notes) - set(plain.notes)
