@@ -46,8 +46,8 @@ _SHRUNK_WITHIN_S = 120.0
 _LONG_WAY, _MIN_SIZE = 10.0, 0.87
 # Locations shrink a walk and never enlarge it. Where their extent is larger than that of the walk, the steps are longer
 # than those of the model, and a shrinkage that longer steps hide is about the standard deviation of the step length of
-# people. The extent must be seven errors, so that an enlargement by two of these standard deviations (14 %) is more than
-# the error of a location at the edge of the walk.
+# people. The extent must be seven errors, so that an enlargement by two of these standard deviations (14 %) is more
+# than the error of a location at the edge of the walk.
 _LONG_WAY_OF_LARGER, _PEOPLE_STD = 7.0, 0.07
 # Median and 99.9 % quantile of the length of a vector with two standard normal components.
 _MEDIAN_RADIUS, _OUTLIER_RADIUS = 1.177, 3.717
