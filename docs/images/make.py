@@ -131,8 +131,8 @@ def demo_track() -> Figure:
 def real_track() -> Figure | None:
     """Return a figure of a real walk on the plan of its building, or None without recording and plan.
 
-    The first two surveyed points place the walk on the plan. From there on it is dead reckoning, and the other points
-    show its errors.
+    The first two surveyed points place the walk on the plan, and it ended where it began. The rest is dead reckoning,
+    and the other points show its errors.
     """
     if not (REAL_WALK.exists() and REAL_PLAN.exists()):
         return None
@@ -140,7 +140,7 @@ def real_track() -> Figure | None:
     time_s = walk.truth.waypoints.time_s
     surveyed_m = np.column_stack([walk.truth.waypoints.east_m, walk.truth.waypoints.north_m])
     given = [pdr.PositionFix(time_s[i], surveyed_m[i], 0.5**2 * np.eye(2)) for i in (0, 1)]
-    track = pdr.track(walk, pdr.recipes.default().in_world_frame(), fixes=given)
+    track = pdr.smooth(walk, pdr.recipes.default().in_world_frame(), fixes=given, loop=True).track
     tracked_m = np.column_stack([np.interp(time_s, track.time_s, column) for column in track.position_m.T])
     error_m = np.linalg.norm(tracked_m - surveyed_m, axis=1)[2:]
     figure = Figure(figsize=(8.0, 4.6), layout="constrained")
@@ -149,7 +149,9 @@ def real_track() -> Figure | None:
     drawn = axes.get_legend()
     (points,) = axes.plot(*surveyed_m[2:].T, "x", color=ORANGE, markeredgewidth=2, zorder=9)
     handles = [*(drawn.legend_handles if drawn else []), points]
-    labels = [*(text.get_text() for text in (drawn.get_texts() if drawn else [])), "surveyed, not used"]
+    texts = [text.get_text() for text in (drawn.get_texts() if drawn else [])]
+    # the axes below show the whole band
+    labels = [*(text.partition(" (±")[0] for text in texts), "surveyed, not used"]
     axes.legend(handles, labels, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=5)
     axes.set_aspect("equal", adjustable="box")
     axes.set(xlim=(-4.0, 80.0), ylim=(-8.0, 46.0))
