@@ -328,7 +328,8 @@ class Conditioner:
     def quiet_s(self, state: ConditionerState) -> tuple[float, float]:
         """Return the times between which rows complete no hop.
 
-        Such rows may be processed together with later ones. There are none before the first hop and the first check of units, and while the clock is in doubt.
+        Such rows may be processed together with later ones. There are none before the first hop and the first check of
+        units, and while the clock is in doubt.
 
         Parameters
         ----------
