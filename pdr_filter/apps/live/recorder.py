@@ -215,10 +215,11 @@ def exported_files(folder: Path, is_refused: bool = False) -> dict[str, Path]:
 def zip_parts(files: Mapping[str, Path]) -> Iterator[bytes]:
     """Yield the parts of a zip file with some files, by their names in it. Files of any length need little memory."""
     waiting = _Waiting()
-    with zipfile.ZipFile(waiting, "w", compression=zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(waiting, "w") as archive:
         for name, path in sorted(files.items()):
-            is_long = path.stat().st_size > 2**30
-            with path.open("rb") as source, archive.open(name, "w", force_zip64=is_long) as member:
+            about = zipfile.ZipInfo.from_file(path, name, strict_timestamps=False)
+            about.compress_type = zipfile.ZIP_DEFLATED
+            with path.open("rb") as source, archive.open(about, "w") as member:
                 while block := source.read(_ZIP_BLOCK_BYTES):
                     member.write(block)
                     yield waiting.taken()
