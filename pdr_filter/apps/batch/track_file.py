@@ -1,4 +1,4 @@
-"""Track of a file that is read, filtered and written in parts, so that the memory does not depend on its length."""
+"""Track of a file that is read, filtered and written in parts, for recordings that are longer than the memory."""
 
 from __future__ import annotations
 
@@ -216,7 +216,7 @@ def _absences(spans_s: Mapping[str, tuple[float, float]]) -> list[Note]:
 
 
 class _WrittenRows(recording_run.RowStore):
-    """Rows of a track that are written at once, or wait in a temporary file if a later fix can move them."""
+    """Writer of the rows of a track. Rows that a later fix can move wait in a temporary file."""
 
     def __init__(self, writer: PiecesWriter, waiting: IO[bytes], head: Recording) -> None:
         super().__init__()
@@ -224,7 +224,7 @@ class _WrittenRows(recording_run.RowStore):
         self._waiting = waiting
         self._places = array("d")  # time, east and north of each step
         self._phone = PhoneReports(head.phone_step_count is not None, head.phone_heading is not None)
-        self._phone_n_steps, self._phone_heading_rad = array("d"), array("d")  # of steps that are not written yet
+        self._phone_n_steps, self._phone_heading_rad = array("d"), array("d")  # values of steps that wait to be written
 
     def add_phone(self, others: Mapping[str, Samples], output: Output) -> None:
         """Add the phone's own steps and headings, and assign them to the final steps of an output."""

@@ -227,7 +227,7 @@ def zip_parts(files: Mapping[str, Path]) -> Iterator[bytes]:
 
 
 class _Waiting(io.RawIOBase):
-    """File that keeps what is written until it is taken."""
+    """File in memory whose content is taken in parts."""
 
     def __init__(self) -> None:
         self._content = bytearray()
@@ -240,7 +240,7 @@ class _Waiting(io.RawIOBase):
         return memoryview(content).nbytes
 
     def taken(self) -> bytes:
-        """Return what was written since the previous call."""
+        """Return the bytes written since the previous call."""
         content, self._content = bytes(self._content), bytearray()
         return content
 
