@@ -191,22 +191,29 @@ def _without_values(sheet: Sheet) -> list[int]:
     """Return the columns that may hold numbers and are empty in the first rows, so that their meaning is unknown."""
     is_empty = [bool(column.all()) for column in np.isnan(first_rows(sheet)).T]
     beside = sheet.dates | sheet.texts.keys()
-    return [i for i in range(len(sheet.fields)) if is_empty[i] and i not in beside and not _has_values(sheet.parse, i)]
+    empty = [i for i in range(len(sheet.fields)) if is_empty[i] and i not in beside]
+    known = _with_values(sheet.parse, empty)
+    return [i for i in empty if i not in known]
 
 
-def _has_values(rows: Parse, column: int) -> bool:
-    """Return True if a column holds a number. A column of texts holds none."""
+def _with_values(rows: Parse, columns: Sequence[int]) -> list[int]:
+    """Return the columns that hold a number. A column of texts holds none."""
+    if not columns:
+        return []
     with suppress(RecordingError):
-        return bool(np.isfinite(rows([column], None, []).values).any())
-    return False
+        values = rows(columns, None, []).values
+        return [i for i, column in zip(columns, values.T, strict=True) if np.isfinite(column).any()]
+    # a text in one of several columns
+    return [i for column in columns for i in _with_values(rows, [column])] if len(columns) > 1 else []
 
 
 def _streams_of(sheet: Sheet, mapping: ColumnMapping, zero: Zero, without: Sequence[int]) -> Iterator[Block]:
     """Yield the streams of a text table, block by block. WholeOnlyError for a value in the columns `without` values."""
     last_place = np.full(2, np.nan)
     for part in sheet.parse.in_parts() if isinstance(sheet.parse, TextRows) else ():
-        if late := [sheet.fields[i] for i in without if _has_values(part, i)]:
-            raise WholeOnlyError(f"the first rows have no value in {', '.join(late)}, and later rows have")
+        if late := _with_values(part, without):
+            names = ", ".join(sheet.fields[i] for i in late)
+            raise WholeOnlyError(f"the first rows have no value in {names}, and later rows have")
         parsed = Parsed(Path(), "")
         fill_streams(parsed, mapping, [replace(sheet, parse=part)], zero)
         if "location" in parsed.streams and len(parsed.streams["location"][0]):
