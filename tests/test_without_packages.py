@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from doctest import DocTestFinder
 from importlib import import_module
 from pathlib import Path
 
@@ -80,6 +81,11 @@ def test_without_gtsam_the_command_gives_the_online_track_with_a_note(blocked: C
     (track,) = console.estimates(WALK, False, False, False, None)
     assert not track.is_smoothed
     assert any("gtsam is not installed; pip install" in note for note in track.notes)
+
+
+def test_modules_that_need_gtsam_can_be_inspected_without_it(blocked: Callable[[str], None]) -> None:
+    blocked("gtsam")
+    assert DocTestFinder().find(import_module("pdr_filter.offline.smoothing.solve"))
 
 
 def test_an_error_inside_an_installed_package_is_not_called_a_missing_one(

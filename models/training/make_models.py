@@ -46,7 +46,13 @@ def gathered(mirror: Path | None, folder: Path | None = None) -> list[Path]:
             n_bytes = sum(path.stat().st_size for path in paths)
             licence = read(paths[0]).meta.get("licence", "not stated")
             print(f"{name}: {len(paths)} recordings, {n_bytes / 1e6:.1f} MB, licence: {licence}", file=sys.stderr)
-    return [path for name in NAMES for path in here.get(name) or datasets.fetch(name, folder, mirror)]
+    return [path for name in NAMES for path in here.get(name) or _fetched(name, folder, mirror)]
+
+
+def _fetched(name: str, folder: Path | None, mirror: Path | None) -> list[Path]:
+    """Return the recordings of a data set from its published files, in the mirror if it has them."""
+    has_files = mirror is not None and (mirror / name).is_dir()
+    return _without_duplicates(datasets.fetch(name, folder, mirror if has_files else None))
 
 
 def checksum(recording: Recording) -> str:
@@ -81,7 +87,11 @@ def compared(out_dir: Path, shipped: Path = MODELS) -> dict[str, bool]:
 
 
 def _recordings(folder: Path) -> list[Path]:
-    return [path for path in sorted(folder.glob("*.zip")) if path.stem not in DUPLICATES]
+    return _without_duplicates(sorted(folder.glob("*.zip")))
+
+
+def _without_duplicates(paths: Iterable[Path]) -> list[Path]:
+    return [path for path in paths if path.stem not in DUPLICATES]
 
 
 def main(out_dir: Path, mirror: Path | None = None) -> None:

@@ -1,6 +1,6 @@
 """The package gtsam, imported when the first of its names is used.
 
-`pdr_filter.smooth` can thus be imported where gtsam is not installed, and a call ends with the remedy.
+`pdr_filter.smooth` can thus be imported where gtsam is not installed, and a call raises an ImportError with the remedy.
 """
 
 from __future__ import annotations
@@ -15,6 +15,8 @@ else:
 
     class _LatePackage:
         def __getattr__(self, name: str) -> Any:
+            if name.startswith("__"):  # inspect and doctest ask every object for such names
+                raise AttributeError(name)
             value = getattr(load_optional("gtsam"), name)
             setattr(self, name, value)  # the next access finds the value without this method
             return value

@@ -322,6 +322,10 @@ class RowStore:
         """Return all pieces as one track, and release them."""
         return _joined(self.pieces)
 
+    def vertices(self, track: Track) -> FloatArray:
+        """Return time, east and north (K, 3) of the steps. `track` is the result of `joined`."""
+        return np.column_stack([track.time_s, track.position_m])
+
 
 def track_of_outputs(
     recording: Recording,
@@ -376,7 +380,7 @@ def track_of_outputs(
     start_m = frame.world(Pose(np.zeros(2), np.zeros((2, 2)), 0.0, 0)).position_m
     if first is not None and first.on_plan is not None:  # particles give no position before the first step
         start_m = position_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
-    vertices = np.vstack([[start_s, *start_m], np.column_stack([track.time_s, track.position_m])])
+    vertices = np.vstack([[start_s, *start_m], rows.vertices(track)])
     notes = notes_of(config, state, vertices, absences_in(recording.streams) if absent is None else absent())
     return replace(
         track,

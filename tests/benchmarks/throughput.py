@@ -5,7 +5,7 @@ usage: python -m tests.benchmarks.throughput [recordings] [calls] [costs] [long]
 
 Costs are those of one real walk, a part of the filter left out or put in. `--before` is another checkout of the
 project: its recordings are timed in turns with ours, ours twice, so that the two figures of one tree show what the
-machine adds. Limits are those that the package is built for, beside what is measured on a recording of `--hours`.
+machine adds. `limits` prints the figures of a recording of `--hours` beside those that the package must keep.
 Times are of the processor, one core. A batch is one simulated recording of ten minutes under many names,
 the embedded walk repeated in time. A recording of days is the same walk repeated.
 
@@ -203,7 +203,7 @@ def mostly_resting(hours: float, walking_share: float) -> pdr.Recording:
 
 
 def limits(tables: Tables, arguments: argparse.Namespace) -> None:
-    """What is measured beside its limit."""
+    """Measured speed and memory beside their limits."""
     block = pdr.merge_streams(pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
     minute = part_of(block, slice(0, int(np.searchsorted(block.time_s, block.time_s[0] + 60.0))))
 

@@ -34,7 +34,7 @@ SYSTEMS = {
 }
 # Packages that pip compiles where they have no wheel, in less than a minute, which needs a C++ compiler alone.
 COMPILED_BY_PIP = {("Linux ARM", "vqf")}
-EXTRAS = ("app", "live", "maps", "parquet", "excel", "ros", "hdf5", "datasets", "cluster")  # those of users
+EXTRAS = ("app", "live", "maps", "parquet", "excel", "ros", "hdf5", "datasets", "cluster")  # the extras for users
 
 
 def requirements() -> dict[str, list[Requirement]]:

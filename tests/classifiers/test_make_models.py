@@ -33,6 +33,24 @@ def test_recordings_of_a_mirror_are_used_and_their_licences_and_sizes_shown(
         assert f"{name}: 1 recordings, 0.0 MB, licence: licence of {name}" in shown
 
 
+def test_data_sets_without_a_folder_in_the_mirror_are_downloaded_without_duplicates(
+    mirror: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, object]] = []
+
+    def fetch(name: str, folder: object, of: object) -> list[Path]:
+        asked.append((name, of))
+        return [Path(f"{make_models.DUPLICATES[0]}.zip"), Path(f"{name}_2.zip")]
+
+    shutil.rmtree(mirror / "humolire")
+    (mirror / "motionsense" / "motionsense_1.zip").rename(mirror / "motionsense" / "published.csv")
+    monkeypatch.setattr(make_models.datasets, "fetch", fetch)
+    names = {path.stem for path in make_models.gathered(mirror)}
+    assert asked == [("humolire", None), ("motionsense", mirror)]
+    assert {"humolire_2", "motionsense_2"} < names
+    assert make_models.DUPLICATES[0] not in names
+
+
 def test_a_data_set_that_cannot_be_downloaded_is_named_before_anything_is_loaded(mirror: Path) -> None:
     shutil.rmtree(mirror / "tyrex")
     shutil.rmtree(mirror / "humolire")

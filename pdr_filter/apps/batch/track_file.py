@@ -1,15 +1,18 @@
-"""Track of a file that is read, filtered and written in parts, so that the memory does not depend on its length."""
+"""Track of a file that is read, filtered and written in parts, for recordings that are longer than the memory."""
 
 from __future__ import annotations
 
 import pickle
 import tempfile
+from array import array
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import IO
+
+import numpy as np
 
 from pdr_filter.data.io.files.track_writers import PiecesWriter, write_by_suffix
 from pdr_filter.data.io.formats import read
@@ -32,8 +35,9 @@ from pdr_filter.tracking.filtering import (
 )
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import check_sensors
-from pdr_filter.values import Fix, Note
+from pdr_filter.values import Fix, FloatArray, Note, Samples
 from pdr_filter.values.georeference import Georeference, GnssUse
+from pdr_filter.values.phone import PhoneReports
 from pdr_filter.values.recording import Recording
 from pdr_filter.values.safe_files import whole_file
 
@@ -85,9 +89,10 @@ def track_file(
 ) -> WrittenTrack:
     """Track a recording of any length, which is read, filtered and written in parts.
 
-    The file has the rows that `Track.to_csv` or `Track.to_parquet` writes for the result of `pdr_filter.track`. The
-    memory does not depend on the length, for files of the own format, tables as text, and files of RoNIN. Other
-    formats, and files whose times go back by 0.1 s or more, are read as a whole.
+    The file has the rows that `Track.to_csv` or `Track.to_parquet` writes for the result of `pdr_filter.track`. For
+    files of the own format, tables as text, and files of RoNIN, the memory grows by 24 bytes a step and does not depend
+    on the number of samples. Other formats, files whose times go back by 0.1 s or more, tables with a column that is
+    empty at first, and tracks on a floor plan are processed as a whole.
 
     Parameters
     ----------
@@ -119,7 +124,9 @@ def track_file(
 
     Notes
     -----
-    Notes that count samples of the whole file, such as those on repeated times, count those of its first minutes.
+    Notes that count samples of the whole file, such as those on repeated times, count those of its first minutes. The
+    units and meanings of the columns of a table are derived from its first minutes. Ground truth is not read, so that
+    no note says which fixes are ground truth.
 
     Examples
     --------
@@ -152,14 +159,16 @@ def track_file(
         with recording_in_parts(path, file_format) as opened, whole_file(out) as file:
             run = run_of(opened.head)
             check_sensors(run.recording, run.config)
+            if run.config.on_plan is not None:
+                raise WholeOnlyError("all rows of a track on a plan wait for its end")
             settings = replace(run.config, keeps_path=False)
-            with tempfile.TemporaryFile() as waiting:
-                rows = _WrittenRows(PiecesWriter(out, file), waiting)
-                results = _outputs(run, settings, opened.parts, progress)
+            with tempfile.TemporaryFile() as waiting, PiecesWriter(out, file) as writer:
+                rows = _WrittenRows(writer, waiting, run.recording)
+                results = _outputs(run, settings, opened.parts, rows, progress)
                 absent = partial(_absences, opened.spans_s)
                 about = recording_run.track_of_outputs(run.recording, settings, results, None, rows, absent)
-                about = run.with_given_origin(about)
-                rows.writer.close(about)
+                about = replace(run.with_given_origin(about), notes=opened.holding(about.notes))
+                writer.close(about)
             return WrittenTrack(out, rows.n_steps, rows.distance_m, about)
     except WholeOnlyError:
         recording = read(path, file_format)
@@ -179,7 +188,11 @@ def track_file(
 
 
 def _outputs(
-    run: recording_run.Run, config: Config, parts: Iterator[RecordingPart], progress: Callable[[float], None] | None
+    run: recording_run.Run,
+    config: Config,
+    parts: Iterator[RecordingPart],
+    rows: _WrittenRows,
+    progress: Callable[[float], None] | None,
 ) -> Iterator[tuple[State, Output]]:
     """Yield the state of the filter and its output for each part of a recording, and at its end."""
     state = add_fixes(config, init_filter(config), run.fixes)
@@ -189,10 +202,13 @@ def _outputs(
         if run.with_location and (location := part.others.get("location")) is not None:
             state = add_location(config, state, location)
         state, output = update_filter(config, state, part.block)
+        rows.add_phone(part.others, output)
         yield state, output
         if progress is not None:
             progress(part.fraction)
-    yield finish_filter(config, state)
+    state, output = finish_filter(config, state)
+    rows.add_phone({}, output)
+    yield state, output
 
 
 def _absences(spans_s: Mapping[str, tuple[float, float]]) -> list[Note]:
@@ -200,16 +216,31 @@ def _absences(spans_s: Mapping[str, tuple[float, float]]) -> list[Note]:
 
 
 class _WrittenRows(recording_run.RowStore):
-    """Rows of a track that are written at once, or wait in a temporary file if a later fix can move them."""
+    """Writer of the rows of a track. Rows that a later fix can move wait in a temporary file."""
 
-    def __init__(self, writer: PiecesWriter, waiting: IO[bytes]) -> None:
+    def __init__(self, writer: PiecesWriter, waiting: IO[bytes], head: Recording) -> None:
         super().__init__()
         self.writer, self.n_steps, self.distance_m = writer, 0, 0.0
         self._waiting = waiting
+        self._places = array("d")  # time, east and north of each step
+        self._phone = PhoneReports(head.phone_step_count is not None, head.phone_heading is not None)
+        self._phone_n_steps, self._phone_heading_rad = array("d"), array("d")  # values of steps that wait to be written
+
+    def add_phone(self, others: Mapping[str, Samples], output: Output) -> None:
+        """Add the phone's own steps and headings, and assign them to the final steps of an output."""
+        self._phone.add(others.get("phone_step_count"), others.get("phone_heading"))
+        at_s = np.array([update.step.time_s for update in output.updates if update.is_final])
+        n_steps, heading_rad = self._phone.at(at_s)
+        self._phone_n_steps.extend(n_steps)
+        self._phone_heading_rad.extend(heading_rad)
 
     def add(self, piece: Track) -> None:
         """Write rows."""
-        self.writer.write(piece)
+        columns = {"phone_n_steps": self._phone_n_steps, "phone_heading_rad": self._phone_heading_rad}
+        self.writer.write(replace(piece, **{name: np.array(c[: piece.n_steps]) for name, c in columns.items()}))
+        for column in columns.values():
+            del column[: piece.n_steps]
+        self._places.extend(super().vertices(piece).ravel())
         self.n_steps += piece.n_steps
         self.distance_m = piece.distance_m if piece.n_steps else self.distance_m
         self.pieces[:] = [recording_run.without_rows(piece)]
@@ -217,6 +248,10 @@ class _WrittenRows(recording_run.RowStore):
     def wait(self, output: Output) -> None:
         """Keep an output in the temporary file. The file is of this process only, so that unpickling it is safe."""
         pickle.dump(output, self._waiting)
+
+    def vertices(self, track: Track) -> FloatArray:
+        """Return time, east and north (K, 3) of the steps."""
+        return np.array(self._places).reshape(-1, 3)
 
     def outputs(self) -> Iterator[Output]:
         """Yield the outputs that wait."""

@@ -171,7 +171,7 @@ def _on_worker(work: Callable[[T], R], item: T) -> R | Failure:
     return _guarded(work, item)
 
 
-# Parameters of mallopt, and the thresholds that glibc reaches by itself when it has freed large arrays, in bytes.
+# Numbers of the parameters of mallopt. The thresholds, in bytes, are those of glibc after large arrays were freed.
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 _TRIM_BYTES, _MMAP_BYTES = 64 * 1024**2, 32 * 1024**2
 

@@ -13,6 +13,8 @@ from pdr_filter.apps.cli import console, options
 from pdr_filter.apps.cli.index_page import write_index
 
 if TYPE_CHECKING:
+    from pdr_filter.filter.pedestrian.person import Person
+    from pdr_filter.recipes.calibration import Calibration
     from pdr_filter.recipes.config import Config
     from pdr_filter.tracking.track import Track
     from pdr_filter.values.recording import Recording
@@ -49,6 +51,32 @@ class Method:
 
         recipes.check_name(self.recipe)
         return options.context_changes(self.classifier, self.model, self.transitions, self.recipe)
+
+    def known(self) -> tuple[Path | None, Person | Calibration | None]:
+        """Return the file of the phone and the person of an earlier walk, or None for a file that does not exist."""
+        from pdr_filter.recipes.calibration import read_person
+
+        device = self.device if self.device is not None and self.device.exists() else None
+        return device, read_person(self.person) if self.person is not None and self.person.exists() else None
+
+    def save_known(self, track: Track, person: Person | Calibration | None) -> None:
+        """Update the files of the phone and of the person after a walk. A calibration is not changed."""
+        from pdr_filter.recipes.calibration import Calibration
+
+        if self.device is not None and track.device is not None:
+            track.device.save(self.device)
+        if self.person is not None and track.person is not None and not isinstance(person, Calibration):
+            track.person.save(self.person)
+
+    def say_unknown_person(self) -> None:
+        """Print the reason if the file of the person could not be written."""
+        from pdr_filter.filter.pedestrian.person import MAX_SESSION_STD
+
+        if self.person is not None and not self.person.exists():
+            console.say(
+                f"{self.person} was not written, because the fixes of the walk do not determine the step length to "
+                f"{MAX_SESSION_STD:.0%}: track a walk of ten minutes outdoors, or give known positions"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,8 +197,6 @@ def track_command(
     --long writes the online track of each recording as a table, and needs little memory for a recording of any length.
     """
     import pdr_filter as pdr
-    from pdr_filter.filter.pedestrian.person import MAX_SESSION_STD
-    from pdr_filter.recipes.calibration import Calibration, read_person
 
     with console.one_line_errors():
         if workers.make_one_table():
@@ -203,8 +229,7 @@ def track_command(
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
         if radio is not None or ranges:
             config = config.in_world_frame()
-        device = method.device if method.device is not None and method.device.exists() else None
-        person = read_person(method.person) if method.person is not None and method.person.exists() else None
+        device, person = method.known()
         heard = [] if radio is None else options.wifi_fixes(radio, recording, georeference.plan is not None)
         tracks = console.estimates(
             recording,
@@ -220,10 +245,7 @@ def track_command(
             **where,
         )
         result = tracks[0]
-        if method.device is not None and result.device is not None:
-            result.device.save(method.device)
-        if method.person is not None and result.person is not None and not isinstance(person, Calibration):
-            result.person.save(method.person)
+        method.save_known(result, person)
         name = console.unique_name(result.name, written)
         replaced.extend(output.write(tracks, recording, name))
         listed[name] = result
@@ -234,11 +256,8 @@ def track_command(
 
     tracks, failed = console.each_file(files, track_one, as_json)
     console.say_replaced(replaced)
-    if tracks and method.person is not None and not method.person.exists():
-        console.say(
-            f"{method.person} was not written, because the fixes of the walk do not determine the step length to "
-            f"{MAX_SESSION_STD:.0%}: track a walk of ten minutes outdoors, or give known positions"
-        )
+    if tracks:
+        method.say_unknown_person()
     if output.out is not None and files != given and listed:
         with console.one_line_errors():
             write_index(listed, failed, output.out / "index.html")
@@ -301,10 +320,8 @@ def _track_long(
     output: OutputOptions,
 ) -> None:
     import pdr_filter as pdr
-    from pdr_filter.recipes.calibration import read_person
 
     changes, written = method.changes(), set[str]()
-    person = None if method.person is None else read_person(method.person)
 
     def config(head: Recording) -> Config:
         head = head if source.height_m is None else head.of_height(source.height_m)
@@ -314,25 +331,27 @@ def _track_long(
         name = console.unique_name(file.stem, written)
         out = (output.out or Path()) / f"{name}.{'parquet' if output.parquet else 'csv'}"
         console.say_replaced(console.existing(out))
+        device, person = method.known()
         done = pdr.batch.track_file(
             file,
             out,
             config,
             weighting=method.weighting,
-            device=method.device if method.device is not None and method.device.exists() else None,
+            device=device,
             person=person,
             gnss=georeference.gnss,
             file_format=source.file_format,
             progress=progress,
         )
-        if method.device is not None and done.about.device is not None:
-            done.about.device.save(method.device)
+        method.save_known(done.about, person)
         return done
 
     tracks, failed = console.each_file(console.recording_paths(files), track_one)
     for done in tracks:
         console.print_line(f"{done.path}: {done.n_steps} steps, {done.distance_m:.1f} m, {done.about.duration_s:.1f} s")
     console.print_notes([done.about for done in tracks])
+    if tracks:
+        method.say_unknown_person()
     console.exit_if_failed(failed, len(failed) + len(tracks))
 
 

@@ -215,10 +215,11 @@ def exported_files(folder: Path, is_refused: bool = False) -> dict[str, Path]:
 def zip_parts(files: Mapping[str, Path]) -> Iterator[bytes]:
     """Yield the parts of a zip file with some files, by their names in it. Files of any length need little memory."""
     waiting = _Waiting()
-    with zipfile.ZipFile(waiting, "w", compression=zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(waiting, "w") as archive:
         for name, path in sorted(files.items()):
-            is_long = path.stat().st_size > 2**30
-            with path.open("rb") as source, archive.open(name, "w", force_zip64=is_long) as member:
+            about = zipfile.ZipInfo.from_file(path, name, strict_timestamps=False)
+            about.compress_type = zipfile.ZIP_DEFLATED
+            with path.open("rb") as source, archive.open(about, "w") as member:
                 while block := source.read(_ZIP_BLOCK_BYTES):
                     member.write(block)
                     yield waiting.taken()
@@ -226,7 +227,7 @@ def zip_parts(files: Mapping[str, Path]) -> Iterator[bytes]:
 
 
 class _Waiting(io.RawIOBase):
-    """File that keeps what is written until it is taken."""
+    """File in memory whose content is taken in parts."""
 
     def __init__(self) -> None:
         self._content = bytearray()
@@ -239,7 +240,7 @@ class _Waiting(io.RawIOBase):
         return memoryview(content).nbytes
 
     def taken(self) -> bytes:
-        """Return what was written since the previous call."""
+        """Return the bytes written since the previous call."""
         content, self._content = bytes(self._content), bytearray()
         return content
 

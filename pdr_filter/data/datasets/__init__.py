@@ -219,7 +219,7 @@ def fetch(name: str, folder: str | Path | None = None, mirror: str | Path | None
         try:
             _load(name, dataset, source, partial / _RAW)
         except BaseException:
-            _remove_empty(partial / _RAW)
+            _remove_empty(partial)
             raise
         _write(name, dataset, partial, folder / "maps" / f"{name}.geojson")
         partial.rename(to)
@@ -270,7 +270,8 @@ def _load(name: str, dataset: Dataset, source: str | Path, raw: Path) -> None:
                 else:
                     load_optional("pooch").HTTPDownloader()(quote(where, ":/"), content, None)
                 content.flush()
-                received = hashlib.sha256(Path(content.name).read_bytes()).hexdigest()
+                with Path(content.name).open("rb") as written:
+                    received = hashlib.file_digest(written, "sha256").hexdigest()
                 if known.get(file, received) != received:
                     raise ValueError(
                         f"{name}: {where} has changed since its checksum was recorded: do not use the file, and report "
@@ -300,9 +301,9 @@ def _size(source: str | Path, files: Sequence[str]) -> str:
 
 
 def _remove_empty(folder: Path) -> None:
-    """Remove a folder and its subfolders if they have no files, and then the folders above that are empty."""
+    """Remove a folder and its subfolders if they have no files."""
     below = [path for path in folder.rglob("*") if path.is_dir()]
-    for path in (*sorted(below, reverse=True), folder, *folder.parents[:3]):
+    for path in (*sorted(below, reverse=True), folder):
         with suppress(OSError):  # not empty
             path.rmdir()
 

@@ -17,6 +17,7 @@ from pdr_filter.values.quaternions import rotation_matrix
 
 _MOST_STEPS_PER_S = 5.0  # sprinters take 4 to 5; what grows faster numbers rows
 _TURN_RAD = 2 * math.pi + 1e-9
+NO_OVERLAP = "its times do not overlap those of the accelerometer"
 
 
 def checked_streams(
@@ -105,7 +106,7 @@ def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
     notes: list[str] = []
     for name, samples in streams.items():
         if samples.time_s.min() > time_s.max() or samples.time_s.max() < time_s.min():
-            notes.append(f"{name}{suffix}: its times do not overlap those of the accelerometer")
+            notes.append(f"{name}{suffix}: {NO_OVERLAP}")
         stream = describe_stream(name, samples)
         if stream.n_duplicates or stream.n_backward:
             notes.append(

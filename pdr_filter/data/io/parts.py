@@ -7,7 +7,7 @@ times, and are then merged as `merge_streams` merges the whole recording, with t
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -17,7 +17,8 @@ import numpy as np
 
 from pdr_filter.data.io.apps.ronin import open_ronin
 from pdr_filter.data.io.assemble import Parsed
-from pdr_filter.data.io.column_names import ANGLES, GRAVITY, LINEAR
+from pdr_filter.data.io.checks import NO_OVERLAP
+from pdr_filter.data.io.column_names import ANGLES, GRAVITY, LINEAR, PHONE_HEADING, PHONE_STEPS
 from pdr_filter.data.io.detection import detect
 from pdr_filter.data.io.files.archive import open_members
 from pdr_filter.data.io.files.own_format import folder_of, recording_of_streams, stream_blocks
@@ -26,13 +27,14 @@ from pdr_filter.data.io.folders import only_recording_in
 from pdr_filter.data.io.formats import known_format
 from pdr_filter.data.io.tables.any_table import filled_by_guess, sheets_of
 from pdr_filter.data.io.tables.column_mapping import Mapping as ColumnMapping
-from pdr_filter.data.io.tables.sheet import Sheet
+from pdr_filter.data.io.tables.sheet import Parse, Sheet
 from pdr_filter.data.io.tables.table_streams import Zero, fill_streams, sheet_of
-from pdr_filter.data.io.tables.text_sheets import TextRows
+from pdr_filter.data.io.tables.text_sheets import TextRows, first_rows
 from pdr_filter.data.io.text_table import finite
 from pdr_filter.sensing.clock import MAX_GAP_S, REORDER_S, is_behind, latest_before
 from pdr_filter.sensing.conditioning import at_times
 from pdr_filter.values import FloatArray, ImuBlock, Samples, limits
+from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
 
 # Times (N,) and values (N, d) of some streams, by name.
@@ -48,7 +50,7 @@ _RONIN_ROWS = 100_000
 _HEAD_BLOCKS = 2
 _INTERPOLATED = ("gyroscope", "magnetometer")
 _SORTED = ("accelerometer", *_INTERPOLATED, "barometer")  # streams that `one_clock` sorts by time
-_USED = (*_SORTED, "location")
+_USED = (*_SORTED, "location", PHONE_HEADING, PHONE_STEPS)
 
 
 class WholeOnlyError(Exception):
@@ -80,6 +82,15 @@ class RecordingInParts:
     head: Recording
     parts: Iterator[RecordingPart]
     spans_s: dict[str, tuple[float, float]]
+
+    def holding(self, notes: Sequence[str]) -> tuple[str, ...]:
+        """Return notes without those on first samples of a stream, if later ones overlap those of the accelerometer."""
+        first_s, last_s = self.spans_s["accelerometer"]
+        overlapping = [
+            name for name, (begin_s, end_s) in self.spans_s.items() if begin_s <= last_s and end_s >= first_s
+        ]
+        refuted = {f"{name}{suffix}: {NO_OVERLAP}" for name in overlapping for suffix in ("", ".csv")}
+        return tuple(note for note in notes if note not in refuted)
 
 
 @contextmanager
@@ -161,7 +172,8 @@ def _table(path: Path) -> Generator[_Opened]:
             streams = tuple(s for s in mapping.streams if sheet_of(s, mapping, filled.sheets) is first)
             if streams:
                 used = replace(sheet, used=first.used, notes=notes)
-                sources.append(_since(_streams_of(used, replace(mapping, streams=streams), filled.zero), zero_s))
+                blocks = _streams_of(used, replace(mapping, streams=streams), filled.zero, _without_values(first))
+                sources.append(_since(blocks, zero_s))
         yield head, sources, fraction
 
 
@@ -175,10 +187,33 @@ def _first_rows(sheet: Sheet) -> Sheet:
     return replace(sheet, parse=replace(rows, blocks=lambda: islice(rows.blocks(), _HEAD_BLOCKS)))
 
 
-def _streams_of(sheet: Sheet, mapping: ColumnMapping, zero: Zero) -> Iterator[Block]:
-    """Yield the streams of a text table, block by block."""
+def _without_values(sheet: Sheet) -> list[int]:
+    """Return the columns that may hold numbers and are empty in the first rows, so that their meaning is unknown."""
+    is_empty = [bool(column.all()) for column in np.isnan(first_rows(sheet)).T]
+    beside = sheet.dates | sheet.texts.keys()
+    empty = [i for i in range(len(sheet.fields)) if is_empty[i] and i not in beside]
+    known = _with_values(sheet.parse, empty)
+    return [i for i in empty if i not in known]
+
+
+def _with_values(rows: Parse, columns: Sequence[int]) -> list[int]:
+    """Return the columns that hold a number. A column of texts holds none."""
+    if not columns:
+        return []
+    with suppress(RecordingError):
+        values = rows(columns, None, []).values
+        return [i for i, column in zip(columns, values.T, strict=True) if np.isfinite(column).any()]
+    # a text in one of several columns
+    return [i for column in columns for i in _with_values(rows, [column])] if len(columns) > 1 else []
+
+
+def _streams_of(sheet: Sheet, mapping: ColumnMapping, zero: Zero, without: Sequence[int]) -> Iterator[Block]:
+    """Yield the streams of a text table, block by block. WholeOnlyError for a value in the columns `without` values."""
     last_place = np.full(2, np.nan)
     for part in sheet.parse.in_parts() if isinstance(sheet.parse, TextRows) else ():
+        if late := _with_values(part, without):
+            names = ", ".join(sheet.fields[i] for i in late)
+            raise WholeOnlyError(f"the first rows have no value in {names}, and later rows have")
         parsed = Parsed(Path(), "")
         fill_streams(parsed, mapping, [replace(sheet, parse=part)], zero)
         if "location" in parsed.streams and len(parsed.streams["location"][0]):

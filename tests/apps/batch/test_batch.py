@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import platform
 import shutil
 import signal
 import subprocess
@@ -678,3 +679,18 @@ def test_a_process_that_is_killed_between_two_requests_is_started_again() -> Non
             assert worker.ask([1]) == 1
     finally:
         worker.close()
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="glibc has this allocator")
+def test_workers_of_a_cluster_keep_freed_memory() -> None:
+    code = (
+        "import resource, numpy as np\n"
+        "from pdr_filter.apps.batch.workers import keep_freed_memory\n"
+        "keep_freed_memory()\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "for _ in range(100): np.ones(100_000)\n"
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)"
+    )
+    environment = os.environ | {"MALLOC_TRIM_THRESHOLD_": "65536"}  # as Dask starts its workers
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert int(done.stdout) < 1000  # each of the 100 arrays has 195 pages

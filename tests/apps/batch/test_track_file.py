@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -70,6 +71,63 @@ def test_the_file_of_a_track_in_parts_equals_that_of_the_whole_recording(
     assert done[-1] == pytest.approx(1.0)
 
 
+def test_streams_that_begin_late_and_reports_of_the_phone_are_those_of_the_whole_recording(
+    walk: pdr.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    time_s = np.arange(5.0, 15.0)
+    place = np.column_stack([48.0 + 1e-5 * time_s, 11.0 + 0 * time_s, 500.0 + 0 * time_s, 5.0 + 0 * time_s])
+    counts = np.where(time_s < 9.0, 7000.0, 0.0) + time_s.round()  # the phone was started again
+    late = replace(
+        walk,
+        location=Samples(time_s, place),
+        phone_step_count=Samples(time_s, counts[:, None]),
+        phone_heading=Samples(np.arange(0.0, 15.0, 0.5), np.arange(0.0, 3.0, 0.1)[:, None]),
+    )
+    path = own(late, tmp_path)
+    whole = pdr.track(read(path))
+    small_parts(monkeypatch)
+    written = pdr.batch.track_file(path, tmp_path / "parts.csv")
+    assert written.path.read_bytes() == whole.to_csv(tmp_path / "whole.csv").read_bytes()
+    assert written.about.notes == whole.notes
+    assert written.about.origin == whole.origin is not None
+
+
+def test_a_table_with_a_column_that_is_empty_at_first_is_tracked_as_a_whole(
+    walk: pdr.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = table(walk, tmp_path)
+    header, *rows = path.read_text().splitlines()
+    rows = [f"{row},{900 + 0.01 * i:.2f}" if i > 800 else f"{row}," for i, row in enumerate(rows)]
+    path.write_text("\n".join([f"{header},pressure (hPa)", *rows, ""]))
+    whole = pdr.track(read(path))
+    small_parts(monkeypatch)
+    written = pdr.batch.track_file(path, tmp_path / "parts.csv")
+    assert written.path.read_bytes() == whole.to_csv(tmp_path / "whole.csv").read_bytes()
+    assert any("barometer: no samples before" in note for note in whole.notes)
+    assert written.about.notes == whole.notes
+
+
+def test_the_place_where_a_ride_begins_and_a_track_on_a_plan_are_those_of_the_whole_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    legs = [pdr.simulate.Leg("walking", distance_m=20.0), pdr.simulate.Leg("stationary", duration_s=40.0)]
+    path = own(pdr.simulate.simulate(legs), tmp_path)
+    north_m = [min(1.4 * s, 20.0) + 10.0 * max(s - 20.0, 0.0) for s in np.arange(1.0, 45.0, 2.0)]
+    fixes = [pdr.PositionFix(1.0 + 2.0 * i, np.array([0.5, y]), np.eye(2)) for i, y in enumerate(north_m)]
+    corners = [[-9, -9], [9, -9], [9, 40], [-9, 40], [-9, -9]]
+    geometry = {"type": "Polygon", "coordinates": [corners]}
+    hall = {"type": "Feature", "properties": {"type": "floor", "name": "hall"}, "geometry": geometry}
+    (tmp_path / "hall.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [hall]}))
+    on_plan = pdr.recipes.default().with_plan(pdr.FloorPlan.read(tmp_path / "hall.geojson"))
+    ride = pdr.track(read(path), fixes=fixes)
+    plan = pdr.track(read(path), on_plan)
+    small_parts(monkeypatch)
+    assert any("as in a vehicle" in note for note in ride.notes)
+    assert pdr.batch.track_file(path, tmp_path / "ride.csv", fixes=fixes).about.notes == ride.notes
+    written = pdr.batch.track_file(path, tmp_path / "plan.csv", on_plan)
+    assert written.path.read_bytes() == plan.to_csv(tmp_path / "whole.csv").read_bytes()
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_merged_parts_equal_merged_streams(
     walk: pdr.Recording, seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -97,6 +155,22 @@ def test_a_clock_that_is_set_back_is_tracked_as_a_whole(
     written = pdr.batch.track_file(path, tmp_path / "parts.csv")
     whole = pdr.track(read(path)).to_csv(tmp_path / "whole.csv")
     assert written.path.read_bytes() == whole.read_bytes()
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_an_interrupted_run_leaves_no_file(
+    walk: pdr.Recording, kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(fraction: float) -> None:
+        if fraction > 0.5:
+            raise KeyboardInterrupt
+
+    path = own(walk, tmp_path)
+    small_parts(monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        pdr.batch.track_file(path, tmp_path / "out" / f"parts.{kind}", progress=stop)
+    assert [*(tmp_path / "out").iterdir()] == []
 
 
 def test_rows_that_fixes_move_are_written_in_the_last_frame(

@@ -26,8 +26,11 @@ pytestmark = pytest.mark.usefixtures("sensing_once")
 MODELS = Path(__file__).resolve().parents[3] / "models"
 
 
-def test_a_person_without_fixes_is_not_written_and_a_message_says_so(walk: Path, tmp_path: Path) -> None:
-    result = succeed("track", walk, "--person", tmp_path / "me.json")
+@pytest.mark.parametrize("options", [[], ["--long"]])
+def test_a_person_without_fixes_is_not_written_and_a_message_says_so(
+    walk: Path, options: list[str], tmp_path: Path
+) -> None:
+    result = succeed("track", walk, "--person", tmp_path / "me.json", "--out", tmp_path, *options)
     assert "me.json was not written, because the fixes of the walk do not determine" in result.stderr.replace("\n", "")
     assert not (tmp_path / "me.json").exists()
 
@@ -48,6 +51,8 @@ def test_track_json_is_one_object_a_line_and_nothing_else_on_stdout(walk: Path, 
 def test_long_writes_the_table_of_the_online_track(walk: Path, tmp_path: Path) -> None:
     result = succeed("track", walk, "--long", "--out", tmp_path, "--height", "1.9")
     expected = pdr.track(pdr.read(walk).of_height(1.9))
+    succeed("track", walk, "--long", "--out", tmp_path / "again", "--device", tmp_path / "phone.json")
+    assert repr(pdr.Device.load(tmp_path / "phone.json")) == repr(expected.device)
     assert (tmp_path / f"{walk.stem}.csv").read_bytes() == expected.to_csv(tmp_path / "whole.csv").read_bytes()
     assert f"{expected.n_steps} steps, {expected.distance_m:.1f} m" in result.stdout
 

@@ -189,11 +189,14 @@ def test_a_mirror_is_used_in_place_of_the_network_and_its_size_is_shown_first(
     assert shown.index("licence: CC0") < shown.index(f"size: {n_bytes / 1e6:.1f} MB in 4 files")
 
 
-def test_a_download_that_fails_at_once_leaves_nothing_behind(tmp_path: Path, publish: Publish) -> None:
+def test_a_download_that_fails_at_once_leaves_no_files_and_keeps_the_given_folder(
+    tmp_path: Path, publish: Publish
+) -> None:
     publish("http://127.0.0.1:9")
+    (tmp_path / "cache").mkdir()
     with pytest.raises(ConnectionError):
         datasets.fetch("little", tmp_path / "cache")
-    assert list(tmp_path.rglob("*")) == []
+    assert list(tmp_path.rglob("*")) == [tmp_path / "cache"]
 
 
 def test_a_data_set_has_its_name_only_when_it_is_complete(tmp_path: Path, home: str, publish: Publish) -> None:

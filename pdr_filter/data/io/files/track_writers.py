@@ -63,21 +63,34 @@ _GROUP_ROWS = 50_000
 class PiecesWriter:
     """Writer of consecutive pieces of a track into one CSV or Parquet file, whose suffix decides.
 
-    The file has the rows of `write_csv` or `write_parquet` for the whole track.
+    The file has the rows of `write_csv` or `write_parquet` for the whole track. The first piece with rows decides the
+    columns, because an earlier one may lack an origin.
     """
 
     def __init__(self, path: Path, file: IO[bytes]) -> None:
-        self._file, self._n = file, 0
+        self._file, self._has_header = file, False
         self._writer: Any = None
         self._tables: list[Any] = []  # rows of the next row group
         self._is_parquet = path.suffix.lower() == ".parquet"
         if self._is_parquet:
             pandas_for_parquet(path)
 
+    def __enter__(self) -> PiecesWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Release the Parquet file after an error. pyarrow would write to it later, when it is closed."""
+        if self._writer is not None:
+            self._writer.close()
+
     def write(self, piece: TrackRows) -> None:
         """Append the rows of a piece."""
+        if piece.n_steps:
+            self._append(piece)
+
+    def _append(self, piece: TrackRows) -> None:
         if not self._is_parquet:
-            self._file.write(_csv_text(_columns(piece), with_header=self._n == 0).encode())
+            self._file.write(_csv_text(_columns(piece), with_header=not self._has_header).encode())
         else:
             import pyarrow  # pyright: ignore
             import pyarrow.parquet  # pyright: ignore
@@ -89,7 +102,7 @@ class PiecesWriter:
             self._tables.append(rows)
             if sum(map(len, self._tables)) >= _GROUP_ROWS:
                 self._write_group()
-        self._n += 1
+        self._has_header = True
 
     def _write_group(self) -> None:
         import pyarrow  # pyright: ignore
@@ -100,6 +113,8 @@ class PiecesWriter:
 
     def close(self, track: TrackRows) -> None:
         """Finish the file. Name, notes, frame and origin of the track are its metadata if it is a Parquet file."""
+        if not self._has_header:
+            self._append(track)
         if self._writer is not None:
             import pyarrow  # pyright: ignore
 
