@@ -86,8 +86,9 @@ def track_file(
     """Track a recording of any length, which is read, filtered and written in parts.
 
     The file has the rows that `Track.to_csv` or `Track.to_parquet` writes for the result of `pdr_filter.track`. The
-    memory does not depend on the length, for files of the own format, tables as text, and files of RoNIN. Other
-    formats, and files whose times go back by 0.1 s or more, are read as a whole.
+    memory does not depend on the length, for files of the own format, tables as text, and files of RoNIN. The rows then
+    lack the steps and headings that the phone computed itself. Other formats, and files whose times go back by 0.1 s or
+    more, are read as a whole.
 
     Parameters
     ----------
