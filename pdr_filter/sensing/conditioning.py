@@ -337,9 +337,10 @@ class Conditioner:
 
         Returns
         -------
-        after_s, until_s : float
-            Such rows have increasing times after the first and up to the second time, s. If there are none, the second
-            time is minus infinity.
+        after_s : float
+            Such rows have increasing times after this one, s.
+        until_s : float
+            Latest time of such rows, s. Minus infinity if there are none.
         """
         clock = state.clock
         is_begun = state.report.n_emitted > 0 and state.units.n > 0 and len(state.rows) > 0
