@@ -28,7 +28,7 @@ def is_foreign(value: Any) -> bool:
     return where.partition(".")[0] != "pdr_filter"
 
 
-def _is_defined(value: Any) -> bool:  # an alias of a type, such as `FloatArray`, does not say where it stands
+def _is_defined(value: Any) -> bool:  # an alias of a type, such as `FloatArray`, has no module
     return type(value) is not GenericAlias and (inspect.isclass(value) or inspect.isfunction(value))
 
 

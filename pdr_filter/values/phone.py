@@ -8,8 +8,8 @@ from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import FloatArray, IntArray
 from pdr_filter.values.samples import Samples
 
-# A phone reports its first steps in groups of some seconds. A counter that begins above counts since the phone was
-# started.
+# A phone reports its first steps in groups of some seconds. A counter that begins with more steps counts since the
+# phone was started.
 _MOST_FIRST_STEPS = 50
 
 

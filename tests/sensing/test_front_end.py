@@ -211,7 +211,7 @@ def test_a_second_pass_with_kept_results_equals_one_that_senses_again(monkeypatc
 
 
 def test_stored_events_give_the_track_of_the_same_samples_and_of_no_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As modules with the fixture `sensing_once` rely on."""
+    """Modules with the fixture `sensing_once` rely on it."""
     walk = simulate([Leg("walking", distance_m=18.0)], seed=1)
     assert walk.gyroscope is not None
     turned = replace(walk, gyroscope=Samples(walk.gyroscope.time_s, walk.gyroscope.values + np.array([0.0, 0.0, 0.1])))

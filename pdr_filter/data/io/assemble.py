@@ -82,7 +82,7 @@ class Parsed:
         )
 
     def _leave_out_of_phone(self) -> None:
-        """Leave out the phone's own steps and headings if they are something else, and say so among the findings."""
+        """Leave out the phone's own steps and headings if they are something else. `found` gets a sentence about it."""
         time_s = self.streams["accelerometer"][0]
         known_s = time_s[np.isfinite(time_s)]
         duration_s = float(np.ptp(known_s)) if len(known_s) else 0.0

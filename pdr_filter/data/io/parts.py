@@ -347,7 +347,7 @@ class _Merger:
             if last_s >= until_s:
                 break
             if max(len(force.time_s), len(buffer.time_s)) > _MOST_WAITING:
-                raise WholeOnlyError("a sensor is silent for hours, or has another clock")
+                raise WholeOnlyError("a sensor has no samples for hours, or has another clock")
             self._read(buffer.source)
 
     def _interpolated(self, name: str, at_s: FloatArray) -> FloatArray:

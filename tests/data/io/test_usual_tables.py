@@ -197,6 +197,18 @@ def test_times_in_minutes_hours_and_days_are_read(
     assert recording.epoch_s == (None if epoch_s is None else pytest.approx(epoch_s + TIME_S[0], abs=1e-3))
 
 
+@pytest.mark.parametrize(("name", "per_s"), [("time", 1.0), ("Time (min)", 1 / 60)])
+@pytest.mark.parametrize("hz", [0.5, 2.0])
+def test_slow_sensors_have_the_unit_of_time_of_the_accelerometer(
+    tmp_path: Path, name: str, per_s: float, hz: float
+) -> None:
+    slow_s = np.arange(TIME_S[0], TIME_S[-1], 1 / hz)
+    write(tmp_path, table_text({name: TIME_S * per_s} | axes("%", FORCE)), "accelerometer.csv")
+    write(tmp_path, table_text({"time": slow_s * per_s, "pressure": 1000.0 + slow_s}), "barometer.csv")
+    recording = read(tmp_path)
+    np.testing.assert_allclose(recording.barometer.time_s, slow_s - TIME_S[0], atol=1e-6)
+
+
 @pytest.mark.parametrize("name", ["time_of_day", "Time of hour", "minute time", "timestamp day"])
 def test_a_word_for_a_longer_span_in_the_name_of_seconds_is_no_unit(tmp_path: Path, name: str) -> None:
     recording = read(write(tmp_path, table_text({name: TIME_S} | BOTH)))

@@ -333,6 +333,13 @@ def test_segments_of_one_recording_count_less_than_independent_segments() -> Non
 # --- bad input ------------------------------------------------------------------------------------------------------
 
 
+def test_standard_deviations_of_people_and_population_are_those_of_their_covariances() -> None:
+    found = calibrate_segments([segment(np.random.default_rng(16), BounceStepLength(), np.array([0.383]))])
+    for result in (found, found.subjects["anna"]):
+        for name, cov in result.k_cov.items():
+            np.testing.assert_allclose(result.k_std[name] ** 2, np.diagonal(cov), rtol=1e-12)
+
+
 def test_one_corridor_of_one_person_gives_a_k_between_the_data_and_the_prior() -> None:
     rng = np.random.default_rng(16)
     only = segment(rng, BounceStepLength(), np.array([0.383]))

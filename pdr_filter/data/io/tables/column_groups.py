@@ -121,7 +121,7 @@ def phone_groups_of(sheet: Sheet, at: int) -> list[Group]:
 
 
 def _is_readable(sheet: Sheet, place: int) -> bool:
-    """Return True if all cells of a column are numbers, or empty. Readers do without the other ones."""
+    """Return True if all cells of a column are numbers, or empty. Other columns are ignored."""
     with suppress(RecordingError):
         sheet.parse([place], None, [])
         return sheet.fields.count(sheet.fields[place]) == 1

@@ -112,10 +112,11 @@ def guess(
     asked = partial(asked_mapping, sheets, groups, _file_of(where))
     rate_hz = _rate_of_rows(sheets, groups, dialect, where)
     streams = [_stream(group, sheets[group.sheet], dialect, rate_hz) for group in groups]
-    # The unit of an accelerometer's times is that of slower sensors, whose times do not show it.
-    units = [s.time_unit for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
-    usual = next(filter(None, units), "s")
-    streams = [s if s.time_unit else replace(s, time_unit=usual, time_s=s.time_s * TIME_UNITS[usual]) for s in streams]
+    # Times of slower sensors than the accelerometer do not show their unit.
+    fast = (s for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY))
+    fastest = next((s for s in fast if s.time_unit and len(s.time_s)), None)
+    streams = [s if s is fastest else _in_time_unit_of(fastest, s) for s in streams]
+    streams = [s if s.time_unit else replace(s, time_unit="s") for s in streams]
     streams = [s for s in streams if len(s.values)]
     counted = [s for s in streams if _is_counted(s)]
     streams = [s for s in streams if s not in counted]
@@ -460,6 +461,21 @@ def _sign(
         "negative on z, turns come out mirrored: then convert the file with --platform ios"
     )
     return 1
+
+
+def _in_time_unit_of(other: _Stream | None, s: _Stream) -> _Stream:
+    """Return a stream in the unit of time of another one if its times then agree better, unless its name states one."""
+    if other is None or s.is_time_declared or not len(s.time_s):
+        return s
+    factor = TIME_UNITS[other.time_unit] / TIME_UNITS.get(s.time_unit, 1.0)
+    same = replace(s, time_unit=other.time_unit, time_s=s.time_s * factor)
+    return max(s, same, key=lambda each: (bool(each.time_unit), _share_of_common_time(each, other)))
+
+
+def _share_of_common_time(a: _Stream, b: _Stream) -> float:
+    """Return the time in which both streams have samples as a fraction of the time from the first to the last one."""
+    both_s = np.concatenate([a.time_s, b.time_s])
+    return _common_s(a, b) / max(float(np.ptp(both_s)), 1e-9)
 
 
 def _common_s(s: _Stream, other: _Stream) -> float:
