@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
 import typer
 
 from pdr_filter.apps.cli import console, options
@@ -14,6 +15,7 @@ from pdr_filter.apps.cli.index_page import write_index
 
 if TYPE_CHECKING:
     from pdr_filter.recipes.config import Config
+    from pdr_filter.sensing.device import Device
     from pdr_filter.tracking.track import Track
     from pdr_filter.values.recording import Recording
 
@@ -34,7 +36,9 @@ class Method:
     model: options.ModelFile = None
     transitions: options.TransitionsFile = None
     device: Path | None = typer.Option(
-        None, help="File with the gyroscope bias of the phone. It is read if it exists, and updated after the walk."
+        None,
+        help="File with the gyroscope bias of the phone. It is read if it exists, and updated after a walk that "
+        "determines the bias better.",
     )
     person: options.PersonFile = None
     radio: options.RadioFile = None
@@ -197,6 +201,7 @@ def track_command(
     replaced: list[Path] = []
     listed: dict[str, Track] = {}
     by_phone: list[int | None] = []
+    learnt: list[str] = []
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
@@ -221,7 +226,7 @@ def track_command(
         )
         result = tracks[0]
         if method.device is not None and result.device is not None:
-            result.device.save(method.device)
+            learnt.append(_update_device(method.device, result.device))
         if method.person is not None and result.person is not None and not isinstance(person, Calibration):
             result.person.save(method.person)
         name = console.unique_name(result.name, written)
@@ -234,6 +239,8 @@ def track_command(
 
     tracks, failed = console.each_file(files, track_one, as_json)
     console.say_replaced(replaced)
+    for text in learnt:
+        console.say(text)
     if tracks and method.person is not None and not method.person.exists():
         console.say(
             f"{method.person} was not written, because the fixes of the walk do not determine the step length to "
@@ -246,6 +253,30 @@ def track_command(
         console.print_tracks(tracks, by_phone)
         console.say_written(output.out)
     console.exit_if_failed(failed, len(files))
+
+
+def _update_device(path: Path, learnt: Device) -> str:
+    """Write the phone of a walk to its file unless the file knows the gyroscope bias better, and return what was done.
+
+    The better bias has the smaller determinant of its covariance.
+    """
+    from pdr_filter.sensing.device import Device
+
+    known = Device.load(path) if path.exists() else None
+    if known is not None and np.linalg.det(known.bias_cov_radps2) < np.linalg.det(learnt.bias_cov_radps2):
+        return (
+            f"{path} was not changed, because its gyroscope bias, {_bias(known)}, is known better than that of this "
+            f"walk, {_bias(learnt)}: delete the file to replace it"
+        )
+    learnt.save(path)
+    return f"{path}: gyroscope bias {_bias(learnt)}"
+
+
+def _bias(device: Device) -> str:
+    """Return the bias about the three axes of the sensor, with its standard deviations, as text."""
+    std_radps = np.sqrt(np.diag(device.bias_cov_radps2))
+    each = zip(device.bias_radps.tolist(), std_radps.tolist(), strict=True)
+    return ", ".join(f"{1e3 * bias:z.1f} ± {1e3 * std:.1f}" for bias, std in each) + " mrad/s about x, y, z"
 
 
 def _check_one_table(
@@ -303,7 +334,7 @@ def _track_long(
     import pdr_filter as pdr
     from pdr_filter.recipes.calibration import read_person
 
-    changes, written = method.changes(), set[str]()
+    changes, written, learnt = method.changes(), set[str](), list[str]()
     person = None if method.person is None else read_person(method.person)
 
     def config(head: Recording) -> Config:
@@ -326,13 +357,15 @@ def _track_long(
             progress=progress,
         )
         if method.device is not None and done.about.device is not None:
-            done.about.device.save(method.device)
+            learnt.append(_update_device(method.device, done.about.device))
         return done
 
     tracks, failed = console.each_file(console.recording_paths(files), track_one)
     for done in tracks:
         console.print_line(f"{done.path}: {done.n_steps} steps, {done.distance_m:.1f} m, {done.about.duration_s:.1f} s")
     console.print_notes([done.about for done in tracks])
+    for text in learnt:
+        console.say(text)
     console.exit_if_failed(failed, len(failed) + len(tracks))
 
 
