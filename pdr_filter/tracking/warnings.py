@@ -50,7 +50,9 @@ def notes_of(
     report, walked = state.sensing.conditioner.report, state.statistics.walked
     is_turn_named = any(note.text.startswith("gyroscope") for note in absent)
     # True if the heading was certain until the gyroscope ended, which `absent` names
-    is_ended = is_turn_named and walked.unknown_from_s > report.last_time_s - report.n_without_rate / report.rate_hz - 1.0
+    is_ended = (
+        is_turn_named and walked.unknown_from_s > report.last_time_s - report.n_without_rate / report.rate_hz - 1.0
+    )
     notes += [
         *_sensor_notes(config, state),
         *_window_notes(state.statistics.seen, is_turn_named),

@@ -119,7 +119,9 @@ def test_an_online_filter_estimates_the_same_device(walk: Recording) -> None:
     assert_array_equal(online.device.bias_cov_radps2, learnt.bias_cov_radps2)
 
 
-def test_the_command_line_reads_a_device_file_and_updates_it_unless_the_file_is_more_certain(walk: Recording, tmp_path: Path) -> None:
+def test_the_command_line_reads_a_device_file_and_updates_it_unless_the_file_is_more_certain(
+    walk: Recording, tmp_path: Path
+) -> None:
     file, phone = walk.save(tmp_path / "walk.zip"), tmp_path / "phone.json"
     runner = CliRunner()
     written = runner.invoke(app, ["track", str(file), "--device", str(phone)])

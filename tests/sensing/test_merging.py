@@ -317,7 +317,8 @@ def test_a_silent_sensor_gives_a_note_and_delays_the_others_by_at_most_wait_s() 
             assert not any("silent" in note for note in online.notes)
             assert online.now().latency_s > merger.wait_s - 1.0
     assert any(
-        note.startswith("gyroscope: no samples since 8.0 s") and "so that the walking direction is unknown there" in note
+        note.startswith("gyroscope: no samples since 8.0 s")
+        and "so that the walking direction is unknown there" in note
         for note in online.notes
     )
     assert online.now().latency_s < 0.5
