@@ -38,6 +38,7 @@ SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 _LOST = {
     "accelerometer": "the track has no steps there and its deviations do not cover them",
     "barometer": "heights and storeys are uncertain",
+    "gyroscope": "the walking direction is unknown there without heading fixes, and contexts are less certain",
 }
 _COLUMNS = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3, "barometer": 1}
 # Largest number of buffered rows of each sensor: twice `wait_s` at the rate of the fastest phones, 2000 Hz.

@@ -29,7 +29,7 @@ UNKNOWN_HEADING_RAD = 0.5
 # Minimum correction of the position that is reported: more than two step lengths, besides the step itself.
 MOVE_M = 2.0
 _BIAS_REMEDY = (
-    "to estimate the gyroscope bias early, rest for five seconds before the walk, or give fixes or the `device` of an "
+    "to estimate the gyroscope bias early, rest for three seconds before the walk, or give fixes or the `device` of an "
     "earlier recording of the phone"
 )
 

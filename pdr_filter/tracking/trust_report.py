@@ -157,11 +157,24 @@ def context_durations(track: TrackRows) -> str:
 
 def end(track: TrackRows) -> str:
     """Return how far the end of a track with steps is from its start, and its standard deviation, as text."""
-    return f"{closure(track)} ({direction(track)}), {track.how_sure}"
+    place = f"{closure(track)} ({direction(track)})" if is_end_known(track) else closure(track)
+    return f"{place}, {track.how_sure}"
+
+
+def is_end_known(track: TrackRows) -> bool:
+    """Return False if the direction from the start to the end is unknown, as without a gyroscope.
+
+    It is unknown if the standard deviation at the end exceeds half of the walked distance, unless fixes or a plan give
+    the position.
+    """
+    is_reckoned = track.n_steps > 0 and track.frame in ("start", "north")
+    return not is_reckoned or float(track.position_std_m[-1]) <= 0.5 * track.distance_m
 
 
 def closure(track: TrackRows) -> str:
-    """Return the distance between the start and the end of a track as text."""
+    """Return the distance between the start and the end of a track as text, or "unknown" (`is_end_known`)."""
+    if not is_end_known(track):
+        return "unknown"
     return f"{np.linalg.norm(track.end_position_m - track.start_position_m):.1f} m from the start"
 
 

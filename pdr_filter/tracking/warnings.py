@@ -47,11 +47,16 @@ def notes_of(
     notes = [*absent, *(Note("samples", text) for text in _sample_notes(state))]
     if state.finished and state.pedestrian.steps.n_final == 0:
         notes.append(Note("steps", criteria.NO_STEPS))
-    has_gyroscope = state.sensing.conditioner.report.has_gyroscope
+    report, walked = state.sensing.conditioner.report, state.statistics.walked
+    is_turn_named = any(note.text.startswith("gyroscope") for note in absent)
+    # True if the heading was certain until the gyroscope ended, which `absent` names
+    is_ended = (
+        is_turn_named and walked.unknown_from_s > report.last_time_s - report.n_without_rate / report.rate_hz - 1.0
+    )
     notes += [
         *_sensor_notes(config, state),
-        *_window_notes(state.statistics.seen),
-        *_step_notes(state.statistics.walked, has_gyroscope),
+        *_window_notes(state.statistics.seen, is_turn_named),
+        *_step_notes(walked, report.has_gyroscope and not is_ended),
     ]
     is_pressure_named = any(note.text.startswith("barometer") for note in absent)
     notes += [*config.notes, *height.notes(state.height, state.waiting_climbs.barometer, is_pressure_named)]
@@ -98,9 +103,10 @@ def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
         yield Note("sensors", words + "of the other samples: put both on one clock")
 
 
-def _window_notes(seen: WindowCounts) -> Iterator[Note]:
+def _window_notes(seen: WindowCounts, is_turn_named: bool = False) -> Iterator[Note]:
+    """Yield warnings about windows. `is_turn_named` is True if another note names the missing angular rate."""
     of_all, notable = f"of {seen.n} windows", max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER)
-    if seen.without_gyroscope:
+    if seen.without_gyroscope and not is_turn_named:
         words = f"contexts of {seen.without_gyroscope} {of_all} were classified without gyroscope and are less "
         words += "certain: there was no angular rate; record the gyroscope at the rate of the accelerometer"
         yield Note("sensors", words)
@@ -112,14 +118,15 @@ def _window_notes(seen: WindowCounts) -> Iterator[Note]:
         yield Note("steps", f"in {seen.irregular} {of_all} {criteria.HANDLED}")
 
 
-def _step_notes(walked: StepCounts, has_gyroscope: bool = True) -> Iterator[Note]:
+def _step_notes(walked: StepCounts, is_bias_cause: bool = True) -> Iterator[Note]:
+    """Yield warnings about steps. `is_bias_cause` is False if another note names why the heading is unknown."""
     notable = max(_UNTRUSTED_SHARE * walked.n, _UNTRUSTED_NUMBER)
     if walked.in_standing > notable:
         yield Note("contexts", f"{walked.in_standing} of {walked.n} {criteria.IN_STANDING}")
     if walked.on_the_spot > notable:
         yield Note("steps", f"{walked.on_the_spot} of {walked.n} {criteria.QUICK_AND_SOFT}")
-    if has_gyroscope:
-        yield from heading_notes(walked)
+    if is_bias_cause and walked.heading_unknown > _UNKNOWN_NUMBER:
+        yield heading_note(walked)
     if walked.largest_move_m > 0:
         words = f"the track moved by {walked.largest_move_m:.1f} m at {walked.largest_move_s:.0f} s, "
         yield Note("heading", words + criteria.LATE)
@@ -127,14 +134,13 @@ def _step_notes(walked: StepCounts, has_gyroscope: bool = True) -> Iterator[Note
         yield Note("heading", f"in {walked.untrusted} of {walked.n} steps {criteria.NO_DIRECTION}")
 
 
-def heading_notes(walked: StepCounts) -> Iterator[Note]:
-    """Return a warning if the heading is unknown in many steps."""
-    if walked.heading_unknown > _UNKNOWN_NUMBER:
-        words = (
-            f"the heading is uncertain by more than {UNKNOWN_HEADING_RAD} rad in {walked.heading_unknown} of "
-            f"{walked.n} steps, from {walked.unknown_from_s:.0f} to {walked.unknown_until_s:.0f} s: "
-        )
-        yield Note("heading", words + criteria.HEADING_UNKNOWN)
+def heading_note(walked: StepCounts) -> Note:
+    """Return a warning about the steps with an unknown heading."""
+    words = (
+        f"the heading is uncertain by more than {UNKNOWN_HEADING_RAD} rad in {walked.heading_unknown} of "
+        f"{walked.n} steps, from {walked.unknown_from_s:.0f} to {walked.unknown_until_s:.0f} s: "
+    )
+    return Note("heading", words + criteria.HEADING_UNKNOWN)
 
 
 def _frame_notes(config: Config, state: State) -> Iterator[Note]:

@@ -119,11 +119,19 @@ def test_an_online_filter_estimates_the_same_device(walk: Recording) -> None:
     assert_array_equal(online.device.bias_cov_radps2, learnt.bias_cov_radps2)
 
 
-def test_the_command_line_reads_a_device_file_if_it_exists_and_updates_it(walk: Recording, tmp_path: Path) -> None:
+def test_the_command_line_reads_a_device_file_and_updates_it_unless_the_file_is_more_certain(
+    walk: Recording, tmp_path: Path
+) -> None:
     file, phone = walk.save(tmp_path / "walk.zip"), tmp_path / "phone.json"
     runner = CliRunner()
-    assert runner.invoke(app, ["track", str(file), "--device", str(phone)]).exit_code == 0
+    written = runner.invoke(app, ["track", str(file), "--device", str(phone)])
+    assert (written.exit_code, "phone.json: gyroscope bias " in written.stderr) == (0, True)
     first = pdr.Device.load(phone)
     assert runner.invoke(app, ["track", str(file), "--device", str(phone)]).exit_code == 0
     second = pdr.Device.load(phone)
     assert np.trace(second.bias_cov_radps2) < np.trace(first.bias_cov_radps2)
+    certain = pdr.Device(np.array([0.001, 0.0, -0.002]), 1e-12 * np.eye(3))
+    certain.save(phone)
+    kept = runner.invoke(app, ["track", str(file), "--device", str(phone)])
+    assert "was not changed, because its gyroscope bias, 1.0 ± 0.0, 0.0 ± 0.0, -2.0 ± 0.0 mrad/s about" in kept.stderr
+    assert_array_equal(pdr.Device.load(phone).bias_cov_radps2, certain.bias_cov_radps2)

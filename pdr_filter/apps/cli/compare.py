@@ -213,7 +213,8 @@ def _print(compared: Sequence[Compared]) -> None:
                 *([console.in_m(found.rmse_m[name]) if found.rmse_m else ""] if has_truth else []),
                 end_section=is_reference,
             )
-    table.caption = console.STD_CAPTION
+    ends = [track for found in compared for track in found.tracks.values()]
+    table.caption = f"{console.end_caption(ends)}\n {console.STD_CAPTION}"
     console.print_table(table)
     console.print_notes([list(found.tracks.values())[-1] for found in compared])
 

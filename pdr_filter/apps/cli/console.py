@@ -311,15 +311,28 @@ def in_m(value: float, spec: str = "z.1f") -> str:
 
 
 def end_of(track: Track) -> tuple[str, str]:
-    """Return how far east and north a track ends as texts, or "unknown" if the direction from the start is unknown.
+    """Return how far east and north a track ends as texts, or "unknown" (`trust_report.is_end_known`)."""
+    from pdr_filter.tracking.trust_report import is_end_known
 
-    It is unknown if the standard deviation exceeds half of the walked distance, as without a gyroscope.
-    """
-    summary = track.summary()
-    is_from_start = track.n_steps > 0 and track.frame in ("start", "north")
-    if is_from_start and summary["end_std_m"] > 0.5 * track.distance_m:
+    if not is_end_known(track):
         return "unknown", "unknown"
-    return in_m(summary["end_east_m"]), in_m(summary["end_north_m"])
+    east_m, north_m = track.end_position_m.tolist()
+    return in_m(east_m), in_m(north_m)
+
+
+def end_caption(tracks: Sequence[Track]) -> str:
+    """Return the caption that names the zero of the columns "end east" and "end north" of a table of tracks."""
+    zeros = list(dict.fromkeys(map(_zero_of, tracks)))
+    return f"end: metres from {zeros[0] if len(zeros) == 1 else 'the zero of each track, which its report names'}"
+
+
+def _zero_of(track: Track) -> str:
+    """Return where a track has its zero, as text."""
+    if not track.start_position_m.any():
+        return "the start"
+    if track.origin is not None:
+        return f"{track.origin.latitude_deg:.6f}, {track.origin.longitude_deg:.6f}"
+    return "the zero of the floor plan" if track.frame == "plan" else "the zero of the fixes"
 
 
 def print_tracks(tracks: Sequence[Track], by_phone: Sequence[int | None] = ()) -> None:
@@ -346,7 +359,8 @@ def print_tracks(tracks: Sequence[Track], by_phone: Sequence[int | None] = ()) -
             f"{result.duration_s:.1f} s",
             escape(context_durations(result)),
         )
-    table.caption = f"{STD_CAPTION}\n {_SMOOTHED}" if any(track.is_smoothed for track in tracks) else STD_CAPTION
+    captions = [end_caption(tracks), STD_CAPTION, *([_SMOOTHED] if any(t.is_smoothed for t in tracks) else [])]
+    table.caption = "\n ".join(captions)
     print_table(table)
     print_notes(tracks)
 

@@ -20,7 +20,7 @@ from pdr_filter.data.io.files.track_writers import write_map
 from pdr_filter.data.io.formats import read
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracking.track import Track
-from pdr_filter.tracking.trust_report import WITHOUT_STEPS, closure, direction
+from pdr_filter.tracking.trust_report import WITHOUT_STEPS, closure, direction, is_end_known
 from pdr_filter.values.georeference import GnssUse
 from pdr_filter.values.recording import Recording
 
@@ -129,7 +129,8 @@ def _facts(demo: Demo) -> Table:
     table.add_row("  duration", f"{result.duration_s:.0f} s", "")
     table.add_row("  steps", f"{result.n_steps}", truth[0])
     table.add_row("  end", closure(result), truth[2])
-    table.add_row("", direction(result), "")
+    if is_end_known(result):
+        table.add_row("", direction(result), "")
     if result.n_steps:
         table.add_row("", f"± {result.position_std_m[-1]:.1f} m", "standard deviation in the worst direction")
     return table

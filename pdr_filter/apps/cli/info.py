@@ -32,13 +32,15 @@ def info_command(files: Files, file_format: Format = None, as_json: AsJson = Fal
 
 def _print(description: dict[str, Any]) -> None:
     console.print_line(f"{description['name']}: {description['duration_s']:.1f} s, from {description['source']}")
-    table = console.new_table("sensor", "unit", "samples", "rate", "gaps", "longest", "repeated", "backward", "empty")
+    columns = "sensor", "unit", "samples", "from", "to", "rate", "gaps", "longest", "repeated", "backward", "empty"
+    table = console.new_table(*columns)
     for stream in description["streams"]:
         rate_hz = stream["mean_rate_hz"]  # the median rate is wrong if timestamps are rounded to whole milliseconds
         table.add_row(
             stream["name"],
             stream["unit"],
             str(stream["n_samples"]),
+            *("" if time_s is None else f"{time_s:z.1f} s" for time_s in (stream["first_s"], stream["last_s"])),
             "unknown" if rate_hz is None else f"{rate_hz:.1f} Hz",
             str(stream["n_gaps"]),
             f"{stream['longest_gap_s']:.2f} s",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import numpy as np
 import typer
 
 from pdr_filter.apps.cli import console, options
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from pdr_filter.filter.pedestrian.person import Person
     from pdr_filter.recipes.calibration import Calibration
     from pdr_filter.recipes.config import Config
+    from pdr_filter.sensing.device import Device
     from pdr_filter.tracking.track import Track
     from pdr_filter.values.recording import Recording
 
@@ -36,7 +38,9 @@ class Method:
     model: options.ModelFile = None
     transitions: options.TransitionsFile = None
     device: Path | None = typer.Option(
-        None, help="File with the gyroscope bias of the phone. It is read if it exists, and updated after the walk."
+        None,
+        help="File with the gyroscope bias of the phone. It is read if it exists, and updated after a walk that "
+        "determines the bias better.",
     )
     person: options.PersonFile = None
     radio: options.RadioFile = None
@@ -59,14 +63,19 @@ class Method:
         device = self.device if self.device is not None and self.device.exists() else None
         return device, read_person(self.person) if self.person is not None and self.person.exists() else None
 
-    def save_known(self, track: Track, person: Person | Calibration | None) -> None:
-        """Update the files of the phone and of the person after a walk. A calibration is not changed."""
+    def save_known(self, track: Track, person: Person | Calibration | None) -> list[str]:
+        """Update the files of the phone and of the person after a walk, and return what was learnt of the phone.
+
+        A calibration is not changed.
+        """
         from pdr_filter.recipes.calibration import Calibration
 
+        learnt: list[str] = []
         if self.device is not None and track.device is not None:
-            track.device.save(self.device)
+            learnt.append(_update_device(self.device, track.device))
         if self.person is not None and track.person is not None and not isinstance(person, Calibration):
             track.person.save(self.person)
+        return learnt
 
     def say_unknown_person(self) -> None:
         """Print the reason if the file of the person could not be written."""
@@ -223,6 +232,7 @@ def track_command(
     replaced: list[Path] = []
     listed: dict[str, Track] = {}
     by_phone: list[int | None] = []
+    learnt: list[str] = []
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
@@ -245,7 +255,7 @@ def track_command(
             **where,
         )
         result = tracks[0]
-        method.save_known(result, person)
+        learnt.extend(method.save_known(result, person))
         name = console.unique_name(result.name, written)
         replaced.extend(output.write(tracks, recording, name))
         listed[name] = result
@@ -256,6 +266,8 @@ def track_command(
 
     tracks, failed = console.each_file(files, track_one, as_json)
     console.say_replaced(replaced)
+    for text in learnt:
+        console.say(text)
     if tracks:
         method.say_unknown_person()
     if output.out is not None and files != given and listed:
@@ -265,6 +277,30 @@ def track_command(
         console.print_tracks(tracks, by_phone)
         console.say_written(output.out)
     console.exit_if_failed(failed, len(files))
+
+
+def _update_device(path: Path, learnt: Device) -> str:
+    """Write the phone of a walk to its file unless the file knows the gyroscope bias better, and return what was done.
+
+    The better bias has the smaller determinant of its covariance.
+    """
+    from pdr_filter.sensing.device import Device
+
+    known = Device.load(path) if path.exists() else None
+    if known is not None and np.linalg.det(known.bias_cov_radps2) < np.linalg.det(learnt.bias_cov_radps2):
+        return (
+            f"{path} was not changed, because its gyroscope bias, {_bias(known)}, is known better than that of this "
+            f"walk, {_bias(learnt)}: delete the file to replace it"
+        )
+    learnt.save(path)
+    return f"{path}: gyroscope bias {_bias(learnt)}"
+
+
+def _bias(device: Device) -> str:
+    """Return the bias about the three axes of the sensor, with its standard deviations, as text."""
+    std_radps = np.sqrt(np.diag(device.bias_cov_radps2))
+    each = zip(device.bias_radps.tolist(), std_radps.tolist(), strict=True)
+    return ", ".join(f"{1e3 * bias:z.1f} ± {1e3 * std:.1f}" for bias, std in each) + " mrad/s about x, y, z"
 
 
 def _check_one_table(
@@ -321,7 +357,7 @@ def _track_long(
 ) -> None:
     import pdr_filter as pdr
 
-    changes, written = method.changes(), set[str]()
+    changes, written, learnt = method.changes(), set[str](), list[str]()
 
     def config(head: Recording) -> Config:
         head = head if source.height_m is None else head.of_height(source.height_m)
@@ -343,13 +379,15 @@ def _track_long(
             file_format=source.file_format,
             progress=progress,
         )
-        method.save_known(done.about, person)
+        learnt.extend(method.save_known(done.about, person))
         return done
 
     tracks, failed = console.each_file(console.recording_paths(files), track_one)
     for done in tracks:
         console.print_line(f"{done.path}: {done.n_steps} steps, {done.distance_m:.1f} m, {done.about.duration_s:.1f} s")
     console.print_notes([done.about for done in tracks])
+    for text in learnt:
+        console.say(text)
     if tracks:
         method.say_unknown_person()
     console.exit_if_failed(failed, len(failed) + len(tracks))

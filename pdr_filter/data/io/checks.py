@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from pdr_filter.data.io.column_names import PHONE_HEADING, PHONE_STEPS
-from pdr_filter.data.io.describe import describe_stream, median_norm
+from pdr_filter.data.io.describe import DELIVERED_ENOUGH, describe_stream, median_norm
 from pdr_filter.data.io.text_table import finite
 from pdr_filter.values import BoolArray, FloatArray, Samples, limits
 from pdr_filter.values.errors import RecordingError
@@ -113,6 +113,12 @@ def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
                 f"{name}{suffix}: {stream.n_duplicates} repeated and {stream.n_backward} backward times, "
                 "kept as recorded"
             )
+    rate_hz = describe_stream("accelerometer", streams["accelerometer"]).rate_hz
+    if rate_hz is not None and rate_hz < DELIVERED_ENOUGH * limits.SUFFICIENT_RATE_HZ:
+        notes.append(
+            f"accelerometer{suffix}: {rate_hz:.1f} Hz, and step detection was tested from {limits.SUFFICIENT_RATE_HZ:g} "
+            "Hz: steps and step lengths may be wrong; record at 50 Hz or more"
+        )
     return notes
 
 

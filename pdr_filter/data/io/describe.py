@@ -54,7 +54,7 @@ class StreamDescription:
         Delivered rate in Hz, 1 / median positive interval, and number of intervals / duration, which includes gaps and
         is correct for rounded timestamps.
     first_s, last_s : float or None
-        First and last time in s.
+        Time in s of the first and the last sample with a value.
     n_gaps : int
         Number of intervals longer than 0.3 s and 2.5 median intervals.
     longest_gap_s : float
@@ -325,6 +325,7 @@ def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> St
     gaps_s = forward_s[forward_s > max(limits.GAP_S, limits.GAP_INTERVALS * median_s)]
     span_s = float(time_s.max() - time_s.min()) if len(time_s) else 0.0
     is_empty = np.isnan(samples.values)
+    known_s = time_s[~is_empty.all(axis=1)]
     is_rate = isinstance(requested_hz, int | float) and not isinstance(requested_hz, bool) and 0 < requested_hz < 1e6
     return StreamDescription(
         name=name,
@@ -332,8 +333,8 @@ def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> St
         n_samples=len(samples),
         rate_hz=1 / median_s if len(forward_s) else None,
         mean_rate_hz=(len(time_s) - 1) / span_s if span_s > 0 else None,
-        first_s=float(time_s.min()) if len(time_s) else None,
-        last_s=float(time_s.max()) if len(time_s) else None,
+        first_s=float(known_s.min()) if len(known_s) else None,
+        last_s=float(known_s.max()) if len(known_s) else None,
         n_gaps=len(gaps_s),
         longest_gap_s=float(gaps_s.max(initial=0.0)),
         n_duplicates=int((interval_s == 0).sum()),

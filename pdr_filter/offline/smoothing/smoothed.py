@@ -15,7 +15,7 @@ from pdr_filter.offline.smoothing.solve import Solution
 from pdr_filter.offline.smoothing.usable import Used, name_list
 from pdr_filter.tracking.step_statistics import HEADING_UNKNOWN, LATE, UNKNOWN_HEADING_RAD, StepCounts
 from pdr_filter.tracking.track import Track
-from pdr_filter.tracking.warnings import NORTH_UNKNOWN, heading_notes, north_note
+from pdr_filter.tracking.warnings import NORTH_UNKNOWN, heading_note, north_note
 from pdr_filter.values import FixResult, FloatArray, IntArray, PositionFix, Table, how_many, read_only, reduction, table
 
 _KINDS = ("fix", "location", "loop closure", "known heading")
@@ -217,23 +217,37 @@ def notes_of_solution(
     return notes
 
 
-# Texts of online warnings about headings, which the smoother has estimated again.
+# Texts of warnings about headings while walking, which the smoother has estimated again.
 _ONLINE_ALONE = (HEADING_UNKNOWN, LATE, NORTH_UNKNOWN)
+# Standard deviation of the smoothed heading from which a note says what the online track warns of: half of the limit of
+# the online track. A step then ends at a quarter of its length beside its true end.
+_DOUBTFUL_HEADING_RAD = 0.5 * UNKNOWN_HEADING_RAD
 
 
 def notes_of_reckoning(track: Track, found: Solution, heading_std_rad: FloatArray) -> list[str]:
     """Return the notes of the dead-reckoned track that hold for the smoothed track.
 
-    If one warns about unknown headings, the smoothed headings with standard deviations `heading_std_rad` (K,) are
-    counted instead. They are not counted if the direction of the whole walk is unknown, because another note says so.
+    If one warns about unknown headings, the note is about the smoothed headings with standard deviations
+    `heading_std_rad` (K,) instead. One step with an angular rate is enough for it, because the direction of a phone that
+    was moved is known from its first step on. If these headings are known and some are doubtful, the note gives the
+    largest standard deviation. There is no note if the direction of the whole walk is unknown, because another one says
+    so.
     """
     notes = [note for note in track.notes if not any(text in note for text in _ONLINE_ALONE)]
-    (unknown,) = np.nonzero(heading_std_rad > UNKNOWN_HEADING_RAD)
-    is_warned = any(HEADING_UNKNOWN in note for note in track.notes)
-    if is_warned and len(unknown) and not _is_without_direction(found):
+    if _is_without_direction(found) or not any(HEADING_UNKNOWN in note for note in track.notes):
+        return notes
+    # notes about samples and fixes name the time without angular rate
+    measured_std_rad = np.where(np.asarray(track.steps.heading_unknown_s) > 0, 0.0, heading_std_rad)
+    k = int(measured_std_rad.argmax())
+    if measured_std_rad[k] > UNKNOWN_HEADING_RAD:
+        (unknown,) = np.nonzero(heading_std_rad > UNKNOWN_HEADING_RAD)
         first_s, last_s = track.time_s[unknown[[0, -1]]].tolist()
         counts = StepCounts(track.n_steps, heading_unknown=len(unknown), unknown_from_s=first_s, unknown_until_s=last_s)
-        notes += [note.text for note in heading_notes(counts)]
+        return [*notes, heading_note(counts).text]
+    if measured_std_rad[k] > _DOUBTFUL_HEADING_RAD:
+        std_rad = measured_std_rad[k]
+        words = f"the smoothed heading is uncertain by up to {std_rad:.2f} rad, at {track.time_s[k]:.0f} s, "
+        notes.append(words + f"and that of the online track by more than {UNKNOWN_HEADING_RAD} rad: {HEADING_UNKNOWN}")
     return notes
 
 

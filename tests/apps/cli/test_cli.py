@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from hashlib import sha256
@@ -16,6 +17,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.apps.cli.app import app
+from pdr_filter.data.io.describe import describe
 from pdr_filter.data.io.files.own_format import write_recording
 from pdr_filter.simulate import walk as simulated_walk
 from pdr_filter.simulate.motion import build_motion
@@ -175,6 +177,8 @@ def test_info_tells_sensors_units_and_truth(walk: Path) -> None:
     result = succeed("info", walk)
     for word in ("accelerometer", "gyroscope", "100.0 Hz", "plausible", "truth: position"):
         assert word in result.stdout
+    for stream in describe(pdr.read(walk)).streams:
+        assert re.search(rf"{stream.name} .* {stream.first_s:z.1f} s +{stream.last_s:.1f} s ", result.stdout)
 
 
 def test_info_json_is_one_object_a_line(walk: Path, broken: Path) -> None:

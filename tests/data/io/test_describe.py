@@ -68,6 +68,13 @@ def test_rows_with_an_empty_value_are_counted_once() -> None:
     assert describe_stream("gyroscope", Samples(np.arange(4.0), values)).n_missing_rows == 2
 
 
+def test_a_stream_lasts_from_the_first_to_the_last_row_with_a_value() -> None:
+    values = np.full((6, 3), np.nan)
+    values[1:4, 0] = 9.0
+    found = describe_stream("gyroscope", Samples(np.arange(6.0), values))
+    assert (found.first_s, found.last_s) == (1.0, 3.0)
+
+
 def test_a_column_without_values_makes_no_row_incomplete() -> None:
     values = np.full((3, 4), 9.0)
     values[:, 2] = np.nan

@@ -87,6 +87,12 @@ def test_rows_at_a_fixed_rate_need_no_time_column(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.accelerometer.time_s, np.arange(len(WALK.accelerometer)) / 100)
 
 
+@pytest.mark.parametrize(("rate_hz", "is_said"), [(20, True), (25, False)])
+def test_a_rate_below_that_of_the_tests_of_the_steps_has_a_note(tmp_path: Path, rate_hz: int, is_said: bool) -> None:
+    mapping = GENERIC_MAPPING.replace('column = "t"\nunit = "ms"', f"rate_hz = {rate_hz}")
+    assert any("accelerometer: 20.0 Hz" in note for note in read(mapped(tmp_path, mapping=mapping)).notes) == is_said
+
+
 def test_sensors_of_different_rates_leave_fields_empty(tmp_path: Path) -> None:
     lines = TEXT.splitlines()
     thinned = [line if i % 2 == 1 else ";".join([*line.split(";")[:4], "", "", ""]) for i, line in enumerate(lines[1:])]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -25,8 +27,10 @@ from pdr_filter.offline.smoothing.observations import (
 from pdr_filter.offline.smoothing.preintegration import Increments, state_transform, step_states
 from pdr_filter.offline.smoothing.problem import NO_OFFSETS, ObservedOffsets, Problem, pose_problem
 from pdr_filter.offline.smoothing.smooth import smooth
+from pdr_filter.offline.smoothing.smoothed import notes_of_reckoning
 from pdr_filter.offline.smoothing.solve import linear_equations, solve
 from pdr_filter.simulate import Leg, simulate
+from pdr_filter.tracking.step_statistics import HEADING_UNKNOWN
 from pdr_filter.values import PositionFix, table, wrap_angle
 from tests.oracles.imm_smoother import ModeEstimates, Transition, smooth_imm
 
@@ -373,6 +377,23 @@ def test_the_warning_about_headings_counts_the_smoothed_headings() -> None:
     assert n > 20 > (fixed.heading_offset_std_rad > 0.5).sum()
     assert [note for note in alone.notes if f"uncertain by more than 0.5 rad in {n} of {alone.track.n_steps}" in note]
     assert not [note for note in fixed.notes if "uncertain by more than" in note]
+
+
+@pytest.mark.parametrize(
+    ("std_rad", "said"),
+    [(0.51, "by more than 0.5 rad in 1 of"), (0.3, "the smoothed heading is uncertain by up to 0.30 rad"), (0.2, "")],
+)
+def test_a_warning_about_the_gyroscope_bias_stays_while_a_smoothed_heading_is_doubtful(
+    std_rad: float, said: str
+) -> None:
+    known = smooth_alone().track
+    warned = replace(known, notes=(*known.notes, f"in 40 steps: {HEADING_UNKNOWN}"))
+    found, std = SimpleNamespace(joint_cov=np.zeros((1, 8, 8))), np.full(known.n_steps, 0.1)
+    std[-1] = std_rad
+    notes = notes_of_reckoning(warned, cast(Any, found), std)
+    assert notes[: len(known.notes)] == list(known.notes)
+    assert [said in note and HEADING_UNKNOWN in note for note in notes[len(known.notes) :]] == [True] * bool(said)
+    assert notes_of_reckoning(known, cast(Any, found), std) == list(known.notes)
 
 
 def test_without_a_gyroscope_the_fixes_give_the_directions_with_a_large_covariance() -> None:
