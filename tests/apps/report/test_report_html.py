@@ -21,6 +21,7 @@ from true_positions import located, true_m
 
 import pdr_filter as pdr
 from pdr_filter.apps.report import html, palette
+from pdr_filter.apps.report.geometry import band_rings
 from pdr_filter.apps.report.html import html_report, write_report
 from pdr_filter.apps.report.page_data import _windows, track_data
 from pdr_filter.data.io.describe import reading_report
@@ -401,3 +402,18 @@ def test_a_named_tile_server_is_the_only_one_that_the_page_may_ask(track: Track)
     assert "--tiles" not in Seen(html_report(track)).words  # a walk without a place on Earth
     with pytest.raises(ValueError, match=r"tiles must be a URL with \{z\}"):
         html_report(placed, tiles="https://example.org")
+
+
+def test_rings_of_the_band_are_counter_clockwise_so_that_none_is_a_hole(track: Track) -> None:
+    long_m2 = np.diag([400.0, 0.01])
+    turn_rad = np.random.default_rng(1).uniform(-np.pi, np.pi, track.n_steps)
+    rotation = np.moveaxis(np.array([[np.cos(turn_rad), -np.sin(turn_rad)], [np.sin(turn_rad), np.cos(turn_rad)]]), 2, 0)
+    rings = band_rings(track.position_m, rotation @ long_m2 @ rotation.transpose(0, 2, 1))
+    area_m2 = [np.sum(ring[:-1, 0] * ring[1:, 1] - ring[1:, 0] * ring[:-1, 1]) / 2 for ring in rings]
+    assert min(area_m2) > -1e-6
+
+
+def test_the_file_is_named_if_the_title_does_not_name_it(track: Track, recording: Recording) -> None:
+    named = replace(recording, name="walk", source="folder/walk.zip")
+    assert "File: walk.zip" not in html_report(track, named).partition("Input data")[0]
+    assert "File: <bdi>other.zip</bdi>" in html_report(track, replace(named, source="folder/other.zip"))
