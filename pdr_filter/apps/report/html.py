@@ -186,7 +186,7 @@ def _title(tracks: Sequence[TrackRows], recording: Recording | None) -> str:
 def _file_name(recording: Recording | None) -> str:
     """Return the name of the file of a recording if the title of the page does not have it, or an empty string."""
     name = "" if recording is None else Path(recording.source).name
-    return "" if recording is None or recording.name in (name, Path(name).stem) else name
+    return "" if recording is None or recording.name in (name, Path(name).stem) or name == "simulated" else name
 
 
 def _names(tracks: Sequence[TrackRows]) -> list[str]:

@@ -26,6 +26,7 @@ async function load(address) {
   const hasFocus = document.activeElement?.id === "map";
   if (mode) cancel();
   old?.end();
+  page.getElementById("file-name")?.remove(); // the title of this page has it
   for (const part of ["way", "facts", "over-time"]) byId(part).replaceWith(page.getElementById(part));
   byId("about-tiles")?.remove(); // the workbench has its own option
   shown = showReport({ tracks, origin, tiles: about.tiles });
