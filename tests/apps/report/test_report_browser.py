@@ -298,7 +298,9 @@ def test_an_uncertainty_that_is_larger_than_the_map_leaves_the_path_large_and_is
     browser.open(write_report(track, tmp_path / "page.html"))
     assert browser.words("#map .beyond-map") == ""
     scale = browser.value("report.map.scale")
-    browser.open(write_report(replace(track, position_cov_m2=track.position_cov_m2 + 1e4 * np.eye(2)), tmp_path / "p.html"))
+    browser.open(
+        write_report(replace(track, position_cov_m2=track.position_cov_m2 + 1e4 * np.eye(2)), tmp_path / "p.html")
+    )
     assert "up to ± 24" in browser.words("#map .beyond-map")
     assert browser.value("report.map.scale") > 0.8 * scale
     browser.click("[name=ellipses]")

@@ -174,7 +174,9 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         browser.click("#scale")
         click_plan(browser, (100, 250), (800, 250))
         # the map is fitted again when the scale is saved; clicks before would be elsewhere
-        browser.until("byId('said').textContent.includes('70 m apart') && Math.abs(storey().metres_per_pixel - 0.1) < 0.002")
+        browser.until(
+            "byId('said').textContent.includes('70 m apart') && Math.abs(storey().metres_per_pixel - 0.1) < 0.002"
+        )
         shapes: list[tuple[str, list[tuple[int, int]]]] = [
             ("floor", [(100, 60), (800, 60), (800, 440), (100, 440), (100, 60)]),
             ("wall", [(800, 350), (300, 350), (300, 350)]),
