@@ -165,6 +165,7 @@ def html_report(
             for track, name, colour in zip(every, names, colours, strict=True)
         ],
         reading=None if recording is None else _reading(recording, reading_report(recording), set(every[0].notes)),
+        file_name=_file_name(recording),
         estimates=_SMOOTHED_OR_ONLINE if len({track.estimate for track in every}) > 1 else "",
         data={"tracks": data, "tiles": tiles, "origin": origin},
         about_tiles=_about_tiles(server) if origin else "",
@@ -180,6 +181,12 @@ def _title(tracks: Sequence[TrackRows], recording: Recording | None) -> str:
     if recording is not None and recording.name:
         return recording.name
     return tracks[0].name or "track" if len(tracks) == 1 else f"{len(tracks)} tracks"
+
+
+def _file_name(recording: Recording | None) -> str:
+    """Return the name of the file of a recording if the title of the page does not have it, or an empty string."""
+    name = "" if recording is None else Path(recording.source).name
+    return "" if recording is None or recording.name in (name, Path(name).stem) or name == "simulated" else name
 
 
 def _names(tracks: Sequence[TrackRows]) -> list[str]:

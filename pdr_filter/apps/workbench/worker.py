@@ -153,7 +153,7 @@ class Worker:
             return f"{opened.recording.name}.zip", _zipped(Path(path))
         track, _ = self._smoothed(opened, None)
         if track.origin is None and kind in GEOGRAPHIC_KINDS:
-            raise ValueError(f"{kind} needs a place on Earth: place the walk on a map first")
+            raise ValueError(f"{kind} needs a place on Earth: place the walk on a map, or give Latitude of zero")
         with tempfile.TemporaryDirectory() as folder:
             file = write_by_suffix(track, Path(folder) / f"walk.{kind}", opened.recording.epoch_s)
             return f"{track.name}{file.name.removeprefix('walk')}", file.read_bytes()
@@ -168,7 +168,7 @@ class Worker:
         track, _ = self._smoothed(opened, None)
         if track.person is None:
             raise ValueError(
-                "the marked points do not determine the step length: mark points that are farther apart along the walk"
+                "the fixes do not determine the step length: add fixes that are farther apart along the walk"
             )
         track.person.save(person)
         session = track.person.sessions[-1]

@@ -256,9 +256,11 @@ def test_tracks_that_coincide_are_all_seen(browser: Browser, track: Track, tmp_p
 
 def test_the_time_of_a_warning_shows_its_place(browser: Browser, track: Track, tmp_path: Path) -> None:
     note = "for 9 s <b>, from 30 to 40 s, and from 50 to 60 s the phone was elsewhere"
-    browser.open(write_report(replace(track, notes=(note,)), tmp_path / "page.html"))
+    notes = (note, "from 31 to 33 s `device` moved")
+    browser.open(write_report(replace(track, notes=notes), tmp_path / "page.html"))
     assert browser.words(".doubt li") == f"F{note[1:]}."
-    assert browser.words("#map .place") == "1"  # the number of the warning, at its first time
+    assert "device moved" in browser.words(".doubt")  # without code marks
+    assert browser.words("#map .place") == "1, 2"  # the numbers of the warnings at this place
     browser.click(".doubt li button:nth-of-type(2)")
     assert step_shown(browser) == np.searchsorted(track.time_s, 50.0, side="right")
     assert browser.complaints == []
@@ -273,6 +275,36 @@ def test_headings_around_one_direction_are_not_drawn_at_both_ends(
     accent = [0, 114, 178]
     rows = np.flatnonzero((seen(browser, "#heading canvas")[..., :3] == accent).all(axis=2).any(axis=1))
     assert 0 < np.ptp(rows) < 40  # of 180 pixels
+
+
+def test_no_leg_is_drawn_at_both_ends_of_the_chart_of_headings(browser: Browser, track: Track, tmp_path: Path) -> None:
+    leg = np.arange(track.n_steps) * 16 // track.n_steps
+    noise_deg = np.random.default_rng(1).normal(0.0, 8.0, track.n_steps)
+    heading_rad = np.radians(45.0 * leg + noise_deg)
+    browser.open(write_report(replace(track, walking_heading_rad=heading_rad), tmp_path / "page.html"))
+    points = (seen(browser, "#heading .uplot")[..., :3] == [0, 114, 178]).all(axis=2)
+    left, width = browser.value("""((over, chart) => [over.left - chart.left, over.width])(
+        ...["#heading .u-over", "#heading .uplot"].map(e => document.querySelector(e).getBoundingClientRect()))""")
+    at = left + width * (track.time_s - track.start_time_s) / (track.duration_s)
+    for k in range(16):
+        first, last = at[leg == k][[1, -2]].astype(int)
+        rows = np.flatnonzero(points[:, first:last].any(axis=1))
+        assert np.ptp(rows) < 40, k  # of 180 pixels
+
+
+def test_an_uncertainty_that_is_larger_than_the_map_leaves_the_path_large_and_is_told(
+    browser: Browser, track: Track, tmp_path: Path
+) -> None:
+    browser.open(write_report(track, tmp_path / "page.html"))
+    assert browser.words("#map .beyond-map") == ""
+    scale = browser.value("report.map.scale")
+    browser.open(
+        write_report(replace(track, position_cov_m2=track.position_cov_m2 + 1e4 * np.eye(2)), tmp_path / "p.html")
+    )
+    assert "up to ± 24" in browser.words("#map .beyond-map")
+    assert browser.value("report.map.scale") > 0.8 * scale
+    browser.click("[name=ellipses]")
+    assert browser.words("#map .beyond-map") == ""
 
 
 def test_a_heading_just_left_of_north_is_0_and_not_360_degrees(browser: Browser, track: Track, tmp_path: Path) -> None:

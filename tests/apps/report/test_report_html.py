@@ -17,10 +17,12 @@ import numpy as np
 import pytest
 from helpers import a_plan, windows_of
 from made_tracks import make_track
+from shapely import LinearRing
 from true_positions import located, true_m
 
 import pdr_filter as pdr
 from pdr_filter.apps.report import html, palette
+from pdr_filter.apps.report.geometry import band_rings
 from pdr_filter.apps.report.html import html_report, write_report
 from pdr_filter.apps.report.page_data import _windows, track_data
 from pdr_filter.data.io.describe import reading_report
@@ -401,3 +403,17 @@ def test_a_named_tile_server_is_the_only_one_that_the_page_may_ask(track: Track)
     assert "--tiles" not in Seen(html_report(track)).words  # a walk without a place on Earth
     with pytest.raises(ValueError, match=r"tiles must be a URL with \{z\}"):
         html_report(placed, tiles="https://example.org")
+
+
+def test_no_ring_of_the_band_crosses_itself_which_would_be_a_hole_in_the_band(track: Track) -> None:
+    turn_rad = np.random.default_rng(1).uniform(-np.pi, np.pi, track.n_steps)
+    along, across = np.array([np.cos(turn_rad), np.sin(turn_rad)]).T, np.array([-np.sin(turn_rad), np.cos(turn_rad)]).T
+    cov_m2 = 9.0 * along[:, :, np.newaxis] * along[:, np.newaxis] + across[:, :, np.newaxis] * across[:, np.newaxis]
+    rings = [LinearRing(ring) for ring in band_rings(track.position_m, cov_m2)]
+    assert [k for k, ring in enumerate(rings) if not (ring.is_simple and ring.is_ccw)] == []
+
+
+def test_the_file_is_named_if_the_title_does_not_name_it(track: Track, recording: Recording) -> None:
+    named = replace(recording, name="walk", source="folder/walk.zip")
+    assert "File: walk.zip" not in html_report(track, named).partition("Input data")[0]
+    assert "File: <bdi>other.zip</bdi>" in html_report(track, replace(named, source="folder/other.zip"))

@@ -174,7 +174,9 @@ def test_the_truth_of_a_recording_is_used_as_fixes_only_if_the_marks_say_so_and_
     assert [k for k, text in enumerate(texts) if said not in text] == []
 
 
-def test_results_are_kept_by_the_content_of_recording_and_marks(tmp_path: Path) -> None:
+def test_results_are_kept_by_the_content_of_recording_marks_and_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = short_walk().save(tmp_path / "walk")
     worker = Worker(tmp_path / "cache")
     first = worker.walk(str(path))
@@ -188,6 +190,9 @@ def test_results_are_kept_by_the_content_of_recording_and_marks(tmp_path: Path) 
     write_mark_files(moved, {WALK: b'{"is_loop": true}'})
     assert checksum_of(moved) == checksum
     assert worker._key(moved, checksum) != first["key"]
+    before = worker._key(moved, checksum)
+    monkeypatch.setattr("pdr_filter.apps.workbench.worker._of_report", lambda: "of another page")
+    assert worker._key(moved, checksum) != before
     with (moved / "gyroscope.csv").open("a") as file:
         file.write("\n")
     assert checksum_of(moved) != checksum

@@ -27,7 +27,11 @@ class WayMap extends PlaneMap {
       if (this.leaflet.dragging.moving() || this.isTaking || (event.type === "mousemove" && !this.followsMouse)) return;
       this.point(event.latlng, 40);
     });
-    this.leaflet.on("movestart", () => { this.isWhole = false; });
+    this.beyond = L.DomUtil.create("div", "beyond-map", box);
+    this.leaflet.on("movestart", () => {
+      this.isWhole = false;
+      this.beyond.textContent = "";
+    });
     this.leaflet.on("resize", () => { if (this.isWhole) this.whole(); });
     this.leaflet.on("dblclick", () => this.whole());
     box.addEventListener("keydown", event => { if (event.key === "0") this.whole(); });
@@ -66,17 +70,12 @@ class WayMap extends PlaneMap {
     };
     const adding = (least, share = 1) => {
       const isEast = near(easts, least, share), isNorth = near(norths, least, share);
-      return (east, north) => {
-        const isNear = isEast(east) && isNorth(north);
-        if (isNear) add(east, north);
-        return isNear;
-      };
+      return (east, north) => { if (isEast(east) && isNorth(north)) add(east, north); };
     };
     const addNear = adding(20), addBand = adding(BAND_M, BAND_SHARE), addMark = adding(100), addPlan = adding(FAR_M);
     for (const { gps } of this.hidden.has("GPS") ? [] : this.tracks) gps?.east.forEach((east, k) => addNear(east, gps.north[k]));
-    for (const track of this.hidden.has("ellipses") ? [] : this.tracks) {
-      const { band, east, north, major } = track, beyond = k => [-major[k], major[k]].filter(by => !addBand(east[k] + by, north[k] + by)).length;
-      track.beyond = band.filter(beyond).reduce((most, k) => Math.max(most, major[k]), 0); // half axis of the largest ellipse that is cut off
+    for (const { band, east, north, major } of this.hidden.has("ellipses") ? [] : this.tracks) {
+      for (const k of band) for (const by of [-major[k], major[k]]) addBand(east[k] + by, north[k] + by);
     }
     this.marked.forEach(place => addMark(...place));
     if (!this.hidden.has("plan")) {
@@ -85,6 +84,19 @@ class WayMap extends PlaneMap {
     }
     this.fit(easts, norths, 4);
     this.isWhole = true;
+    this.sayBeyond();
+  }
+
+  // Say how large the uncertainty is, if the view cuts it off: a band without an edge would not show it.
+  sayBeyond() {
+    const { track } = this, [west, north] = this.place(0, 0), [east, south] = this.place(this.box.clientWidth, this.box.clientHeight);
+    const isBeyond = k => {
+      const cosine = Math.cos(track.angle[k]), sine = Math.sin(track.angle[k]), [a, b] = [track.major[k], track.minor[k]];
+      const [x, y] = [Math.hypot(a * cosine, b * sine), Math.hypot(a * sine, b * cosine)];
+      return track.east[k] - x < west || track.east[k] + x > east || track.north[k] - y < south || track.north[k] + y > north;
+    };
+    const most = this.isWhole && !this.hidden.has("ellipses") ? Math.max(...track.band.filter(isBeyond).map(k => track.major[k])) : 0;
+    this.beyond.textContent = most > 0 ? `The 95 % uncertainty is larger than the map: up to ± ${most.toFixed(0)} m` : "";
   }
 
   places({ east, north }) { return east.map((_, k) => this.at(east[k], north[k])); }
@@ -115,6 +127,7 @@ class WayMap extends PlaneMap {
     if (track.anchors && shown("anchors")) this.places(track.anchors).forEach(place => this.still.addLayer(this.mark(place, "anchor", "", 12)));
     this.drawEnds(track);
     this.drawWarnings();
+    this.sayBeyond();
     this.show(this.row);
   }
 

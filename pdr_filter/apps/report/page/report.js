@@ -262,8 +262,8 @@ function showReport({ tracks, tiles, origin }) {
 
   function layers() {
     const all = {
-      ellipses: [`95 % uncertainty${track.beyond ? `, which is larger than the map (± ${number(track.beyond, 0)} m)` : ""}`, track.ellipses.length],
-      truth: [track.truth?.points ? "known points, aligned" : "ground truth, aligned", track.truth],
+      ellipses: ["95 % uncertainty", track.ellipses.length],
+      truth: [track.truth?.points ? "waypoints (ground truth), aligned" : "ground truth, aligned", track.truth],
       GPS: ["locations of the phone, with their accuracies", track.gps],
       plan: ["floor plan", track.plan.length],
       places: ["possible positions", track.places],

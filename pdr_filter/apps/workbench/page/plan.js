@@ -15,7 +15,7 @@ const undone = { undo: [], redo: [] }, ours = new Set(); // versions that this p
 const map = new PlaneMap(byId("map"));
 const shapes = L.featureGroup().addTo(map.leaflet), picked = L.layerGroup().addTo(map.leaflet);
 let overlay = null;
-map.leaflet.pm.setGlobalOptions({ snappable: true, snapDistance: 12, continueDrawing: false, tooltips: false, layerGroup: shapes });
+map.leaflet.pm.setGlobalOptions({ snappable: true, snapDistance: 12, continueDrawing: true, tooltips: false, layerGroup: shapes });
 map.cross = L.DomUtil.create("div", "cross middle", map.box);
 map.cross.hidden = true;
 
@@ -24,14 +24,17 @@ map.cross.hidden = true;
 const content = () => structuredClone({ features: plan.features, storeys: plan.storeys, georeference: plan.georeference });
 
 // Change the plan and save it. Who comes later than another browser is told, and can make the change again.
+// Return whether it was saved.
 const change = make => inTurn(async () => {
   const old = content();
   make(plan);
-  if (await save(() => change(make))) {
+  const isSaved = await save(() => change(make));
+  if (isSaved) {
     undone.undo.push(old);
     undone.redo = [];
   }
   show();
+  return isSaved;
 });
 
 async function save(again) {
@@ -172,7 +175,6 @@ const geometryOf = layer => {
 map.leaflet.on("pm:create", ({ layer }) => {
   const properties = { type: mode?.kind ?? "wall", floor: Number(floor) }, geometry = geometryOf(layer);
   layer.remove();
-  stop();
   change(edited => edited.features.push({ type: "Feature", properties, geometry }));
 });
 function take(layer) {
@@ -197,10 +199,6 @@ map.leaflet.on("click", event => { if (mode?.add) mode.add(map.frame.place(event
 
 // Keyboard: the cross in the middle is the pointer.
 byId("map").addEventListener("keydown", event => {
-  if (event.key === "Escape") {
-    stop();
-    say(text("cancelled"));
-  }
   if (event.key === "Enter" && mode) {
     const latlng = map.at(...map.place());
     if (mode.add) return mode.add(map.place());
@@ -209,6 +207,10 @@ byId("map").addEventListener("keydown", event => {
   if (event.key.toLowerCase() === "f" && mode?.shape) map.leaflet.pm.Draw[mode.shape]._finishShape();
 });
 document.addEventListener("keydown", event => {
+  if (event.key === "Escape" && document.querySelector("[aria-pressed=true]")) {
+    stop();
+    say(text("cancelled"));
+  }
   if ((event.ctrlKey || event.metaKey) && "zy".includes(event.key.toLowerCase()) && !event.target.matches("input")) {
     event.preventDefault();
     if (event.key.toLowerCase() === "y" || event.shiftKey) back("redo", "undo"); else back("undo", "redo");
@@ -271,7 +273,10 @@ byId("scale").addEventListener("click", () => {
     change(edited => { // shapes that were drawn before stay on the picture
       storey().metres_per_pixel = factor * scaleOf(storey());
       for (const feature of edited.features) if (floorOf(feature) === floor) feature.geometry.coordinates = scaled(feature.geometry.coordinates);
-    }).then(whole);
+    }).then(isSaved => {
+      whole();
+      if (isSaved) say(text("scale_set", { length }));
+    });
   }));
 });
 

@@ -26,6 +26,7 @@ async function load(address) {
   const hasFocus = document.activeElement?.id === "map";
   if (mode) cancel();
   old?.end();
+  page.getElementById("file-name")?.remove(); // the title of this page has it
   for (const part of ["way", "facts", "over-time"]) byId(part).replaceWith(page.getElementById(part));
   byId("about-tiles")?.remove(); // the workbench has its own option
   shown = showReport({ tracks, origin, tiles: about.tiles });
@@ -208,8 +209,8 @@ function fill() {
     const remove = element("button", { type: "button", ariaLabel: text("remove_fix", { time: clock(fix[0]) }) }, "×");
     remove.onclick = () => edit(changed => { changed.fixes.splice(k, 1); });
     const refusal = refusalOf(fix), why = refusal && (refusal[2] === null ? text("not_used_otherwise") : text("not_used", { n: number(Math.sqrt(refusal[2]), 0) }));
-    return element("li", {}, element("span", {}, `${refusal ? "\u2715" : "+"} ${clock(fix[0])}: ${number(fix[1])}, ${number(fix[2])}${heading}`),
-      std, remove, ...why ? [element("p", { className: "wrong" }, why)] : []);
+    return element("li", {}, element("span", {}, `${refusal ? "\u2715" : "+"} ${clock(fix[0])}: ${number(fix[1])}, ${number(fix[2])} m${heading}`),
+      element("label", {}, "±", std, "m"), remove, ...why ? [element("p", { className: "wrong" }, why)] : []);
   }));
   byId("calibrate").disabled = marks.fixes.length < 2;
   for (const name of CHECKS) byId(name).checked = Boolean(marks.walk[name]);
@@ -222,6 +223,8 @@ function fill() {
   const origin = marks.walk.origin ?? [];
   byId("latitude").value = origin[0] ?? "";
   byId("longitude").value = origin[1] ?? "";
+  byId("not-on-earth").hidden = Boolean(walk.origin);
+  for (const kind of ["gpx", "kml"]) byId(`export-${kind}`).disabled = !walk.origin;
   byId("where").textContent = text("files", { files: state.files });
 }
 
@@ -273,7 +276,7 @@ byId("show-walk").addEventListener("click", reload);
 function drawSigns(pen, box, frameOf) {
   const bars = { cross: ([x, y, w, h]) => [[x + w / 2 - 1, y, 2, h], [x, y + h / 2 - 1, w, 2]], end: ([x, y, w, h]) => [[x + 1.5, y + 1.5, w - 3, h - 3]],
     "bar-of-metres": ([x, y, w, h]) => [[x, y + h - 1.5, w, 1.5], [x, y + h / 2, 1.5, h / 2], [x + w - 1.5, y + h / 2, 1.5, h / 2]] };
-  for (const sign of box.querySelectorAll(".walker svg, .cross, .end, .anchor, .percent, .place, .bar-of-metres, .north")) {
+  for (const sign of box.querySelectorAll(".walker svg, .cross, .end, .anchor, .percent, .place, .bar-of-metres, .north, .beyond-map:not(:empty)")) {
     const at = sign.getBoundingClientRect(), style = getComputedStyle(sign), { offsetWidth: width, offsetHeight: height } = sign;
     const x = -width / 2, y = -height / 2, kind = [...sign.classList].find(name => bars[name]);
     pen.save();
@@ -291,12 +294,12 @@ function drawSigns(pen, box, frameOf) {
     pen.fillStyle = style.backgroundColor; // of the end, and of the numbers of warnings
     pen.beginPath();
     pen.roundRect(x, y, width, height, height / 2);
-    if (sign.classList.contains("place")) pen.fill();
+    if (sign.matches(".place, .beyond-map")) pen.fill();
     if (kind !== "end") pen.fillStyle = style.color;
     else Object.assign(pen, { strokeStyle: style.borderTopColor, lineWidth: 1.5 }).strokeRect(x + 0.75, y + 0.75, width - 1.5, height - 1.5);
     if (kind) bars[kind]([x, y, width, height]).forEach(bar => pen.fillRect(...bar));
     Object.assign(pen, { textAlign: "center", textBaseline: "top", font: `${style.fontWeight} ${style.fontSize} ${style.fontFamily}` });
-    pen.fillText(sign.classList.contains("anchor") ? "\u25B2" : sign.textContent, 0, y + (sign.classList.contains("place") ? 3 : 0));
+    pen.fillText(sign.classList.contains("anchor") ? "\u25B2" : sign.textContent, 0, y + (sign.classList.contains("place") ? 3 : 2));
     pen.font = `20px ${style.fontFamily}`;
     if (sign.classList.contains("north")) pen.fillText("\u2191", 0, -4);
     pen.restore();
@@ -343,9 +346,9 @@ async function png() {
   element("a", { href: made.toDataURL("image/png"), download: `${state.walk.name}.png` }).click();
 }
 
-// A link alone would swallow the reason why a file cannot be made.
-async function download({ href }) {
-  const answer = await fetch(href).catch(() => { throw new Error(text("not_reached")); });
+// A link would swallow the reason why a file cannot be made.
+async function download(kind) {
+  const answer = await fetch(`${base}/export/${kind}`).catch(() => { throw new Error(text("not_reached")); });
   if (!answer.ok) throw new Error((await answer.json()).error);
   const [, name] = /filename="?([^";]+)/.exec(answer.headers.get("Content-Disposition")) ?? [, ""];
   const address = URL.createObjectURL(await answer.blob());
@@ -354,10 +357,7 @@ async function download({ href }) {
 }
 
 byId("exports").append(
-  ...about.exports.map(kind => element("a", { href: `${base}/export/${kind}`, download: "", onclick: event => {
-    event.preventDefault();
-    attempt(() => download(event.target));
-  } }, text(`export_${kind}`))),
+  ...about.exports.map(kind => element("button", { type: "button", id: `export-${kind}`, onclick: () => attempt(() => download(kind)) }, text(`export_${kind}`))),
   element("button", { type: "button", id: "png", onclick: () => attempt(png) }, text("export_png")));
 
 // --- begin -----------------------------------------------------------------------------------------------------------
