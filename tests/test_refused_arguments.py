@@ -183,6 +183,12 @@ SENSING: list[Refusal] = [
 FIXES: list[Refusal] = [
     (a_heading, {"time_s": NAN}, "time_s of a fix must be finite"),
     (a_heading, {"walking_heading_rad": INF}, "walking_heading_rad must be finite"),
+    (
+        a_heading,
+        {"walking_heading_rad": 30.0},
+        r"heading_rad must be in radians .*got 30.0: .*np.deg2rad\(30.0",
+    ),
+    (Georeference, {"heading_rad": 90.0}, r"heading_rad must be in radians .*got 90.0: .*np.deg2rad\(90.0"),
     *of(a_heading, "std_rad must be a number from", std_rad=(0.0, 1e200)),
     (a_heading, {"received_time_s": 0.5}, "received_time_s not before time_s"),
     (a_speed, {"speed_mps": 0.0}, "give a Standstill"),

@@ -5,6 +5,7 @@ Samples usually come in order. These rules handle the exceptions:
 - A row whose time is not after the last accepted time is a repeat or a late sample, and is dropped. `one_clock`
   and the merging of single sensors first sort samples that are less than `REORDER_S` behind an earlier one.
 - If `CLOCK_RESET_SAMPLES` rows in a row lie behind, and their times increase at least once, the clock was set back.
+  Rows that were accepted before and arrive again, such as a block that an app sends twice, do not count.
 - A row more than `max_gap_s` ahead follows a gap if the next row is ahead too. Otherwise it is a glitch.
 - A row more than a minute ahead must be confirmed by `CLOCK_RESET_SAMPLES` rows.
 
@@ -37,6 +38,13 @@ CLOCK_RESET_SAMPLES = 50
 # Longest gap that a second sample confirms, in s. Phones sleep for seconds. Longer gaps are rare, whereas glitches of
 # two samples occur.
 _SHORT_GAP_S = 60.0
+# Of the accepted rows, every 25th is kept to recognise blocks that arrive again. The interval is half of
+# `CLOCK_RESET_SAMPLES`, so that a repeated block contains a kept row before it resembles a clock that was set back.
+_ROWS_PER_KEPT = 25
+# Kept rows. They recognise a repeated minute at 100 Hz, as `stream_merging` does, and take 8 KB.
+_MAX_KEPT = 256
+# Time and specific force of a row: its other values are not needed to recognise it.
+_KEPT_COLUMNS = 4
 # Rows tested together for increasing times. The limit keeps the cost linear when every second time repeats, because
 # each repeat ends a run and the remaining rows are tested again.
 _RUN_ROWS = 256
@@ -55,7 +63,11 @@ class ClockState:
     # clock stands still.
     is_running: bool = False
     n_behind: int = 0  # consecutive rows that lie behind the last accepted one
-    n_rejected_times: int = 0  # rows received since the last accepted one
+    n_rejected_times: int = 0  # rows received since the last accepted one, or since one that arrived again
+    # Every 25th accepted row (K, 4), as its time on the sample clock and its specific force. `n_since_kept` counts the
+    # rows accepted after the last of them.
+    kept: FloatArray = field(default_factory=lambda: np.empty((0, _KEPT_COLUMNS)))
+    n_since_kept: int = _ROWS_PER_KEPT - 1
 
 
 class AcceptedRows(NamedTuple):
@@ -71,22 +83,25 @@ class AcceptedRows(NamedTuple):
 def accept_rows(clock: ClockState, rows: FloatArray, max_gap_s: float) -> AcceptedRows:
     """Return the sample rows with usable times, converted to the track clock, with the new state and counts.
 
-    The first column of `rows` (N, C) is the time on the sample clock. The counts are of dropped rows, backward clock
-    jumps and glitches.
+    The first column of `rows` (N, C) is the time on the sample clock, the next three are the specific force. The counts
+    are of dropped rows, backward clock jumps and glitches.
     """
     accepted: list[FloatArray] = [rows[:0]]
     n_dropped = n_set_backs = n_glitches = start = 0
     while start < len(rows):
         if not clock.held and clock.n_behind == 0:
             clock, in_order = _in_order(clock, rows[start : start + _RUN_ROWS], max_gap_s)
+            clock = _with_kept(clock, in_order)
             accepted.append(in_order)
             start += len(in_order)
             if len(in_order) == _RUN_ROWS or start == len(rows):
                 continue
         found = _accept_or_hold(clock, rows[start], max_gap_s)
-        n_rejected_times = 0 if found.accepted else clock.n_rejected_times + 1
+        n_rejected_times = 0 if found.accepted or found.is_repeat else clock.n_rejected_times + 1
         clock = replace_unchecked(found.clock, n_rejected_times=n_rejected_times)
-        accepted += [row[None] for row in found.accepted]
+        for row in found.accepted:
+            clock = _with_kept(clock, row[None])
+            accepted.append(row[None])
         n_dropped += found.n_dropped
         n_set_backs += found.is_set_back
         n_glitches += found.is_glitch
@@ -109,6 +124,24 @@ def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Cl
     return (replace_unchecked(clock, last_s=float(rows[-1, 0]), n_rejected_times=0) if len(rows) else clock), rows
 
 
+def _with_kept(clock: ClockState, accepted: FloatArray) -> ClockState:
+    """Return the state that keeps every 25th of the accepted rows, to recognise them if they arrive again."""
+    n = clock.n_since_kept + len(accepted)
+    if n < _ROWS_PER_KEPT:
+        return replace_unchecked(clock, n_since_kept=n)
+    new = accepted[_ROWS_PER_KEPT - 1 - clock.n_since_kept :: _ROWS_PER_KEPT, :_KEPT_COLUMNS].copy()
+    new[:, 0] -= clock.offset_s
+    kept = np.concatenate([clock.kept, new])[-_MAX_KEPT:]
+    return replace_unchecked(clock, kept=kept, n_since_kept=n % _ROWS_PER_KEPT)
+
+
+def _is_repeat(clock: ClockState, row: FloatArray) -> bool:
+    """Return True if a row on the sample clock is equal to a kept one."""
+    # The subtraction of the offset rounds the kept time. Times since 1970 have a resolution of 0.2 us.
+    is_same_time = np.abs(clock.kept[:, 0] - row[0]) < 1e-5
+    return bool((is_same_time & (clock.kept[:, 1:] == row[1:_KEPT_COLUMNS]).all(axis=1)).any())
+
+
 class _Decision(NamedTuple):
     """Decision on one row: the new state, and the rows that are accepted or dropped with it."""
 
@@ -117,15 +150,23 @@ class _Decision(NamedTuple):
     n_dropped: int = 0
     is_set_back: bool = False
     is_glitch: bool = False
+    is_repeat: bool = False
 
 
 def _accept_or_hold(clock: ClockState, row: FloatArray, max_gap_s: float) -> _Decision:
     """Return the decision on a sample row: accept it together with the held rows, hold it, or drop it."""
+    is_repeat = _is_repeat(clock, row)
     row = row.copy()
     row[0] += clock.offset_s
     time_s = float(row[0])
+    if is_repeat:
+        # Held rows after the last accepted one arrived again too. They are of the time before a backward jump.
+        held = clock.held if time_s <= clock.last_s else ()
+        n_dropped = 1 + len(clock.held) - len(held)
+        clock = replace_unchecked(clock, held=held, behind_s=-np.inf, is_running=False, n_behind=0)
+        return _Decision(clock, n_dropped=n_dropped, is_repeat=True)
     if time_s <= clock.last_s:
-        return _behind(clock, time_s, max_gap_s)
+        return _behind(clock, row, max_gap_s)
     clock = replace_unchecked(clock, behind_s=-np.inf, is_running=False, n_behind=0)
     n_glitches_dropped = 0
     if clock.held and time_s < clock.held[0][0]:
@@ -145,11 +186,12 @@ def _accept_or_hold(clock: ClockState, row: FloatArray, max_gap_s: float) -> _De
     return _Decision(replace_unchecked(clock, held=(), last_s=time_s), held)
 
 
-def _behind(clock: ClockState, time_s: float, max_gap_s: float) -> _Decision:
+def _behind(clock: ClockState, row: FloatArray, max_gap_s: float) -> _Decision:
     """Return the decision on a row that lies behind the last accepted one: it is dropped.
 
     After `CLOCK_RESET_SAMPLES` such rows whose times increase, the clock was set back, and the offset changes.
     """
+    time_s = float(row[0])
     clock = replace_unchecked(
         clock,
         behind_s=time_s,
@@ -161,7 +203,11 @@ def _behind(clock: ClockState, time_s: float, max_gap_s: float) -> _Decision:
     # The duration between the last accepted row and the next one is unknown, because rows were dropped. The offset adds
     # twice `max_gap_s`, so that the later stages see a gap.
     offset_s = clock.offset_s + clock.last_s - time_s + 2 * max_gap_s
-    return _Decision(ClockState(clock.last_s, offset_s), n_dropped=1 + len(clock.held), is_set_back=True)
+    after = ClockState(clock.last_s, offset_s, kept=clock.kept)
+    # The row that shows the jump is kept, so that the same block, sent again, shows no second jump.
+    row[0] = clock.last_s + 2 * max_gap_s
+    after = _with_kept(after, row[None])
+    return _Decision(after, n_dropped=1 + len(clock.held), is_set_back=True)
 
 
 def latest_before(time_s: FloatArray, before_s: float = -np.inf) -> FloatArray:
@@ -256,7 +302,7 @@ def one_clock(recording: Recording, fixes: Iterable[AnyFix] = ()) -> tuple[Recor
     changed. A note on the recording states each jump. Samples that are less than `REORDER_S` behind an earlier one are
     sorted by time, with a note on their number.
     """
-    set_backs, fixes = _set_backs(recording.accelerometer.time_s), tuple(fixes)
+    set_backs, fixes = _set_backs(recording.accelerometer), tuple(fixes)
     if not set_backs:
         return _with_sorted_samples(recording), fixes
     offsets_s, streams = np.cumsum([0.0, *(s.ahead_s for s in set_backs)]), dict[str, Samples]()
@@ -297,14 +343,15 @@ def _with_sorted_samples(recording: Recording) -> Recording:
     return dataclasses.replace(recording, **changed, notes=notes)
 
 
-def _set_backs(time_s: FloatArray) -> list[_SetBack]:
-    """Return the backward clock jumps that `accept_rows` detects in times (N,), in order."""
-    index = np.flatnonzero(np.isfinite(time_s))
-    known_s = time_s[index]
+def _set_backs(stream: Samples) -> list[_SetBack]:
+    """Return the backward clock jumps that `accept_rows` detects in the samples of an accelerometer, in order."""
+    index = np.flatnonzero(np.isfinite(stream.time_s))
+    known_s = stream.time_s[index]
     if is_behind(known_s, np.maximum.accumulate(known_s)).sum() < CLOCK_RESET_SAMPLES:
         return []
-    rows = accept_rows(ClockState(), np.column_stack([known_s, np.arange(float(len(known_s)))]), MAX_GAP_S).rows
-    at = rows[:, 1].astype(int)
+    numbered = np.column_stack([known_s, stream.values[index], np.arange(float(len(known_s)))])
+    rows = accept_rows(ClockState(), numbered, MAX_GAP_S).rows
+    at = rows[:, -1].astype(int)
     changes = np.flatnonzero(np.abs(np.diff(rows[:, 0] - known_s[at])) > 1e-6)
     spacing_s = float(np.median(np.diff(rows[:, 0])))
     result: list[_SetBack] = []

@@ -95,8 +95,11 @@ def _sensor_notes(config: Config, state: State) -> Iterator[Note]:
     yield from (Note("sensors", text) for text in device_notes(config, state))
     for sensor, stream in zip(SENSORS[1:], state.merger.streams[1:], strict=True):
         if stream.n_late:
-            words = f"{sensor}: {stream.n_late} of {stream.n_received} samples were dropped, because they are "
-            yield Note("samples", words + "repeated or behind later ones: send the samples of a sensor in order")
+            words = (
+                f"{sensor}: {stream.n_late} of {stream.n_received} samples were dropped, because they are repeated, "
+            )
+            words += f"behind later ones, or more than {config.merger.wait_s:g} s behind the accelerometer: send the "
+            yield Note("samples", words + "samples of a sensor in order, and all sensors in turn in shorter blocks")
     if state.waiting_climbs.n_lost:
         lost = how_many(state.waiting_climbs.n_lost, "climb rate")
         words = f"{lost} of the barometer not used, because its times are ahead "

@@ -50,6 +50,17 @@ def check_number(name: str, value: Any, least: float, largest: float, remedy: st
         raise ValueError(f"{name} must be a number from {least:g} to {largest:g}, got {value!r}: {remedy}")
 
 
+def check_heading(name: str, heading_rad: Any) -> None:
+    """Raise ValueError unless a number is a finite heading of at most one turn, in rad."""
+    check_array(name, heading_rad)
+    heading_deg = np.degrees(heading_rad)
+    if not (abs(heading_deg) <= limits.MAX_HEADING_DEG * (1 + 1e-6)).all():
+        raise ValueError(
+            f"{name} must be in radians clockwise from north, -2 pi to 2 pi, got {heading_rad!r}: convert degrees with "
+            f"np.deg2rad({heading_rad!r})"
+        )
+
+
 def check_step_length(name: str, length_m: Any) -> None:
     """Raise ValueError unless a number is a plausible step length in metres."""
     check_number(name, length_m, *limits.STEP_LENGTH_RANGE_M, "step lengths are in metres, such as 0.7")

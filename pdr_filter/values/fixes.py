@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.checks import check_array, check_number
+from pdr_filter.values.checks import check_array, check_heading, check_number
 from pdr_filter.values.json_values import as_plain
 from pdr_filter.values.origin import Origin, check_coordinates
 from pdr_filter.values.uncertainty import RADIUS_68
@@ -252,8 +252,8 @@ class HeadingFix:
     time_s : float
         Time at which the heading was true, on the clock of the samples, s.
     walking_heading_rad : float
-        Walking direction, rad, clockwise from north. It need not be wrapped. All heading fixes, and position fixes, if
-        any, must have the same north, such as true north or that of a building.
+        Walking direction, rad, clockwise from north, -2 pi to 2 pi. All heading fixes, and position fixes, if any, must
+        have the same north, such as true north or that of a building.
     std_rad : float
         Standard deviation, rad.
     received_time_s : float, optional
@@ -279,7 +279,7 @@ class HeadingFix:
 
     def __post_init__(self) -> None:
         _prepare(self)
-        check_array("walking_heading_rad", self.walking_heading_rad)
+        check_heading("walking_heading_rad", self.walking_heading_rad)
         _checked_std("std_rad", self.std_rad)
 
 
@@ -741,7 +741,8 @@ def stated_fixes(fix: Measurement) -> tuple[HeadingFix | PositionFix, ...]:
         return ()
     stated: list[HeadingFix | PositionFix] = []
     if has_heading:
-        stated.append(HeadingFix(fix.time_s, float(x[2]), math.sqrt(float(x_cov[2, 2])), fix.received_time_s))
+        heading_rad = math.remainder(float(x[2]), 2 * math.pi)
+        stated.append(HeadingFix(fix.time_s, heading_rad, math.sqrt(float(x_cov[2, 2])), fix.received_time_s))
     if n_axes:
         stated.append(PositionFix(fix.time_s, x[:2], np.asarray(x_cov[:2, :2], dtype=float), fix.received_time_s))
     return tuple(stated)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Literal, TypeVar, get_args
 
-from pdr_filter.values.checks import are_numbers
+from pdr_filter.values.checks import are_numbers, check_heading
 from pdr_filter.values.fixes import Fix, HeadingFix, PositionFix, has_frame
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.plan import Plan
@@ -81,6 +81,8 @@ class Georeference:
                 f"heading_rad must be a finite number, clockwise from north, got {self.heading_rad!r}; 90 degrees "
                 "are math.radians(90)"
             )
+        if self.heading_rad is not None:
+            check_heading("heading_rad", self.heading_rad)
         if self.start is not None and self.plan is None:
             raise ValueError(
                 f"start is a position on a floor plan, got {self.start!r} without plan: give plan, or leave start out"

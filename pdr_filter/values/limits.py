@@ -52,6 +52,12 @@ MAX_TEXT_CHARS = 500
 GAP_S = 0.3
 # A slow sensor (GNSS at 1 Hz) has a gap where an interval is longer than this number of usual intervals.
 GAP_INTERVALS = 2.5
+# Largest magnitude of a given heading, in degrees: a whole turn in both directions. A larger one in radians is a number
+# in degrees.
+MAX_HEADING_DEG = 360.0
+# Largest distance of a given fix from the origin of the track. Nobody walks further in a day, and an exchanged latitude
+# and longitude are thousands of kilometres away, except near the line on which both are equal.
+MAX_FIX_DISTANCE_M = 100e3
 # Maximum distance in time for interpolating gravity to the times of the accelerometer. Gravity rotates less in this
 # time than in the swing of a step.
 GRAVITY_GAP_S = 0.3

@@ -20,11 +20,17 @@ from pdr_filter.values.recording import Recording
 YEAR_S = 3.2e7
 
 
+def different_rows(time_s: np.ndarray) -> np.ndarray:
+    """Rows whose values differ from row to row, as those of a sensor do."""
+    return np.column_stack([time_s, np.random.default_rng(0).normal(size=(len(time_s), 3))])
+
+
 def followed(time_s: np.ndarray, *more: np.ndarray) -> tuple[ClockState, np.ndarray, int]:
     """State, accepted times and backward jumps of a clock."""
     clock, parts = ClockState(), list[AcceptedRows]()
-    for part in (time_s, *more):
-        parts.append(accept_rows(clock, np.column_stack([part, part]), MAX_GAP_S))
+    rows = different_rows(np.concatenate([time_s, *more]))
+    for part in np.split(rows, np.cumsum([len(time_s), *map(len, more)])[:-1]):
+        parts.append(accept_rows(clock, part, MAX_GAP_S))
         clock = parts[-1].clock
     return clock, np.concatenate([part.rows[:, 0] for part in parts]), sum(part.n_set_backs for part in parts)
 
@@ -60,9 +66,9 @@ def test_late_samples_neither_cause_nor_prevent_a_backward_clock_jump() -> None:
 def test_a_few_samples_years_ahead_are_a_glitch_and_neither_a_gap_nor_a_backward_jump(n_wrong: int) -> None:
     time_s = np.arange(1000) / 100
     time_s[400 : 400 + n_wrong] += YEAR_S
-    found = accept_rows(ClockState(), time_s[:, None], MAX_GAP_S)
+    found = accept_rows(ClockState(), different_rows(time_s), MAX_GAP_S)
     assert len(found.rows) == 1000 - n_wrong
-    assert found.rows[-1] == time_s[-1]
+    assert found.rows[-1, 0] == time_s[-1]
     assert (found.n_dropped, found.n_glitches, found.n_set_backs, found.clock.offset_s) == (n_wrong, 1, 0, 0.0)
 
 
@@ -85,6 +91,33 @@ def test_a_clock_that_stands_still_gives_a_note() -> None:
 def test_a_clock_that_stands_still_in_the_past_is_not_followed() -> None:
     clock, accepted_s, n_jumps = followed(np.concatenate([np.arange(500) / 100, np.full(400, 2.0)]))
     assert (len(accepted_s), n_jumps, clock.offset_s) == (500, 0, 0.0)
+
+
+@pytest.mark.parametrize("n", [10, 50, 100, 1000])
+def test_a_block_that_arrives_again_is_dropped_and_is_no_backward_jump(n: int) -> None:
+    rows = different_rows(np.arange(3000) / 100)
+    rows[1000:, 0] -= 7.0  # a jump, whose samples arrive again too
+    once = accept_rows(ClockState(), rows, MAX_GAP_S)
+    clock, accepted, n_set_backs = ClockState(), list[np.ndarray](), 0
+    for part in np.split(rows, range(n, 3000, n)):
+        for _ in range(3):
+            found = accept_rows(clock, part, MAX_GAP_S)
+            clock, n_set_backs = found.clock, n_set_backs + found.n_set_backs
+            accepted.append(found.rows)
+    kept = np.concatenate(accepted)
+    assert len(np.unique(kept[:, 1])) == len(kept) >= len(once.rows)
+    np.testing.assert_array_equal(kept[:1000], once.rows[:1000])
+    assert n_set_backs == 1
+    assert clock.n_rejected_times < 50
+
+
+def test_a_recording_with_repeated_blocks_has_the_same_track(walk: Recording) -> None:
+    def doubled(stream: Samples) -> Samples:
+        twice = np.concatenate([np.tile(i, 2) for i in np.split(np.arange(len(stream)), range(100, len(stream), 100))])
+        return Samples(stream.time_s[twice], stream.values[twice])
+
+    repeated = replace(walk, **{name: doubled(stream) for name, stream in walk.streams.items()})
+    np.testing.assert_array_equal(pdr.track(repeated).position_m, pdr.track(walk).position_m)
 
 
 @pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])

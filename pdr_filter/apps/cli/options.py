@@ -298,7 +298,7 @@ def _heading_rad(text: str | None) -> float | None:
         heading_deg = float(text)
     except ValueError:
         heading_deg = math.nan
-    if not abs(heading_deg) <= 360:
+    if not abs(heading_deg) <= limits.MAX_HEADING_DEG:
         raise ValueError(
             f"--heading must be degrees clockwise from north, -360 to 360, such as 90 for east, got {text!r}"
         )

@@ -8,6 +8,7 @@ joint solution of `placing`. The uncertainty of the other walks is that of the j
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -248,5 +249,5 @@ def _origin(chain: Chain, seed: WalkPose, known: Sequence[Known]) -> list[Known]
         fixes.append(PositionFix(start_s, seed.of(chain.mean[:1, :2])[0], _ORIGIN_STD_M**2 * np.eye(2)))
     if len(known) < 2 and not chain.knows_north:
         heading_rad = chain.device_rad[0] + chain.mean[0, HEADING_OFFSET] + seed.turn_rad
-        fixes.append(HeadingFix(start_s, float(heading_rad), _ORIGIN_STD_RAD))
+        fixes.append(HeadingFix(start_s, math.remainder(float(heading_rad), 2 * math.pi), _ORIGIN_STD_RAD))
     return fixes

@@ -86,7 +86,8 @@ def fixes_of_file(
                 headings.append(HeadingFix(t, math.radians(heading_deg), math.radians(heading_std_deg)))
             except ValueError as error:
                 raise ValueError(
-                    f"{file}, line {line}: heading_std_deg must be positive and finite ({error})"
+                    f"{file}, line {line}: heading_deg must be -360 to 360, and heading_std_deg positive and finite "
+                    f"({error})"
                 ) from None
     return [*fixes, *headings]
 
@@ -118,12 +119,30 @@ def _in_metres(file: Path, rows: Sequence[_Row], origin: Origin | tuple[float, f
             f"and to the track, such as the first position: origin=({latitude_deg:.6f}, {longitude_deg:.6f}), or write "
             "east_m,north_m"
         )
-    here = Origin.of(origin)
-    return [
-        row._replace(values=[time_s, *here.east_north_m(latitude_deg, longitude_deg).tolist(), *more])
-        for row in rows
-        for time_s, latitude_deg, longitude_deg, *more in [row.values]
-    ]
+    here, found = Origin.of(origin), list[_Row]()
+    for row in rows:
+        time_s, latitude_deg, longitude_deg, *more = row.values
+        east_north_m = here.east_north_m(latitude_deg, longitude_deg)
+        _check_near(file, row, here, float(np.hypot(*east_north_m)))
+        found.append(row._replace(values=[time_s, *east_north_m.tolist(), *more]))
+    return found
+
+
+def _check_near(file: Path, row: _Row, origin: Origin, distance_m: float) -> None:
+    """Raise ValueError if the position of a row, in degrees, is too far from the origin for a pedestrian."""
+    if distance_m <= limits.MAX_FIX_DISTANCE_M:
+        return
+    _, latitude_deg, longitude_deg, *_ = row.values
+    is_exchanged = abs(longitude_deg) <= 90 and (
+        np.hypot(*origin.east_north_m(longitude_deg, latitude_deg)) <= limits.MAX_FIX_DISTANCE_M
+    )
+    cause = "latitude and longitude are exchanged" if is_exchanged else "the origin or the row is of another place"
+    remedy = "exchange the two columns or the two numbers of the origin" if is_exchanged else "correct one of them"
+    raise ValueError(
+        f"{file}, line {row.line}: latitude {latitude_deg:g}, longitude {longitude_deg:g} is "
+        f"{distance_m / 1000:,.0f} km from the origin, {origin.latitude_deg:g},{origin.longitude_deg:g}: "
+        f"{cause}; {remedy}"
+    )
 
 
 def ranges_of_file(

@@ -111,6 +111,13 @@ def test_an_accuracy_is_the_radius_of_68_percent_of_a_fix(
     np.testing.assert_allclose(fix.cov_m2, std_m**2 * np.eye(2))
 
 
+def test_exchanged_latitude_and_longitude_of_a_fix_are_refused_with_the_row(tmp_path: Path) -> None:
+    path = tmp_path / "fixes.csv"
+    path.write_text("time_s,latitude,longitude\n1.0,48.1372,11.5751\n2.0,11.5751,48.1372\n")
+    with pytest.raises(ValueError, match=r"line 3: .* is 4,\d00 km from the origin.*longitude are exchanged; exchange"):
+        fixes_of_file(path, origin=(48.1372, 11.5751))
+
+
 def test_anchors_on_both_sides_of_180_degrees_are_near_each_other(tmp_path: Path) -> None:
     path = anchors_file(tmp_path / "a.geojson", {"a": (179.9999, -16.8), "b": (-179.9999, -16.8)})
     found = anchors_of_file(path, origin=(-16.8, 179.9999))
