@@ -57,7 +57,7 @@ def with_sets(arguments: argparse.Namespace, parts: Sequence[Part]) -> list[str]
     ValueError for an unknown set, and if no part has a set.
     """
     known = dict.fromkeys(name for part in parts for name in (*part.needs, *part.uses))
-    chosen = [name for name in arguments.sets.split(",") if name] or list(known)
+    chosen = list(dict.fromkeys(name for name in arguments.sets.split(",") if name) or known)
     if unknown := [name for name in chosen if name not in known]:
         raise ValueError(f"--sets has {', '.join(unknown)}, but the sets here are {', '.join(known)}")
     least = max(part.min_people for part in parts)
@@ -79,15 +79,19 @@ def with_sets(arguments: argparse.Namespace, parts: Sequence[Part]) -> list[str]
             found.append(name)
             if untrained := [s for s in part.trained_on if is_missing[s]]:
                 left_out.append(f"{name}: models are trained without {', '.join(untrained)}, unlike those of the docs")
+    absent = [name for name in chosen if is_missing[name]]
+    if not found and not absent:
+        raise ValueError(f"--sets {arguments.sets} has too few sets: {'; '.join(left_out)}")
     if not found:
         raise ValueError(
-            f"{arguments.data} has no recordings of the data sets {', '.join(chosen)} as SET/*.zip, or not enough of "
-            "them: name the folder of the data sets with --data, or download them with pdr_filter.datasets.fetch"
+            f"{arguments.data} has no recordings of {', '.join(absent)} "
+            "(SET/*.zip), so that nothing can be done: name the folder of the data sets with --data, or download them "
+            "with pdr_filter.datasets.fetch"
         )
     for sentence in left_out:
         say(sentence)
     if len(chosen) < len(known) or arguments.people:
-        say(f"data sets: {', '.join(chosen)}{f', {arguments.people} people of each' if arguments.people else ''}")
+        say(f"data sets: {', '.join(chosen)}{f'; people of each: {arguments.people}' if arguments.people else ''}")
     arguments.whole = arguments.data
     if not is_whole:
         say("tables are printed and not written, because the study is not complete")
