@@ -71,7 +71,9 @@ def _inside(labels: Table, time_s: FloatArray) -> BoolArray:
     return np.asarray(((time_s[:, None] >= labels.start_s) & (time_s[:, None] < labels.end_s)).any(axis=1))
 
 
-def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> Table:
+def study_table(
+    rows: Sequence[Table], people: Sequence[str] | None = None, measures: Sequence[str] = MEASURES
+) -> Table:
     """Return mean errors over persons of several tracks, with 95 % intervals and paired differences.
 
     Parameters
@@ -81,6 +83,8 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
     people : sequence of str, optional
         Person of each recording. The recordings of one person are averaged first, because they are not independent. By
         default each recording is of another person.
+    measures : sequence of str, optional
+        Columns of the rows to average. The default is all measures of `comparison_table`.
 
     Returns
     -------
@@ -88,8 +92,8 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
         A row for each measure and track, with columns `measure`, `name`, `n_recordings`, `n_people`, `bias` (mean of
         the signed errors), `mean`, `low`, `high` (mean of the absolute errors with its interval), and `difference`,
         `difference_low`, `difference_high` (absolute error minus the absolute error of the last track, paired by
-        person; NaN for the last track). Measures without any values are omitted. Recordings without a measure do not
-        count for it.
+        person; NaN for the last track, and for measures that are equal for all tracks). Measures without any values are
+        omitted. Recordings without a measure do not count for it.
 
     Raises
     ------
@@ -124,17 +128,20 @@ def study_table(rows: Sequence[Table], people: Sequence[str] | None = None) -> T
     if len(people) != len(rows):
         raise ValueError(f"people must have one name for each of the {len(rows)} recordings, got {len(people)}")
     found: list[tuple[object, ...]] = []
-    for measure in MEASURES:
+    for measure in measures:
         error = np.array([each[measure] for each in rows])  # (R, T)
         use = np.isfinite(error).all(axis=1)
         if not use.any():
             continue
         error, person_of = error[use], np.array(people)[use]
+        # Steps and contexts of windows are the same for all weightings: a difference of zero would seem a result.
+        is_equal = bool((error == error[:, -1:]).all())
         persons = sorted(set(person_of.tolist()))
         signed = np.array([error[person_of == person].mean(axis=0) for person in persons])
         size = np.array([np.abs(error[person_of == person]).mean(axis=0) for person in persons])
         for k, name in enumerate(names):
-            difference = _interval(size[:, k] - size[:, -1]) if k < len(names) - 1 else (np.nan, np.nan, np.nan)
+            is_reference = is_equal or k == len(names) - 1
+            difference = (np.nan, np.nan, np.nan) if is_reference else _interval(size[:, k] - size[:, -1])
             counts = int(use.sum()), len(size)
             found.append((measure, name, *counts, signed[:, k].mean(), *_interval(size[:, k]), *difference))
     if not found:

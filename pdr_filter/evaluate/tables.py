@@ -105,6 +105,8 @@ def latex(
 
 def heading(name: str) -> str:
     """Return the heading of a column in words, with its unit in parentheses: "RMSE (m)" for `rmse_m`."""
+    if name == "context_error_percent":
+        return "Windows of wrong context (%)"
     words = name.removeprefix("n_").split("_")
     unit = _UNITS.get(words[-1]) if len(words) > 1 else None
     words = [word.upper() if word in ACRONYMS else word for word in (words[:-1] if unit else words)]

@@ -13,7 +13,8 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from datetime import date
 from pathlib import Path
@@ -46,7 +47,20 @@ _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 # --- the runner and recordings ----------------------------------------------------------------------------------------
 
 
-def run(doc: str | None, *parts: Callable[[Tables, argparse.Namespace], None], **options: Any) -> None:
+_HELP = {
+    "cache": "folder that keeps training windows and trained models, so that a later run does not train again. Use an "
+    "empty folder after changes of the training",
+    "sets": "data sets to use, such as terrain,ipin2023. Tables are printed only. Default: all",
+    "people": "number of people to score in each data set, the last by name. Tables are printed only. Default: all",
+}
+
+
+def run(
+    doc: str | None,
+    *parts: Callable[[Tables, argparse.Namespace], None],
+    prepare: Callable[[argparse.Namespace, Sequence[str]], Sequence[str]] | None = None,
+    **options: Any,
+) -> None:
     """Run the parts of a benchmark, all or those named on the command line, and report the time that each takes.
 
     Parameters
@@ -55,6 +69,9 @@ def run(doc: str | None, *parts: Callable[[Tables, argparse.Namespace], None], *
         Docstring of the script; its first line is shown by `--help`.
     *parts : callable
         Functions of the tables to write and the arguments; the name of a function is the name of its part.
+    prepare : callable, optional
+        Function of the arguments and the names of the parts, which returns the names of the parts to run. Its
+        ValueError ends the command with one sentence.
     **options
         Further options with their defaults, which have their types: `every=4` is `--every N`, an integer, a list takes
         several values, and None is the default of a path.
@@ -70,17 +87,36 @@ def run(doc: str | None, *parts: Callable[[Tables, argparse.Namespace], None], *
         given: dict[str, Any] = (
             {"action": "store_true"} if kind is bool else {"type": kind, "nargs": "+" if many else None}
         )
-        parser.add_argument(f"--{name.replace('_', '-')}", default=default, help=f"default: {default}", **given)
+        about = _HELP.get(name, f"default: {default}")
+        parser.add_argument(f"--{name.replace('_', '-')}", default=default, help=about, **given)
     arguments = parser.parse_args()
     if unknown := set(arguments.parts) - set(by_name):
         parser.error(f"no part {', '.join(sorted(unknown))}; parts are {', '.join(by_name)}")
+    names, data = arguments.parts or list(by_name), arguments.data
+    try:
+        names = names if prepare is None else prepare(arguments, names)
+    except ValueError as error:
+        parser.exit(2, f"{error}\n")
     spec = sys.modules["__main__"].__spec__
     command = f"python -m {spec.name.removesuffix('.__main__') if spec else 'NAME'}"
     tables = Tables(command, None if arguments.print else FOLDER)
-    for name in arguments.parts or by_name:
-        start = time.perf_counter()
-        by_name[name](tables, arguments)
-        print(f"{name}: {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
+    say(f"{command}: {', '.join(names)}; data in {data}")
+    for name in names:
+        with timed(name):
+            by_name[name](tables, arguments)
+
+
+def say(text: str) -> None:
+    """Print progress on stderr at once."""
+    print(text, file=sys.stderr, flush=True)
+
+
+@contextmanager
+def timed(what: str) -> Generator[None]:
+    """Print how long the block took."""
+    start = time.perf_counter()
+    yield
+    say(f"{what}: {time.perf_counter() - start:.0f} s")
 
 
 def paths(data: Path, site: str, pattern: str = "*.zip") -> list[Path]:

@@ -56,6 +56,13 @@ def test_a_recording_counts_only_in_the_measures_that_its_truth_has() -> None:
     assert counts == {"step_error_percent": 2, "leg_error_percent": 1}
 
 
+def test_a_measure_that_no_track_changes_has_no_difference() -> None:
+    study = study_table([errors((2.0, 2.0), (1.0, 2.0)), errors((3.0, 3.0), (2.0, 2.0))])
+    difference = {str(row["measure"]): row["difference"] for row in study if row["name"] == "a"}
+    assert np.isnan(difference["step_error_percent"])
+    assert difference["leg_error_percent"] == pytest.approx(-0.5)
+
+
 @pytest.mark.parametrize(
     ("rows", "people", "message"),
     [
@@ -128,14 +135,26 @@ def test_a_table_is_written_with_all_digits_and_as_latex(tmp_path: Path) -> None
 
 def test_compare_writes_tables_of_all_recordings(tmp_path: Path) -> None:
     for seed in (1, 2):
-        simulate([Leg("walking", distance_m=20.0)], seed=seed).save(tmp_path / f"walk{seed}.zip")
+        walk = simulate([Leg("walking", distance_m=20.0)], seed=seed)
+        replace(walk, meta={**walk.meta, "dataset": "tyrex"}).save(tmp_path / f"walk{seed}.zip")
     out = tmp_path / "out"
     files = [str(tmp_path / f"walk{seed}.zip") for seed in (1, 2)]
-    ran = CliRunner().invoke(app, ["compare", *files, "--truth", "--out", str(out)])
+    ran = CliRunner().invoke(app, ["compare", *files, "--truth", "--out", str(out)], env={"COLUMNS": "200"})
     assert ran.exit_code == 0, ran.output
     assert "Step error (%)" in ran.output
+    said = " ".join(ran.output.split())
+    assert "1 of 2: " in said and "2 of 2: " in said
+    assert "a context model was trained on recordings of tyrex" in said
     rows = list(csv.DictReader((out / "study.csv").open()))
-    assert {row["name"] for row in rows} == {"hc", "wc", "imm"}
+    by_weighting = [row for row in rows if row["measure"] == "distance_error_percent"]
+    assert {row["name"] for row in rows if row not in by_weighting} == {"hc", "wc", "imm"}
+    known = [row for row in csv.DictReader((out / "weightings.csv").open()) if row["weighting"] == "wc, always"]
+    bias = np.mean([float(row["error_percent"]) for row in known])
+    assert [float(row["bias"]) for row in by_weighting if row["name"] == "wc, always"] == [pytest.approx(bias)]
+    assert f"Distance error (%) wc, always 2 1 {bias:+.2f}" in said
+    assert by_weighting[-1]["name"] == "imm"
+    (wrong,) = (row for row in rows if (row["measure"], row["name"]) == ("context_error_percent", "hc"))
+    assert wrong["difference"] == "" and "Windows of wrong context (%)" in said
     assert (out / "study.tex").read_text().startswith(r"\begin{table}")
     assert "difference to IMM" in (out / "study.tex").read_text().replace("Difference", "difference")
     assert len(list(csv.DictReader((out / "recordings.csv").open()))) == 6

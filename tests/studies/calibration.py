@@ -21,8 +21,8 @@ from pdr_filter.evaluate.tracks import moved_m
 from pdr_filter.recipes import RECIPES
 from pdr_filter.tracking.track import Track
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, recordings, run
-from tests.studies.data import paper_table
+from tests.benchmarks.common import Tables, recordings
+from tests.studies.data import Part, paper_table, run_study
 
 
 def error_percent(walk: Recording, track: Track) -> float:
@@ -57,4 +57,4 @@ def gains(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, gains)
+    run_study(__doc__, Part(make=gains, needs=("humolire",)))

@@ -64,13 +64,13 @@ from pdr_filter.values import (
     wrap_angle,
 )
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, recordings, run
+from tests.benchmarks.common import Tables, paths, recordings, say, timed
 from tests.oracles.rvm_reference import train_plain
 from tests.studies import guo2018 as study_guo
 from tests.studies import martinelli2018 as study_martinelli
 from tests.studies import tian2016 as study_tian
 from tests.studies import zhou2019 as study_zhou
-from tests.studies.data import NAN, counted_walk, paper_table, people_left_out, place_of
+from tests.studies.data import NAN, Part, counted_walk, paper_table, people_left_out, place_of, run_study
 
 Row = Mapping[str, object]
 
@@ -523,11 +523,26 @@ def of_susi(data: Path, walks: Sequence[Recording]) -> Iterator[Row]:
 # --- table ------------------------------------------------------------------------------------------------------------
 
 
+# Rows of each recipe, and the data sets that they need besides ubicomp13.
+RECIPES: Mapping[Callable[[Path, Sequence[Recording]], Iterator[Row]], tuple[str, ...]] = {
+    of_martinelli: ("motionsense",),
+    of_tian: ("oxiod", "tyrex"),
+    of_zhou: ("motionsense", "pyshoe"),
+    of_guo: train_guo.DATASETS,
+    of_susi: (),
+}
+
+
 def effects(tables: Tables, arguments: argparse.Namespace) -> None:
     """Measures as printed, and here."""
     walks = list(people_left_out(arguments.data))
-    recipes = (of_martinelli, of_tian, of_zhou, of_guo, of_susi)
-    rows = [row for of_recipe in recipes for row in of_recipe(arguments.data, walks)]
+    rows: list[Row] = []
+    for of_recipe, sets in RECIPES.items():
+        if missing := [name for name in sets if not paths(arguments.data, name)]:
+            say(f"{of_recipe.__name__} is left out: no recordings of {', '.join(missing)}")
+            continue
+        with timed(of_recipe.__name__):
+            rows += of_recipe(arguments.data, walks)
     title = "Effects of deviations from the papers"
     paper_table(
         tables,
@@ -539,4 +554,5 @@ def effects(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, effects)
+    others = tuple(dict.fromkeys(name for sets in RECIPES.values() for name in sets))
+    run_study(__doc__, Part(make=effects, needs=("ubicomp13",), uses=others, min_people=3))

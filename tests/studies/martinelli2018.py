@@ -49,9 +49,9 @@ from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import track
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, recordings, run
+from tests.benchmarks.common import Tables, recordings
 from tests.benchmarks.weightings import Piece, clip, joined_walk
-from tests.studies.data import NAN, paper_table, prefixed
+from tests.studies.data import NAN, Part, paper_table, prefixed, run_study
 
 TextArray = NDArray[np.str_]
 
@@ -526,9 +526,15 @@ def contexts_and_distances(tables: Tables, arguments: argparse.Namespace) -> Non
         f"joined: {len(walks)} walks of MotionSense, as Table V; real: {len(real)} walks of difronzo with real changes "
         "of context, by a machine of MotionSense; error against the distance of the same steps in the true contexts"
     )
-    by_set = {"joined": walks, "real": real}
+    by_set = {"joined": walks} | ({"real": real} if real else {})
     paper_table(tables, "martinelli2018_fig_14", title, _thresholds(by_set), data)
 
 
 if __name__ == "__main__":
-    run(__doc__, contexts_and_distances, belt, windows, features)
+    run_study(
+        __doc__,
+        Part(make=contexts_and_distances, needs=("motionsense",), uses=("difronzo",), min_people=3),
+        Part(make=belt, needs=("motionsense", "sisfall"), min_people=3),
+        Part(make=windows, needs=("motionsense",), min_people=3),
+        Part(make=features, needs=("motionsense", "sisfall"), min_people=3),
+    )

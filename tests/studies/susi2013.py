@@ -25,9 +25,10 @@ from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, Step, WindowContext
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, recordings, run
+from tests.benchmarks.common import Tables, recordings
 from tests.studies.data import (
     NAN,
+    Part,
     by_count,
     counted_walk,
     even_way,
@@ -35,6 +36,7 @@ from tests.studies.data import (
     people_left_out,
     place_of,
     prefixed,
+    run_study,
     together,
     with_subject,
 )
@@ -247,7 +249,7 @@ _REAL = {
 def _data(stretches: Sequence[Stretch], sources: Sequence[str] = tuple(_REAL)) -> str:
     """The data sets that there are."""
     present = {s.source for s in stretches}
-    return "; ".join(_REAL[source] for source in sources if source in present)
+    return "; ".join(_REAL[source] for source in sources if source in present) or "no recordings"
 
 
 def _shares_percent(modes: IntArray) -> FloatArray:
@@ -348,4 +350,4 @@ def modes_and_steps(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, modes_and_steps)
+    run_study(__doc__, Part(make=modes_and_steps, uses=_SOURCES))

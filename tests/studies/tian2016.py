@@ -37,8 +37,8 @@ from pdr_filter.sensing.front_end import Event
 from pdr_filter.tracking.whole_recording import run_sensing, track
 from pdr_filter.values import CARRYING_MODES, FloatArray, Step, WindowContext, interpolated_rows, steps_of
 from pdr_filter.values.recording import Recording, Subject
-from tests.benchmarks.common import Tables, places_of, recordings, run, way_of
-from tests.studies.data import counted_walk, paper_table, prefixed
+from tests.benchmarks.common import Tables, places_of, recordings, way_of
+from tests.studies.data import Part, counted_walk, paper_table, prefixed, run_study
 
 # --- Carrying modes --------------------------------------------------------------------------------------------------
 
@@ -313,6 +313,8 @@ def headings(tables: Tables, arguments: argparse.Namespace) -> None:
     rows: list[Row] = []
     for site, pattern, mode in _CAPTURED:
         walks = list(recordings(arguments.data, site, f"{pattern}.zip"))
+        if not walks:
+            continue
         where = pattern.strip("*_").replace("_", ", ")
         row: Row = {"mode": mode, "where": f"{site}, {where}", "walks": len(walks)}
         names = ("median deg", "largest deg", "position m")
@@ -335,4 +337,10 @@ def tracks(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, modes_and_steps, lengths, tracks, headings)
+    run_study(
+        __doc__,
+        Part(make=modes_and_steps, needs=("ubicomp13",)),
+        Part(make=lengths, needs=("ubicomp13",)),
+        Part(make=tracks, needs=("humolire",)),
+        Part(make=headings, uses=("oxiod", "tyrex")),
+    )

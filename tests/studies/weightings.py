@@ -1,6 +1,7 @@
 """HC, WC and IMM where contexts change: distances of people and sites that no classifier has seen.
 
 usage: python -m tests.studies.weightings [distances] [paper] [--data DATA] [--cache FOLDER]
+       python -m tests.studies.weightings distances --sets terrain,ipin2023     minutes, because nothing is trained
 
 distances: the steps, windows and step lengths of a configuration are the same for all weightings. The reference is the
 distance of these steps with the length of their true context, so that only errors of the contexts count. Classifiers:
@@ -19,6 +20,7 @@ constant were subtracted.
 from __future__ import annotations
 
 import argparse
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,7 +31,7 @@ import numpy as np
 import pdr_filter as pdr
 from models.training import context_training as contexts
 from models.training.context_training import PLANS, ContextPlan, labelled_windows
-from models.training.data_sets import DOUBTFUL, recordings_of
+from models.training.data_sets import DOUBTFUL, SCORED_DATASET, recordings_of
 from pdr_filter.classifiers.blend import Mixture
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.evaluate.comparison import second_over_first
@@ -45,7 +47,7 @@ from pdr_filter.sensing.front_end import Event
 from pdr_filter.tracking.whole_recording import run_sensing
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, Step
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, paths, run
+from tests.benchmarks.common import Tables, markdown_table, paths, say, timed
 from tests.benchmarks.weightings import (
     LAG_STEPS,
     WALKING,
@@ -58,6 +60,7 @@ from tests.benchmarks.weightings import (
     tracked,
     updates_of,
 )
+from tests.studies.data import Part, person_of, run_study
 from tests.studies.martinelli2018 import TABLE_V
 
 CLASSIFIERS = ("rvm", "forest", "blend", "martinelli2018")
@@ -84,12 +87,23 @@ class Training:
 
     data: Path
     cache: Path | None
+    scored: Path  # folder of the recordings to score, which may be a part of the data
+
+    @classmethod
+    def of(cls, arguments: argparse.Namespace) -> Training:
+        """Training of the arguments; the cache of a folder without some training sets is another one."""
+        cache: Path | None = arguments.cache
+        missing = [name for name in TRAINED_ON if not paths(arguments.whole, name)]
+        if cache is not None and missing:
+            cache /= "without_" + "_".join(missing)
+        return cls(arguments.whole, cache, arguments.data)
 
     def windows(self, plan: ContextPlan) -> LabelledWindows:
         """All windows that a shipped model is trained on."""
 
         def made() -> LabelledWindows:
-            return plan.of(labelled_windows(recordings_of(self.data, plan.datasets), feature_set=plan.feature_set))
+            with timed(f"training windows of {plan.name}"):
+                return plan.of(labelled_windows(recordings_of(self.data, plan.datasets), feature_set=plan.feature_set))
 
         return cached(self.cache, f"windows_{plan.name}", made)
 
@@ -100,7 +114,9 @@ class Training:
             plan = PLAN_OF[shipped]
             if not people:
                 return load_model(shipped)
-            return contexts.model_without(load_model(shipped), plan, self.windows(plan), people)
+            windows = self.windows(plan)
+            with timed(f"model {shipped} without {len(people)} people"):
+                return contexts.model_without(load_model(shipped), plan, windows, people)
 
         blend = cached(self.cache, f"blend_{name}", lambda: without("context"))
         found = {"blend": blend}
@@ -124,12 +140,17 @@ def configs(recording: Recording, models: Mapping[str, ContextModel]) -> dict[st
 
 
 def folds(training: Training, dataset: str) -> Iterator[tuple[list[str], Mapping[str, ContextModel]]]:
-    """People of a data set who are held out together, with the models. People of both scored sets are in each fold."""
+    """People of a data set who are held out together, with the models. People of both scored sets are in each fold.
+
+    Folds without recordings to score are omitted.
+    """
+    there = {f"{dataset}/{person_of(path)}" for path in paths(training.scored, dataset)}
     known = {str(person) for person in training.windows(PLAN_OF["context"]).person}
     of_set = {name: sorted(p for p in known if p.startswith(f"{name}/")) for name in contexts.SCORED_DATASETS}
     for k in range(N_FOLDS):
         held = [person for people in of_set.values() for person in people[k::N_FOLDS]]
-        yield of_set[dataset][k::N_FOLDS], training.models(held, f"fold_{k}")
+        if people := [person for person in of_set[dataset][k::N_FOLDS] if person in there]:
+            yield people, training.models(held, f"fold_{k}")
 
 
 def joined(training: Training) -> Iterator[tuple[Recording, str, Mapping[str, ContextModel]]]:
@@ -137,12 +158,12 @@ def joined(training: Training) -> Iterator[tuple[Recording, str, Mapping[str, Co
     for people, models in folds(training, "motionsense"):
         for person in people:
             for number in (0, 1):
-                yield mixed_walk(training.data, "s" + person.split("/")[1][-2:], number), person, models
+                yield mixed_walk(training.scored, "s" + person.split("/")[1][-2:], number), person, models
 
 
 def difronzo(training: Training) -> Iterator[tuple[Recording, str, Mapping[str, ContextModel]]]:
     """Walks of four people with real changes, the phone in a trouser pocket."""
-    recordings = [pdr.read(path) for path in recordings_of(training.data, ("difronzo",))]
+    recordings = [pdr.read(path) for path in recordings_of(training.scored, ("difronzo",))]
     for people, models in folds(training, "difronzo"):
         yield from ((r, p, models) for r in recordings if (p := f"difronzo/{r.subject.id}") in people)
 
@@ -154,11 +175,13 @@ def unseen(training: Training, site: str) -> Iterator[tuple[Recording, str, Mapp
         known = training.windows(PLAN_OF["context"]).person
         of_site = sorted({str(p) for p in known if str(p).startswith(f"{site}/")})
     models = training.models(of_site, site)
-    for path in paths(training.data, site):
+    for path in paths(training.scored, site):
         recording = pdr.read(path)
         yield recording, f"{site}/{recording.subject.id or recording.name.split('_')[2]}", models
 
 
+# Data sets of the models that are trained without people.
+TRAINED_ON = tuple(dict.fromkeys((*PLAN_OF["context"].datasets, *PLAN_OF["context_martinelli_rvm"].datasets)))
 SETS = {
     "joined walks": joined,
     "difronzo": difronzo,
@@ -166,6 +189,8 @@ SETS = {
     "ipin2023, stairs": lambda training: (w for w in unseen(training, "ipin2023") if changes_storey(w[0])),
     "tyrex, level": lambda training: unseen(training, "tyrex"),
 }
+
+DATA_SET = {name: {"joined walks": SCORED_DATASET}.get(name, name.split(",")[0]) for name in SETS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,10 +326,24 @@ def over_people(values: Sequence[float], people: Sequence[str]) -> str:
 
 def distances(tables: Tables, arguments: argparse.Namespace) -> None:
     """Errors of the distance by set, classifier and weighting: whole walks, near changes, bias, and by context."""
-    training = Training(arguments.data, arguments.cache)
+    training = Training.of(arguments)
     whole, near, bias, by_context = (list[list[str]]() for _ in range(4))
+    columns = ["walks (people)", "classifier", "uncertain %", *WEIGHTINGS]
     for name in SETS:
-        for classifier, walks in walks_of(training, name).items():
+        if not paths(training.scored, DATA_SET[name]):
+            continue
+        if DATA_SET[name] in TRAINED_ON and not paths(training.data, SCORED_DATASET):
+            say(f"{name}: left out, because models without people must be trained on {SCORED_DATASET}")
+            continue
+        say(f"{name}: begins")
+        with timed(f"{name}, steps and contexts"):
+            found = walks_of(training, name)
+        n_before = len(whole)
+        for classifier, walks in found.items():
+            if not walks:
+                say(f"{name}, {classifier}: no walks of the chosen people")
+                continue
+            start = time.perf_counter()
             people = [w.person for w in walks]
             uncertain = 100 * np.mean(np.concatenate([w.is_uncertain for w in walks]))
             about = [f"{name} ({len(walks)} of {len(set(people))})", classifier]
@@ -318,17 +357,22 @@ def distances(tables: Tables, arguments: argparse.Namespace) -> None:
                 for context in TABLE_VI["HC"]:
                     each = [[walk.error_percent(w, walk.in_context(context)) for walk in walks] for w in WEIGHTINGS]
                     by_context.append([context, classifier, *(over_people(e, people) for e in each)])
-            print(f"{name}, {classifier}: done", flush=True)
+            say(f"{name}, {classifier}: {time.perf_counter() - start:.0f} s")
+        if rows := whole[n_before:]:
+            print(f"\n{markdown_table(columns, rows)}", flush=True)
+    if not whole:
+        raise SystemExit("no walk of the chosen data sets and people can be scored: choose others with --sets")
     mean = "Mean absolute error of the distance in %, over people, with 95 % interval"
-    columns = ["walks (people)", "classifier", "uncertain %", *WEIGHTINGS]
     tables.write("weightings_study", columns, whole, f"{mean}. Uncertain: share of the steps.")
     short = [[cell.split(" ±")[0] for cell in row] for row in whole if row[0].startswith(("joined", "difronzo"))]
-    tables.write("weightings_readme", columns, short, "Mean absolute error of the distance in %, over people.")
+    if short:
+        tables.write("weightings_readme", columns, short, "Mean absolute error of the distance in %, over people.")
     columns.remove("uncertain %")
     tables.write("weightings_changes", columns, near, f"{mean}, of the steps within 3 s of a change of context.")
     tables.write("weightings_bias", columns, bias, "Bias and spread over walks, %.")
     columns[0] = "context"
-    tables.write("weightings_contexts", columns, sorted(by_context), f"Joined walks. {mean}.")
+    if by_context:
+        tables.write("weightings_contexts", columns, sorted(by_context), f"Joined walks. {mean}.")
 
 
 # --- The paper -------------------------------------------------------------------------------------------------------
@@ -342,7 +386,7 @@ def bias_and_spread(errors: Sequence[float]) -> list[str]:
 
 def paper(tables: Tables, arguments: argparse.Namespace) -> None:
     """Write Tables V and VI of the paper beside our errors on the joined walks."""
-    walks = walks_of(Training(arguments.data, arguments.cache), "joined walks")["martinelli2018"]
+    walks = walks_of(Training.of(arguments), "joined walks")["martinelli2018"]
     errors: dict[str, list[float]] = {
         f"paper, {name}": list(found) for name, found in (("HC", TABLE_V["hc"]), ("WC", TABLE_V["wc"]))
     }
@@ -364,4 +408,9 @@ def paper(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, distances, paper, cache=None)
+    run_study(
+        __doc__,
+        Part(make=distances, uses=tuple(DATA_SET.values()), trained_on=TRAINED_ON),
+        Part(make=paper, needs=(SCORED_DATASET,), trained_on=TRAINED_ON),
+        cache=None,
+    )

@@ -47,15 +47,17 @@ from pdr_filter.tracking.whole_recording import detect_steps, run_sensing
 from pdr_filter.tracking.whole_recording import track as track_of
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, WindowContext, steps_of
 from pdr_filter.values.recording import Recording
-from tests.benchmarks.common import Tables, recordings, run
+from tests.benchmarks.common import Tables, recordings
 from tests.studies.data import (
     HEIGHT_M,
     NAN,
+    Part,
     by_count,
     counted_walk,
     paper_table,
     people_left_out,
     prefixed,
+    run_study,
     together,
     with_subject,
 )
@@ -642,4 +644,8 @@ def behaviours(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, behaviours, steps_and_distances)
+    run_study(
+        __doc__,
+        Part(make=behaviours, uses=("pyshoe", "motionsense", "ubicomp13")),
+        Part(make=steps_and_distances, uses=("pyshoe", "oxford", "ubicomp13", *_SITES)),
+    )

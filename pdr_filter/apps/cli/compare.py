@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -107,6 +108,15 @@ class Setting:
             return pdr.evaluate.weighting_errors(recording, self.config(recording, names[0]))
         return None
 
+    def is_in_sample(self, recording: Recording) -> bool:
+        """Return True if a context model was trained on the data set of the recording."""
+        for name in self.recipe or ["default"]:
+            models = getattr(self.config(recording, name).sensing.contexts, "models", None)
+            model = getattr(models, "without_gyroscope" if recording.gyroscope is None else "with_gyroscope", None)
+            if recording.meta.get("dataset") in getattr(model, "card", {}).get("data", ()):
+                return True
+        return False
+
 
 def compare_command(
     files: options.Files,
@@ -117,7 +127,7 @@ def compare_command(
         False,
         "--truth",
         help="Also show mean errors over persons, and the position error of each recording after rigid alignment "
-        "to its ground truth.",
+        "to its ground truth. With labelled contexts, also the errors of the distance by weighting.",
     ),
     out: Path | None = typer.Option(
         None, help="Folder for NAME.compare.html, which shows all tracks, and for tables (CSV, LaTeX)."
@@ -141,16 +151,24 @@ def compare_command(
     written: set[str] = set()
     without: list[str] = []  # names of recordings without ground truth
     replaced: list[Path] = []
+    in_sample: set[str] = set()  # data sets that the context models were trained on
 
     def compare_one(file: Path, progress: Callable[[float], None]) -> Compared:
+        start_s = perf_counter()
         recording = with_person_of_file(source.read(file), file)
-        tracks = setting.tracks(recording, where, progress)
+        has_labels = recording.truth.labels is not None and len(recording.truth.labels) > 0
+        with_weightings = has_labels and (truth or out is not None)
+        # The errors of the weightings need five more tracks than the three that are compared.
+        share = 3 / 8 if with_weightings else 1.0
+        tracks = setting.tracks(recording, where, lambda fraction: progress(share * fraction))
         errors = pdr.evaluate.comparison_table(recording, tracks)
         tables = {"recordings": errors}
-        if recording.truth.labels is not None and len(recording.truth.labels):
+        if has_labels:
             tables["contexts"] = pdr.evaluate.context_errors(recording, tracks)
-            if out is not None and (by_contexts := setting.by_contexts(recording)) is not None:
+            if with_weightings and (by_contexts := setting.by_contexts(recording)) is not None:
                 tables["weightings"] = by_contexts
+            if with_weightings and setting.is_in_sample(recording):
+                in_sample.add(str(recording.meta["dataset"]))
         is_known = truth and bool(np.isfinite(errors.rmse_m).all())
         rmse_m = dict(zip(tracks, errors.rmse_m.tolist(), strict=True)) if is_known else {}
         if truth and not is_known:
@@ -167,6 +185,8 @@ def compare_command(
                 for name, track in tracks.items()
             ]
             console.print_json({"name": recording.name, "tracks": of_tracks})
+        if len(files) > 1:
+            console.say(f"{files.index(file) + 1} of {len(files)}: {recording.name}, {perf_counter() - start_s:.0f} s")
         return Compared(recording, tracks, rmse_m, tables)
 
     with console.one_line_errors():
@@ -183,6 +203,11 @@ def compare_command(
         if study is not None:
             _print_study(study)
         console.say_written(out)
+    if in_sample:
+        console.say(
+            f"a context model was trained on recordings of {', '.join(sorted(in_sample))}: the errors of contexts and "
+            "weightings are smaller than for new people; docs/benchmarks/contexts.md has those of held-out people"
+        )
     console.say_without_truth(without)
     console.say_replaced(replaced)
     console.exit_if_failed(failed, len(files))
@@ -220,17 +245,42 @@ def _print(compared: Sequence[Compared]) -> None:
 
 
 def _study(compared: Sequence[Compared]) -> Table | None:
-    """Return a table of mean errors over persons (`evaluate.study_table`), or None if no recording has ground truth."""
+    """Return a table of mean errors over persons (`evaluate.study_table`), or None if no recording has ground truth.
+
+    It ends with the errors of the distance by weighting, of recordings with labelled contexts.
+    """
     import numpy as np
 
     import pdr_filter as pdr
     from pdr_filter.evaluate.comparison import MEASURES
+    from pdr_filter.values import table
 
     errors = [found.tables["recordings"] for found in compared]
     if not any(np.isfinite(rows[name]).any() for rows in errors for name in MEASURES):
         return None
     people = [found.recording.subject.id or f"recording {k}" for k, found in enumerate(compared)]
-    return pdr.evaluate.study_table(errors, people)
+    study = pdr.evaluate.study_table(errors, people)
+    known = [
+        (_distance_errors(found.tables["weightings"]), person)
+        for found, person in zip(compared, people, strict=True)
+        if "weightings" in found.tables
+    ]
+    if not known:
+        return study
+    distances = pdr.evaluate.study_table(*map(list, zip(*known, strict=True)), measures=("distance_error_percent",))
+    return table({name: np.concatenate([study[name], distances[name]]) for name in study.dtype.names or ()})
+
+
+def _distance_errors(weightings: Table) -> Table:
+    """Return the errors of `evaluate.weighting_errors` with the IMM as the last row, and without the reference."""
+    import numpy as np
+
+    from pdr_filter.values import table
+
+    name, percent = weightings.weighting, weightings.error_percent
+    (rest,) = np.nonzero(~np.isin(name, ("imm", "contexts known")))
+    order = [*rest, *np.flatnonzero(name == "imm")]
+    return table({"name": name[order], "distance_error_percent": percent[order]})
 
 
 def _write(study: Table, compared: Sequence[Compared], out: Path) -> list[Path]:
@@ -271,4 +321,6 @@ def _print_study(study: Table) -> None:
         shown.add_row(*map(str, row.values()))
     has_interval = any("±" in str(row["mean"]) for row in rows)
     shown.caption = f"mean absolute errors over persons{', ± half of the 95 % interval' if has_interval else ''}"
+    if "distance_error_percent" in study.measure:
+        shown.caption += "; distance error: relative to the same steps with the lengths of their labelled contexts"
     console.print_table(shown)
