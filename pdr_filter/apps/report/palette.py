@@ -29,7 +29,7 @@ PLAN_COLOURS = {
     "wall": "#B7B0A2",
     "door": "#3F9142",
 }
-PLAN_WIDTHS = {"wall": 2.5, "door": 5.0}  # of lines, pixels
+PLAN_WIDTHS = {"wall": 2.5, "door": 5.0}  # widths of lines in pixels
 ELLIPSE_EDGE_ALPHA, BAND_ALPHA = 0.6, 0.2
 
 
