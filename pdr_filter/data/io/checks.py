@@ -16,6 +16,7 @@ from pdr_filter.values.plausibility import wrong_angular_rate, wrong_rate, wrong
 from pdr_filter.values.quaternions import rotation_matrix
 
 _MOST_STEPS_PER_S = 5.0  # sprinters take 4 to 5; what grows faster numbers rows
+_CLOCK_CHANGE_S = 3600.0  # gap in local times that change to daylight saving time
 _TURN_RAD = 2 * math.pi + 1e-9
 
 
@@ -112,6 +113,12 @@ def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
                 f"{name}{suffix}: {stream.n_duplicates} repeated and {stream.n_backward} backward times, "
                 "kept as recorded"
             )
+    after_s = np.append(np.diff(time_s), 0.0)
+    for at_s in time_s[np.abs(after_s - _CLOCK_CHANGE_S) < limits.GAP_S][:1]:
+        notes.append(
+            f"accelerometer{suffix}: a gap of an hour after {at_s:.1f} s, as local times have at the change to "
+            "daylight saving time; if the app recorded on, write times in UTC"
+        )
     return notes
 
 
