@@ -249,7 +249,7 @@ class Recording:
         """Write the recording in the format of this package: a zip file, or a folder if the path has no suffix.
 
         Times are written with 6 decimals and values with 7 significant digits (latitude and longitude with 9). Equal
-        recordings give identical bytes. Notes of the reader are not written. An existing recording is replaced.
+        recordings give identical bytes. An existing recording is replaced.
 
         Parameters
         ----------
@@ -262,10 +262,11 @@ class Recording:
             The written file or folder.
         """
         # Imported late, because this package must not import the writers of files.
-        from pdr_filter.data.io.files.own_format_writer import write_own_format
+        from pdr_filter.data.io.files.own_format_writer import NOTES_KEY, write_own_format
 
         truth = {name: getattr(self.truth, name) for name in self.truth.present()}
-        return write_own_format(path, self.streams, truth, {**self.meta, "name": self.name}, self.wifi)
+        notes = {NOTES_KEY: self.notes} if self.notes else {}
+        return write_own_format(path, self.streams, truth, {**self.meta, "name": self.name, **notes}, self.wifi)
 
     @property
     def epoch_s(self) -> float | None:
@@ -299,7 +300,10 @@ class Recording:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first to the last accelerometer sample, s."""
+        """Time from the smallest to the largest time of an accelerometer sample, s.
+
+        A backward jump of the clock enters it. `pdr-filter info` gives the duration without such jumps.
+        """
         time_s = self.accelerometer.time_s
         return float(time_s.max() - time_s.min()) if len(time_s) else 0.0
 

@@ -16,6 +16,7 @@ from pdr_filter.values.plausibility import wrong_angular_rate, wrong_rate, wrong
 from pdr_filter.values.quaternions import rotation_matrix
 
 _MOST_STEPS_PER_S = 5.0  # sprinters take 4 to 5; what grows faster numbers rows
+_CLOCK_CHANGE_S = 3600.0  # gap in local times that change to daylight saving time
 _TURN_RAD = 2 * math.pi + 1e-9
 NO_OVERLAP = "its times do not overlap those of the accelerometer"
 
@@ -118,6 +119,12 @@ def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
         notes.append(
             f"accelerometer{suffix}: {rate_hz:.1f} Hz, and step detection was tested from {limits.SUFFICIENT_RATE_HZ:g} "
             "Hz: steps and step lengths may be wrong; record at 50 Hz or more"
+        )
+    after_s = np.append(np.diff(time_s), 0.0)
+    for at_s in time_s[np.abs(after_s - _CLOCK_CHANGE_S) < limits.GAP_S][:1]:
+        notes.append(
+            f"accelerometer{suffix}: a gap of an hour after {at_s:.1f} s, as local times have at the change to "
+            "daylight saving time; if the app recorded on, write times in UTC"
         )
     return notes
 

@@ -246,7 +246,7 @@ def describe(recording: Recording) -> Description:
     return Description(
         name=recording.name,
         source=recording.source,
-        duration_s=recording.duration_s,
+        duration_s=_without_clock_jumps(recording).duration_s,
         streams=report.streams,
         height_m=recording.subject.height_m,
         placement=recording.placement or None,
@@ -282,6 +282,7 @@ def reading_report(recording: Recording) -> ReadingReport:
     >>> reading_report(walk).lines()[0]
     'read as own format'
     """
+    continuous = _without_clock_jumps(recording)
     reading = dict_of(recording.meta.get(READING_KEY))
     requested = dict_of(reading.get("requested_hz")) or {"accelerometer": recording.meta.get("nominal_rate_hz")}
     found: Any = reading.get("found")
@@ -294,7 +295,10 @@ def reading_report(recording: Recording) -> ReadingReport:
             *_phone_sentences(recording),
         ),
         clock=str(reading.get("clock") or "seconds from the first accelerometer sample")[:most],
-        streams=tuple(describe_stream(key, samples, requested.get(key)) for key, samples in recording.streams.items()),
+        streams=tuple(
+            describe_stream(key, samples, requested.get(key), _span_s(continuous.streams[key].time_s))
+            for key, samples in recording.streams.items()
+        ),
         notes=recording.notes,
     )
 
@@ -313,17 +317,29 @@ def _phone_sentences(recording: Recording) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> StreamDescription:
+def _without_clock_jumps(recording: Recording) -> Recording:
+    from pdr_filter.sensing.clock import one_clock  # imported late: the live server does not load the filter
+
+    return one_clock(recording)[0]
+
+
+def _span_s(time_s: FloatArray) -> float:
+    return float(time_s.max() - time_s.min()) if len(time_s) else 0.0
+
+
+def describe_stream(
+    name: str, samples: Samples, requested_hz: Any = None, duration_s: float | None = None
+) -> StreamDescription:
     """Return rates, gaps, and counts of repeated and backward times of one stream, whose times must not be NaN.
 
-    An invalid `requested_hz` counts as unknown.
+    An invalid `requested_hz` counts as unknown. `duration_s` is the duration without backward clock jumps, if known.
     """
     time_s = samples.time_s
     interval_s = np.diff(time_s)
     forward_s = interval_s[interval_s > 0]
     median_s = float(np.median(forward_s)) if len(forward_s) else np.inf
     gaps_s = forward_s[forward_s > max(limits.GAP_S, limits.GAP_INTERVALS * median_s)]
-    span_s = float(time_s.max() - time_s.min()) if len(time_s) else 0.0
+    duration_s = _span_s(time_s) if duration_s is None else duration_s
     is_empty = np.isnan(samples.values)
     known_s = time_s[~is_empty.all(axis=1)]
     is_rate = isinstance(requested_hz, int | float) and not isinstance(requested_hz, bool) and 0 < requested_hz < 1e6
@@ -332,7 +348,7 @@ def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> St
         unit=STREAM_UNITS.get(name, ""),
         n_samples=len(samples),
         rate_hz=1 / median_s if len(forward_s) else None,
-        mean_rate_hz=(len(time_s) - 1) / span_s if span_s > 0 else None,
+        mean_rate_hz=(len(time_s) - 1) / duration_s if duration_s > 0 else None,
         first_s=float(known_s.min()) if len(known_s) else None,
         last_s=float(known_s.max()) if len(known_s) else None,
         n_gaps=len(gaps_s),

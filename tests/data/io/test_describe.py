@@ -26,6 +26,16 @@ def accelerometer(time_s: np.ndarray) -> StreamDescription:
     return describe_stream("accelerometer", at_rest(np.asarray(time_s, dtype=float)))
 
 
+def test_duration_and_rate_are_those_without_a_backward_clock_jump() -> None:
+    time_s = np.arange(1001) / 100
+    values = np.random.default_rng(0).normal([0.0, 0.0, 9.81], 0.1, (1001, 3))
+    back = recording(accelerometer=Samples(time_s - 3600.0 * (time_s > 5.0), values))
+    found = describe(back)
+    assert found.duration_s == pytest.approx(10.0)
+    (stream,) = found.streams
+    assert (stream.mean_rate_hz, stream.n_backward) == (pytest.approx(100.0), 1)
+
+
 def test_a_regular_stream_has_its_rate_and_no_oddities() -> None:
     found = accelerometer(np.arange(1001) / 100)
     assert found.n_samples == 1001

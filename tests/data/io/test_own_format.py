@@ -44,6 +44,26 @@ def good_members(n: int = 200) -> dict[str, str | bytes]:
     return {"accelerometer.csv": accelerometer_csv(n), "meta.json": META}
 
 
+def test_notes_of_a_reader_are_saved_and_read_once(tmp_path: Path) -> None:
+    time_s = np.arange(200) / 100
+    time_s[100:] -= 0.5
+    notes = ("nothing shows the sign", "accelerometer: 0 repeated and 1 backward times, kept as recorded")
+    walk = Recording("walk", Samples(time_s, np.tile([0.1, 0.2, 9.8], (200, 1))), notes=notes)
+    once = read(walk.save(tmp_path / "once.zip"))
+    assert once.notes == (notes[0], notes[1].replace(":", ".csv:"))
+    twice = read(once.save(tmp_path / "twice.zip"))
+    assert (twice.notes, twice.meta) == (once.notes, once.meta)
+
+
+@pytest.mark.parametrize(("gap_s", "n"), [(3600.01, 1), (3590.0, 0)])
+def test_a_gap_of_an_hour_may_be_the_change_to_daylight_saving_time(tmp_path: Path, gap_s: float, n: int) -> None:
+    time_s = np.arange(200) / 100
+    time_s[100:] += gap_s - 0.01
+    walk = Recording("walk", Samples(time_s, np.tile([0.1, 0.2, 9.8], (200, 1))))
+    found = read(walk.save(tmp_path / "walk.zip")).notes
+    assert sum("gap of an hour after 1.0 s" in note and "daylight saving" in note for note in found) == n
+
+
 def whole_recording() -> Recording:
     rng = np.random.default_rng(0)
     time_s = np.arange(500) / 100

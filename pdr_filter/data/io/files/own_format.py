@@ -13,6 +13,7 @@ import numpy as np
 from pdr_filter.data.io.checks import checked_streams, with_time
 from pdr_filter.data.io.files.archive import IN_PLACE, Members, json_object, open_members
 from pdr_filter.data.io.files.own_format_writer import (
+    NOTES_KEY,
     RESTORED_GRAVITY_KEY,
     STREAM_COLUMNS,
     TEXT_COLUMNS,
@@ -70,13 +71,24 @@ def recording_of_streams(
     first_s = streams["accelerometer"].time_s.min()
     if abs(first_s) > 1.0:
         notes.append(f"{REQUIRED}: begins at {first_s:.6f} s instead of 0, kept as recorded")
+    name, found_notes = _name(path, meta, notes), tuple(note.removeprefix(f"{path}: ") for note in notes)
+    # A saved note about a stream can be found again, with the name of the file.
+    known = {*found_notes, *(note.replace(".csv", "") for note in found_notes)}
+    saved_notes = _saved_notes(meta)
     return Recording(
-        name=_name(path, meta, notes),
+        name=name,
         **streams,
         meta=meta,
         source=str(path),
-        notes=tuple(note.removeprefix(f"{path}: ") for note in notes),
+        notes=(*(note for note in saved_notes if note not in known), *found_notes),
     )
+
+
+def _saved_notes(meta: dict[str, Any]) -> list[str]:
+    """Return the notes of the first reader, which `Recording.save` has written, and remove them from the meta data."""
+    found: Any = meta.pop(NOTES_KEY, [])
+    sentences = cast("list[Any]", found) if isinstance(found, list) else []
+    return [str(sentence)[: limits.MAX_TEXT_CHARS] for sentence in sentences[: limits.MAX_SENTENCES]]
 
 
 def write_recording(recording: Recording, path: str | Path) -> Path:

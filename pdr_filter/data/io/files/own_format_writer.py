@@ -42,6 +42,8 @@ FILES = (
 )
 # Key of `Recording.meta` that is true if the reader has added gravity to the acceleration.
 RESTORED_GRAVITY_KEY = "restored_gravity"
+# Key of `meta.json` with the notes of the reader that the recording was saved with.
+NOTES_KEY = "reading_notes"
 TIME_COLUMNS = ("time_s", "start_s", "end_s")
 TEXT_COLUMNS = ("context", "carrying_mode")
 
