@@ -84,9 +84,8 @@ def with_sets(arguments: argparse.Namespace, parts: Sequence[Part]) -> list[str]
         raise ValueError(f"--sets {arguments.sets} has too few sets: {'; '.join(left_out)}")
     if not found:
         raise ValueError(
-            f"{arguments.data} has no recordings of {', '.join(absent)} "
-            "(SET/*.zip), so that nothing can be done: name the folder of the data sets with --data, or download them "
-            "with pdr_filter.datasets.fetch"
+            f"{arguments.data} has no recordings of {', '.join(absent)} (SET/*.zip), so that nothing can be done: name "
+            "the folder of the data sets with --data; docs/benchmarks.md says where they are published"
         )
     for sentence in left_out:
         say(sentence)
