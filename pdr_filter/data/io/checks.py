@@ -115,8 +115,8 @@ def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
     rate_hz = describe_stream("accelerometer", streams["accelerometer"]).rate_hz
     if rate_hz is not None and rate_hz < DELIVERED_ENOUGH * limits.SUFFICIENT_RATE_HZ:
         notes.append(
-            f"accelerometer{suffix}: {rate_hz:.1f} Hz, and step detection was tested from {limits.SUFFICIENT_RATE_HZ:g} "
-            "Hz: steps and step lengths may be wrong; record at 50 Hz or more"
+            f"accelerometer{suffix}: {rate_hz:.1f} Hz, and step detection was tested from "
+            f"{limits.SUFFICIENT_RATE_HZ:g} Hz: steps and step lengths may be wrong; record at 50 Hz or more"
         )
     return notes
 
