@@ -117,8 +117,8 @@ def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
     rate_hz = describe_stream("accelerometer", streams["accelerometer"]).rate_hz
     if rate_hz is not None and rate_hz < DELIVERED_ENOUGH * limits.SUFFICIENT_RATE_HZ:
         notes.append(
-            f"accelerometer{suffix}: {rate_hz:.1f} Hz, and step detection was tested from {limits.SUFFICIENT_RATE_HZ:g} "
-            "Hz: steps and step lengths may be wrong; record at 50 Hz or more"
+            f"accelerometer{suffix}: {rate_hz:.1f} Hz, and step detection was tested from "
+            f"{limits.SUFFICIENT_RATE_HZ:g} Hz: steps and step lengths may be wrong; record at 50 Hz or more"
         )
     after_s = np.append(np.diff(time_s), 0.0)
     for at_s in time_s[np.abs(after_s - _CLOCK_CHANGE_S) < limits.GAP_S][:1]:

@@ -228,10 +228,10 @@ def notes_of_reckoning(track: Track, found: Solution, heading_std_rad: FloatArra
     """Return the notes of the dead-reckoned track that hold for the smoothed track.
 
     If one warns about unknown headings, the note is about the smoothed headings with standard deviations
-    `heading_std_rad` (K,) instead. One step with an angular rate is enough for it, because the direction of a phone that
-    was moved is known from its first step on. If these headings are known and some are doubtful, the note gives the
-    largest standard deviation. There is no note if the direction of the whole walk is unknown, because another one says
-    so.
+    `heading_std_rad` (K,) instead. One step with an angular rate is enough for it, because the direction of a phone
+    that was moved is known from its first step on. If these headings are known and some are doubtful, the note gives
+    the largest standard deviation. There is no note if the direction of the whole walk is unknown, because another
+    one says so.
     """
     notes = [note for note in track.notes if not any(text in note for text in _ONLINE_ALONE)]
     if _is_without_direction(found) or not any(HEADING_UNKNOWN in note for note in track.notes):
