@@ -90,7 +90,8 @@ def with_sets(arguments: argparse.Namespace, parts: Sequence[Part]) -> list[str]
     for sentence in left_out:
         say(sentence)
     if len(chosen) < len(known) or arguments.people:
-        say(f"data sets: {', '.join(chosen)}{f'; people of each: {arguments.people}' if arguments.people else ''}")
+        present = ", ".join(name for name in chosen if not is_missing[name])
+        say(f"data sets: {present}{f'; people of each: {arguments.people}' if arguments.people else ''}")
     arguments.whole = arguments.data
     if not is_whole:
         say("tables are printed and not written, because the study is not complete")
