@@ -7,6 +7,7 @@ the user interrupted the command.
 from __future__ import annotations
 
 import typer
+from typer.core import TyperCommand
 
 from pdr_filter.apps.cli.calibrate import calibrate_command, smooth_command
 from pdr_filter.apps.cli.compare import compare_command
@@ -22,6 +23,16 @@ from pdr_filter.apps.cli.track import track_command
 from pdr_filter.apps.cli.train import train_command
 from pdr_filter.apps.cli.workbench import workbench_command
 from pdr_filter.version import __version__
+
+
+class _TrackCommand(TyperCommand):
+    """Command that names the commands with fixes if `--fixes` is given."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+        if any(arg.partition("=")[0] == "--fixes" for arg in args):
+            ctx.fail("track takes no --fixes: use pdr-filter smooth, or pdr-filter compare for known positions")
+        return super().parse_args(ctx, args)
+
 
 app = typer.Typer(
     name="pdr-filter",
@@ -46,7 +57,7 @@ for name, command in {
     "app": workbench_command,
     "map": map_command,
 }.items():
-    app.command(name)(in_groups(command))
+    app.command(name, cls=_TrackCommand if name == "track" else None)(in_groups(command))
 
 
 def main() -> None:

@@ -33,14 +33,11 @@ def height_in_metres(value: str | float) -> float:
     except ValueError:
         low_m, high_m = limits.HEIGHT_RANGE_M
         given = value if isinstance(value, str) else f"{value:g}"
+        hint = ": write a point in place of the comma" if "," in given else ""
         raise typer.BadParameter(
-            f"must be the height of a person in metres, {low_m:g} to {high_m:g}, such as 1.78, got {given}",
+            f"must be the height of a person in metres, {low_m:g} to {high_m:g}, such as 1.78, got {given}{hint}",
             param_hint="'--height'",
         ) from None
-
-
-def _known_height(value: float | None) -> float | None:
-    return None if value is None else height_in_metres(value)
 
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, or folders of recordings.")]
@@ -106,7 +103,12 @@ Tiles = Annotated[
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
 Height = Annotated[
     float | None,
-    typer.Option("--height", callback=_known_height, help="Height of the person in m. Replaces a recorded height."),
+    typer.Option(
+        "--height",
+        parser=height_in_metres,
+        metavar="FLOAT",
+        help="Height of the person in m. Replaces a recorded height.",
+    ),
 ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -261,7 +262,7 @@ def track_command(
         listed[name] = result
         by_phone.append(recording.phone_steps)
         if as_json:
-            console.print_json(result.summary())
+            console.print_json({**result.summary(), "name": name})  # two recordings may have one name
         return result
 
     tracks, failed = console.each_file(files, track_one, as_json)
@@ -404,11 +405,14 @@ def _track_many(
     from pdr_filter.apps import batch
 
     with console.progress("tracking") as show:
+        n_from_table: list[int] = []
 
         def show_progress(p: batch.Progress) -> None:
+            n_from_table.append(p.n_done)
             left = "" if p.left_s is None else f", {p.left_s:.0f} s left"
             show(p.fraction, f"{p.n_done}/{p.n}, {p.n_failed} failed{left}")
 
+        table_s = table.stat().st_mtime if table.exists() else math.inf
         try:
             rows = batch.track(
                 files,
@@ -431,5 +435,18 @@ def _track_many(
     failed = {Path(row.path): row.reason for row in rows if row.failed}
     for path, reason in failed.items():
         console.say_error(f"{path}: {reason}")
-    typer.echo(f"{len(rows) - len(failed)} recordings tracked, {len(failed)} failed: {table}")
+    known = f" ({n_from_table[0]} of {len(rows)} rows are from an earlier run)" if n_from_table[0] else ""
+    typer.echo(f"{len(rows) - len(failed)} recordings tracked, {len(failed)} failed: {table}{known}")
+    changed = [row.path for row in rows if _changed_s(Path(row.path)) > table_s]
+    if n_from_table[0] and changed:
+        console.say(
+            f"{changed[0]}{f' and {len(changed) - 1} more' if changed[1:] else ''} may have been replaced since that "
+            "run: delete the rows of replaced files, and run the command again"
+        )
     console.exit_if_failed(failed, len(rows))
+
+
+def _changed_s(path: Path) -> float:
+    """Return the time of the last change of a file, or of the files in a folder, in s; -inf if there is none."""
+    files = [path, *path.iterdir()] if path.is_dir() else [path]
+    return max((file.stat().st_mtime for file in files if file.exists()), default=-math.inf)

@@ -354,6 +354,9 @@ def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingE
     )
 
 
+_MINUS_SIGN = "\u2212"  # in place of the hyphen, as word processors and some languages of a phone write it
+
+
 def to_number(field: str) -> float | None:
     """Return the number in a field, NaN if the field is empty or a word such as null or NA, or None for other text."""
     field = field.strip()
@@ -362,7 +365,7 @@ def to_number(field: str) -> float | None:
     if "_" in field:  # Python would read 1_0 as ten
         return None
     try:
-        return float(field)
+        return float(field.replace(_MINUS_SIGN, "-"))
     except ValueError:
         return None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -35,12 +36,23 @@ def test_a_person_without_fixes_is_not_written_and_a_message_says_so(
     assert not (tmp_path / "me.json").exists()
 
 
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [("--height=1,86", "write a point in place of the comma"), ("--fixes=x.csv", "use pdr-filter smooth")],
+)
+def test_a_wrong_option_of_track_is_refused_with_its_remedy(option: str, words: str) -> None:
+    result = run("track", "walk.zip", option)
+    assert result.exit_code == 2
+    assert words in result.stderr
+
+
 def test_track_json_is_one_object_a_line_and_nothing_else_on_stdout(walk: Path, broken: Path) -> None:
     command = [sys.executable, "-m", "pdr_filter.apps.cli.app", "track", "--json", str(walk), str(broken), str(walk)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     objects = [json.loads(line) for line in done.stdout.splitlines()]
     summary = pdr.smooth(pdr.read(walk)).track.summary()
-    assert objects[0] == objects[2] == summary
+    assert objects[0] == summary
+    assert objects[2] == {**summary, "name": f"{summary['name']}_2"}  # as its output files would be called
     assert set(objects[1]) == {"name", "error"}
     assert objects[1]["name"] == "broken"
     assert done.returncode == 1
@@ -198,9 +210,12 @@ def test_points_of_gpx_have_the_time_at_which_they_were_walked_if_the_file_says_
 
 def test_a_folder_of_recordings_makes_one_table_that_is_not_made_twice(walk: Path, tmp_path: Path) -> None:
     folder, out = copies(walk, tmp_path / "many", "a", "b"), tmp_path / "out"
-    for _ in range(2):
+    for n in range(2):
         result = run("track", folder, "--jobs", "1", "--gnss", "off", "--out", out)
         assert result.exit_code == 1
+        assert ("(3 of 3 rows are from an earlier run)" in result.stdout) == (n == 1)
+        assert ("a.zip may have been replaced" in result.stderr.replace("\n", "")) == (n == 1)
+        os.utime(folder / "a.zip", (2e9, 2e9))
         assert "2 recordings tracked, 1 failed" in result.stdout
         assert "0.zip" in result.stderr
         assert [row.gnss for row in pdr.batch.read_table(out / "tracks.csv")] == ["off"] * 3

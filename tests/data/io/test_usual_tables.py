@@ -32,6 +32,12 @@ def test_times_in_the_order_of_arrival_are_no_times_between_samples(tmp_path: Pa
     np.testing.assert_allclose(np.sort(read(path).accelerometer.time_s), TIME_S, atol=1e-3)
 
 
+def test_a_minus_sign_of_unicode_is_a_minus(tmp_path: Path) -> None:
+    text = table_text({"timestamp": MS} | BOTH)
+    plain, fancy = (read(write(tmp_path, t, n)) for t, n in ((text, "a.csv"), (text.replace("-", "\u2212"), "b.csv")))
+    np.testing.assert_array_equal(fancy.accelerometer.values, plain.accelerometer.values)
+
+
 def test_a_time_that_a_spreadsheet_rounded_to_a_constant_is_no_time_between_samples(tmp_path: Path) -> None:
     assert "the times may be rounded" in refusal(write(tmp_path, table_text({"timestamp": ["1E+05"] * N} | BOTH)))
 
