@@ -6,6 +6,8 @@ the user interrupted the command.
 
 from __future__ import annotations
 
+from typing import Any
+
 import typer
 from typer.core import TyperCommand
 
@@ -28,7 +30,7 @@ from pdr_filter.version import __version__
 class _TrackCommand(TyperCommand):
     """Command that names the commands with fixes if `--fixes` is given."""
 
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if any(arg.partition("=")[0] == "--fixes" for arg in args):
             ctx.fail("track takes no --fixes: use pdr-filter smooth, or pdr-filter compare for known positions")
         return super().parse_args(ctx, args)

@@ -44,10 +44,10 @@ _SHRUNK_WITHIN_S = 120.0
 # most 15 % of it, and if it is not below 0.87 of that of the walk, two standard deviations (7 %) of the step length of
 # people. Smaller extents are shrinkage rather than a person with short steps.
 _LONG_WAY, _MIN_SIZE = 10.0, 0.87
-# Locations shrink a walk and never enlarge it. Where their extent is larger than that of the walk, the steps are longer
-# than those of the model, and a shrinkage that longer steps hide is about the standard deviation of the step length of
-# people. The extent must be seven errors, so that an enlargement by two of these standard deviations (14 %) is more
-# than the error of a location at the edge of the walk.
+# Locations shrink a walk and never enlarge it. Where their extent is larger than that of the walk by more than the
+# standard deviation of the step length of people, the steps are longer than those of the model, and a shrinkage that
+# longer steps hide is about this standard deviation. The extent must be seven errors, so that an enlargement by two of
+# these standard deviations (14 %) is more than the error of a location at the edge of the walk.
 _LONG_WAY_OF_LARGER, _PEOPLE_STD = 7.0, 0.07
 # Median and 99.9 % quantile of the length of a vector with two standard normal components.
 _MEDIAN_RADIUS, _OUTLIER_RADIUS = 1.177, 3.717
@@ -153,7 +153,7 @@ def _shrinkage_m(time_s: FloatArray, position_m: FloatArray, shape_m: FloatArray
         if size > _MIN_SIZE and extent_m > _LONG_WAY * error_m:
             most_m[k] = MAX_SHRINKAGE * error_m
         away[k] = shape_m[k] - shape_m[i:j].mean(axis=0)
-        if size > 1.0 and extent_m > _LONG_WAY_OF_LARGER * error_m:
+        if size > 1.0 + _PEOPLE_STD and extent_m > _LONG_WAY_OF_LARGER * error_m:
             most_m[k] = min(most_m[k], _PEOPLE_STD * float(np.hypot(*away[k])))
     return _limited(SHRINKAGE_STD * away, most_m)
 
