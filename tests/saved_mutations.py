@@ -128,7 +128,7 @@ def at(value: Any, path: tuple[Any, ...]) -> Any:
 
 
 def tree_of(blob: bytes) -> Any:
-    """What a saved filter says, with arrays as text, as before format 10."""
+    """Return the content of a saved filter, with arrays as text as before format 10."""
     text, _, arrays = zlib.decompress(blob).partition(b"\n")
 
     def with_text(node: dict[str, Any]) -> dict[str, Any]:

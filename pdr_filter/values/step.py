@@ -147,7 +147,7 @@ class Step:
 
     @classmethod
     def of(cls, time_s: float, *, duration_s: float = 0.54, **values: Any) -> Step:
-        """Return a typical walking step at a time, with any fields replaced, for a step detector of your own.
+        """Return a typical walking step at a time, with the given fields replaced. Own step detectors can use it.
 
         Parameters
         ----------

@@ -43,7 +43,7 @@ from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, 
 
 # Files that are read, but for a spreadsheet of 2.5 MB: of its numbers nothing can be cut.
 APPS = [f"app:{file.path}" for file in FILES if not file.refusal and not file.path.endswith(".xlsx")]
-N_LINES = (300, 4000)  # of each table
+N_LINES = (300, 4000)  # number of lines that are taken of each table
 KEPT = Path(tempfile.gettempdir()) / "fuzz_readers"
 ALL = (*FORMS, *APPS)
 MEASURED = ("slower than 1 s", "largest memory")

@@ -97,7 +97,7 @@ class Recorder:
             self._journal_size = append_whole(path, lines, self._journal_size)
 
     def flush(self) -> None:
-        """Write everything that waits. After an OSError what was not written waits for the next call."""
+        """Write all waiting lines. After an OSError, the next call writes the lines that are still waiting."""
         self._unmark()
         if self._description is not None:
             meta, config = self._description

@@ -119,7 +119,7 @@ class Sessions:
                 pass
 
     def _forget(self, key: str) -> None:
-        """Remove a session from memory. Its next message loads it from what is there, or sets that aside."""
+        """Remove a session from memory. Its next message loads its files again, or renames their folder if damaged."""
         del self.sessions[key]
         self._taken.discard(key)
         self.emit({"event": "gone", "id": key})

@@ -105,16 +105,17 @@ def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
     """Return notes about streams whose times repeat, go backward, or do not overlap the accelerometer."""
     time_s = streams["accelerometer"].time_s
     notes: list[str] = []
+    rate_hz = None
     for name, samples in streams.items():
         if samples.time_s.min() > time_s.max() or samples.time_s.max() < time_s.min():
             notes.append(f"{name}{suffix}: {NO_OVERLAP}")
         stream = describe_stream(name, samples)
+        rate_hz = stream.rate_hz if name == "accelerometer" else rate_hz
         if stream.n_duplicates or stream.n_backward:
             notes.append(
                 f"{name}{suffix}: {stream.n_duplicates} repeated and {stream.n_backward} backward times, "
                 "kept as recorded"
             )
-    rate_hz = describe_stream("accelerometer", streams["accelerometer"]).rate_hz
     if rate_hz is not None and rate_hz < DELIVERED_ENOUGH * limits.SUFFICIENT_RATE_HZ:
         notes.append(
             f"accelerometer{suffix}: {rate_hz:.1f} Hz, and step detection was tested from "

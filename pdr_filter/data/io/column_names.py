@@ -171,7 +171,7 @@ _PERIOD = re.compile(
     r"(data|sensor|update|log|logging|record|recording)?(sampl(es?|ing))?"
     r"(time)?(dt|deltat?|interval|period|spacing)(time)?(s|sec|seconds?|ms|millis|milliseconds?|us|ns)?"
 )
-_PERIODS_S = (1e-3, 0.2)  # of the accelerometers of phones, and of slower loggers
+_PERIODS_S = (1e-3, 0.2)  # sampling periods of phones (1 kHz) to slow loggers (5 Hz)
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
 _STEP_COUNTS = re.compile(r"(pedometer)?((numberof|n)steps?|steps|steps?(n|count(er)?))|schritte")
 _HEADINGS = re.compile(r"(location)?(true|magnetic)?(heading|compass|azimuth)((deg)(rees)?|(rad)(ians)?)?")

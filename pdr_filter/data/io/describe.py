@@ -341,7 +341,7 @@ def describe_stream(
     gaps_s = forward_s[forward_s > max(limits.GAP_S, limits.GAP_INTERVALS * median_s)]
     duration_s = _span_s(time_s) if duration_s is None else duration_s
     is_empty = np.isnan(samples.values)
-    known_s = time_s[~is_empty.all(axis=1)]
+    known_s = time_s[~is_empty.all(axis=1)] if is_empty.any() else time_s
     is_rate = isinstance(requested_hz, int | float) and not isinstance(requested_hz, bool) and 0 < requested_hz < 1e6
     return StreamDescription(
         name=name,

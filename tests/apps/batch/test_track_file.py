@@ -138,7 +138,7 @@ def test_merged_parts_equal_merged_streams(
     path = own(replace(walk, accelerometer=force), tmp_path)
     whole = pdr.merge_streams(read(path))
     small_parts(monkeypatch)
-    monkeypatch.setattr(parts, "_PART_SAMPLES", 1)  # so that parts end where blocks end
+    monkeypatch.setattr(parts, "_PART_SAMPLES", 1)  # parts then end where blocks end
     with parts.recording_in_parts(path) as opened:
         blocks = [part.block for part in opened.parts]
     assert len(blocks) > 5

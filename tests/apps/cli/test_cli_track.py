@@ -84,7 +84,7 @@ def test_notes_stand_below_the_table_and_with_json_in_the_object(tmp_path: Path)
     file = write_recording(recording, tmp_path / "no_gyroscope.zip")
     shown = run("track", file).stdout
     assert "no gyroscope" in shown
-    assert shown.partition("±: one")[0].count(" unknown ") == 2  # its end to the east and to the north
+    assert shown.partition("±: one")[0].count(" unknown ") == 2  # both coordinates of its end
     with_json = run("track", "--json", file)
     assert any("no gyroscope" in note for note in json.loads(with_json.stdout)["notes"])
     assert with_json.stderr == ""

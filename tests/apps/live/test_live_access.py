@@ -30,4 +30,4 @@ def test_a_height_is_of_all_persons_or_of_the_person_with_one_phone() -> None:
 def test_the_height_of_a_phone_is_that_of_the_longest_name_with_which_its_own_begins() -> None:
     settings = Settings(heights_m=(("iPhone", 1.7), ("iPhone 2", 1.85), ("iPhone", 1.6)))
     found = [settings.of_phone(name, {}).subject.height_m for name in ("iPhone 2", "iPhone 2b", "iPhone 3", "Pixel")]
-    assert found == [1.85, 1.85, 1.6, None]  # of a name that is given twice, the last counts
+    assert found == [1.85, 1.85, 1.6, None]  # the last height of a name that is given twice is used

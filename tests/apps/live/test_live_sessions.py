@@ -583,7 +583,7 @@ def test_a_zip_file_of_a_long_recording_needs_little_memory(tmp_path: Path) -> N
     assert peak_bytes < 6_000_000
     with zipfile.ZipFile(tmp_path / "made.zip") as archive:
         assert archive.read("accelerometer.csv") == content
-        assert archive.getinfo("accelerometer.csv").date_time[0] > 2020  # that of the file
+        assert archive.getinfo("accelerometer.csv").date_time[0] > 2020  # the time of the file
 
 
 def test_a_path_keeps_its_newest_rows_in_the_bytes_of_its_numbers(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -145,7 +145,7 @@ def test_a_phone_that_ends_its_process_at_each_start_is_set_aside_and_others_go_
 
     monkeypatch.setattr(DeviceSession, "_filtered", deadly)
     assert asyncio.run(run()) == [200, 500, 200, 200, 200]
-    assert n_starts == 1 + n_died  # where memory alone is missing, the process lives on without the session
+    assert n_starts == 1 + n_died  # if only memory is missing, the process continues without the session
     (aside,) = tmp_path.glob("bad-*.damaged1")
     assert b'"number": 0' in (aside / "journal_0.json").read_bytes()
 

@@ -289,7 +289,7 @@ def test_no_leg_is_drawn_at_both_ends_of_the_chart_of_headings(browser: Browser,
     for k in range(16):
         first, last = at[leg == k][[1, -2]].astype(int)
         rows = np.flatnonzero(points[:, first:last].any(axis=1))
-        assert np.ptp(rows) < 40, k  # of 180 pixels
+        assert np.ptp(rows) < 40, k  # the chart has 180 pixels
 
 
 def test_an_uncertainty_that_is_larger_than_the_map_leaves_the_path_large_and_is_told(

@@ -120,7 +120,7 @@ async def test_pages_are_served_after_another_version_was_installed(
     monkeypatch.setattr(worker.Worker, "walk", lambda *_: read_text(Path(server.__file__)))
     answer = worker.make_worker(str(client.bench.cache))
     assert "start the workbench again" in answer(("walk", [""]))["error"]
-    package = Path(server.__file__).parents[2]  # a folder of recordings beside it may begin with the same name
+    package = Path(server.__file__).parents[2]  # the name of a folder beside the package may begin like its name
     monkeypatch.setattr(worker.Worker, "walk", lambda *_: read_text(Path(f"{package}_walks", "walk.csv")))
     assert "start the workbench again" not in answer(("walk", [""]))["error"]
 

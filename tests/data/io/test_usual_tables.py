@@ -190,8 +190,8 @@ def test_a_sampling_interval_or_rate_stands_for_times(tmp_path: Path, content: o
     [
         ("time (min)", 1 / 60, 0.0, None),
         ("time_h", 1 / 3600, 5.0, None),
-        ("date", 1 / 86_400, 45_245.5, 1_700_049_600.0),  # of a spreadsheet
-        ("datenum", 1 / 86_400, 739_205.5, 1_700_049_600.0),  # of MATLAB
+        ("date", 1 / 86_400, 45_245.5, 1_700_049_600.0),  # days of a spreadsheet
+        ("datenum", 1 / 86_400, 739_205.5, 1_700_049_600.0),  # days of MATLAB
     ],
 )
 def test_times_in_minutes_hours_and_days_are_read(

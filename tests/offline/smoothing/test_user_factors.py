@@ -27,7 +27,7 @@ LANDMARK = gtsam.symbol("l", 0)
 
 
 def test_a_prior_of_a_pose_has_the_effect_of_the_fix_that_it_states() -> None:
-    # so many that their clock is estimated with and without one more
+    # enough fixes that their clock is estimated with and without one more
     fixes = [*FIXES, *(pdr.PositionFix(t, true_m(t), np.eye(2)) for t in (8.0, 15.0, 29.0))]
     time_s = float(pdr.smooth(WALK, fixes=fixes).track.time_s[20])
     place, noise = true_m(time_s) + np.array([0.8, -0.8]), gtsam.noiseModel.Isotropic.Sigma(2, 0.5)

@@ -68,7 +68,7 @@ class RoninFile:
 
     path: Path
     file: Path
-    data_sets: Mapping[str, Any]  # of "time" and the names of `ARRAYS` that exist
+    data_sets: Mapping[str, Any]  # keys are "time" and the names of `ARRAYS` that exist
     n_rows: int
 
     def parsed(self, rows: slice) -> Parsed:

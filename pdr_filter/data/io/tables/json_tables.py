@@ -184,7 +184,7 @@ def _of_data_frame(item: Row) -> Row:
 
     Its columns are then objects of values by row number, or the names and the rows are two lists.
     """
-    for value in item.values():  # of each row of a large file
+    for value in item.values():  # this runs for each row of a large file
         if isinstance(value, dict) and "0" in value:
             return {key: _by_number(rows) if isinstance(rows, dict) else rows for key, rows in item.items()}
     names: Any = item.get("columns")
