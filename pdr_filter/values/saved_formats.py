@@ -236,5 +236,7 @@ def _from_9(name: str, fields: _Fields) -> Any:
     return _node(name, fields)
 
 
-_CHANGES = (_from_6, _from_7, _from_8, _from_9)
-EARLIER_FORMATS = (6, 7, 8, 9)
+# --- from format 10 to 11: signals are stored once, and the bytes are compressed in another way -----------------------
+
+_CHANGES = (_from_6, _from_7, _from_8, _from_9, _node)
+EARLIER_FORMATS = (6, 7, 8, 9, 10)
