@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.filter.chain.handler import states_of
-from pdr_filter.filter.chain.with_path import without_path
+from pdr_filter.filter.chain.with_path import for_saving
 from pdr_filter.filter.pedestrian import pedestrian_state as pedestrian
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.pedestrian.person import Person
@@ -652,8 +652,8 @@ class OnlineFilter:
             text = f"{n_waiting - len(own)} waiting measurements are not saved, because their classes are not of"
             warnings.warn(f"{text} pdr_filter: add these measurements to the loaded filter again", stacklevel=2)
             state = replace(state, waiting_fixes=own)
-        if not path:
-            state = replace(state, chain=without_path(state.chain))
+        sensing = self.config.sensing.trimmed(state.sensing)
+        state = replace(state, sensing=sensing, chain=for_saving(state.chain, path))
         try:
             return serialise.to_bytes({"config": self.config, "state": state}, whole=models)
         except TypeError:  # classes of other packages in the configuration or in the state of a part

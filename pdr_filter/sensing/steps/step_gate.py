@@ -230,6 +230,18 @@ class StepGate(StepStage[StepGateState]):
         state, released = self._judge(state, numbers)
         return replace_unchecked(state, rows=state.rows[-self._n_rows_kept :]), released
 
+    def trimmed(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, float]:
+        """Return the state without samples that no later window needs, and the earliest contact of a later release.
+
+        `contact_s` is the earliest contact that the detector can still find, s.
+        """
+        waiting_s = min((step.time_s for _, step in state.waiting), default=contact_s)
+        first = math.floor((min(waiting_s, contact_s) - state.start_s) * EVIDENCE_HZ)
+        n_rows = (state.n_samples - len(state.rest)) // self._samples_per_row
+        n_needed = max(n_rows - first + round(MAX_SLOWNESS * self._n_before), 1)
+        held_s = min((judged.step.time_s for judged in state.held), default=contact_s)
+        return replace_unchecked(state, rows=state.rows[-n_needed:]), min(held_s, waiting_s, contact_s)
+
     def finish(self, state: StepGateState, steps: NumberedSteps) -> tuple[StepGateState, NumberedSteps]:
         # A bout continues after a short gap. The probability of walking decays towards its stationary value with time.
         state = replace_unchecked(state, waiting=(*state.waiting, *steps))
