@@ -332,11 +332,11 @@ class Sensing:
         if state.n_samples == 0 or not isinstance(self.steps, BaseStepDetector):
             return state
         contact_s = state.processed_s - self.steps.latency_s - _CONTACT_MARGIN_S
-        of_steps = dict(state.of_steps)
+        of_steps: dict[str, Any] = dict(state.of_steps)
         if self.gate is not None:
-            of_steps["gate"], contact_s = self.gate.trimmed(state.of_steps["gate"], contact_s)
+            of_steps["gate"], contact_s = self.gate.trimmed(of_steps["gate"], contact_s)
         if isinstance(self.heading, WalkingHeading):
-            of_steps["heading"] = self.heading.trimmed(state.of_steps["heading"], contact_s)
+            of_steps["heading"] = self.heading.trimmed(of_steps["heading"], contact_s)
         return replace_unchecked(state, of_steps=of_steps)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, KnownEvents]:

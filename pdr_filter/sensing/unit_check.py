@@ -16,6 +16,8 @@ from pdr_filter.values.plausibility import wrong_angular_rate, wrong_specific_fo
 
 # A window is complete when it has both this duration and this number of rows.
 _WINDOW_S, _WINDOW_ROWS = 2.0, 100
+# Of the rows within each such time, in s, only the first is used. More would only make saved filters larger.
+_ROW_S = 0.015
 # Smallest number and share of windows with an implausible angular rate that cause a warning. Shaking a phone gives
 # single windows above 12 rad/s. A walk in deg/s exceeds the limit in nearly all windows.
 _FAST_WINDOWS, _FAST_SHARE = 2, 0.2
@@ -69,6 +71,9 @@ def check_units(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> Un
     The columns of the motion are specific force and angular rate. Windows are judged when they are complete, so that
     the result does not depend on how rows were cut into blocks.
     """
+    last_s = state.rows[-1:, 0] if len(state.rows) else [-np.inf]
+    is_used = np.diff(np.floor(np.concatenate([last_s, time_s]) / _ROW_S)) > 0
+    time_s, motion = time_s[is_used], motion[is_used]
     new = np.empty((len(time_s), 4))
     new[:, 0], new[:, 2] = time_s, motion[:, 2]
     for column, (x, y, z) in ((1, motion[:, :3].T), (3, motion[:, 3:].T)):

@@ -128,7 +128,7 @@ def from_bytes(blob: object, first: object = None, *, without: str = "") -> Any:
             raise ValueError("the checksum does not match, so that the bytes are damaged")
         if without:
             content["value"]["dict"][without] = None
-        node = in_present_format(content["value"], content["format"])
+        node = in_present_format(content["value"], content["format"], arrays)
         return _Decoder(_classes_in(first), arrays).value(node)
     except Exception as error:  # damaged bytes can raise any exception
         raise ValueError(
