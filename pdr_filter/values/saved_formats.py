@@ -251,9 +251,8 @@ def _from_9(name: str, fields: _Fields) -> Any:
 # --- from format 10 to 11: one number instead of the specific force recognises rows that arrive again ----------------
 
 
-
 def _from_10(arrays: bytes, name: str, fields: _Fields) -> Any:
-    if name.endswith(":ClockState"):
+    if name.endswith(":ClockState") and "kept" in fields:  # not in filters of earlier formats
         time_s, x, y, z = _values(fields["kept"], arrays).T
         # as `sensing.clock.fingerprint`
         fields["kept"] = _array(np.column_stack([time_s, x + math.sqrt(2.0) * y + math.sqrt(3.0) * z]))

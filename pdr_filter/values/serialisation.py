@@ -1,9 +1,10 @@
 """Serialisation of configurations and states as plain values: no code in the bytes is executed.
 
 The bytes are compressed: JSON with a version and a checksum, and the exact bytes of all arrays (`saved_bytes`). Several
-stages buffer the same signals, and each signal is stored once. Dataclasses are stored by name. Only dataclasses of this package, and of the first state that the caller gives, are
-loaded. Unchanged values of the package's files, such as its trained models, are stored by name and checksum. Bytes with
-a forged checksum can produce a filter with wrong values of the declared types, but cannot execute code.
+stages buffer the same signals, and each signal is stored once. Dataclasses are stored by name. Only dataclasses of this
+package, and of the first state that the caller gives, are loaded. Unchanged values of the package's files, such as its
+trained models, are stored by name and checksum. Bytes with a forged checksum can produce a filter with wrong values of
+the declared types, but cannot execute code.
 """
 
 from __future__ import annotations
@@ -239,7 +240,7 @@ def _signals(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     """Return a view of an array whose rows are signals: time is the last axis, or the longer one of a matrix."""
     if array.ndim == 2 and array.shape[0] > array.shape[1]:
         return array.T
-    return array.reshape(-1, array.shape[-1]) if array.size else np.empty((0, 0))
+    return array.reshape(-1, array.shape[-1]) if array.ndim and array.size else np.empty((0, 0))
 
 
 class _Decoder:
@@ -288,7 +289,9 @@ class _Decoder:
             return np.frombuffer(base64.b64decode(position, validate=True), dtype=dtype).reshape(shape).copy()
         self._n_left -= n_bytes
         if not 0 <= n_bytes <= n_bytes + self._n_left:
-            raise ValueError(f"an array of shape {str(shape)[:60]} is not in the bytes of the arrays")
+            raise ValueError(
+                f"an array has the shape {str(shape)[:60]}, or all arrays have more than {_MAX_BYTES} bytes"
+            )
         if not isinstance(position, list):
             return np.frombuffer(self._bytes(position, n_bytes), dtype=dtype).reshape(shape).copy()
         array = np.empty(shape, dtype)

@@ -216,7 +216,8 @@ class PastSteps:
             apart_s = self.time_s[each + 1] - self.time_s[each - 1]
             keep[each[np.argsort(apart_s, kind="stable")[: MAX_STEPS // 8]]] = False
         pairs = ((getattr(self, name)[..., keep], getattr(later, name)) for name in self.__dataclass_fields__)
-        return PastSteps(*(np.concatenate(pair, axis=-1) for pair in pairs))
+        # Contiguous as in a loaded filter, because the bits of matrix products depend on the layout.
+        return PastSteps(*(np.ascontiguousarray(np.concatenate(pair, axis=-1)) for pair in pairs))
 
     def cov_m2(self, cov: FloatArray) -> FloatArray:
         """Return the covariances (3, N) of the positions, for a covariance (4, 4) of the later state."""
