@@ -314,7 +314,7 @@ class PastPath:
     def _last(self) -> tuple[BackwardRelation, PastSteps]:
         """Return the backward relation over all stored events, and the stored steps related to the present state."""
         steps, back, after_steps = list[RelatedStep](), _UNCHANGED, list[BackwardRelation]()
-        for event in reversed(self.with_related_steps().events):
+        for event in reversed(self._related_events()):
             if isinstance(event, RelatedStep):
                 steps.append(event)
                 after_steps.append(back)
@@ -326,13 +326,15 @@ class PastPath:
 
         The bits of a relation do not depend on the other steps with which it is computed.
         """
+        return replace_unchecked(self, events=self._related_events())
+
+    def _related_events(self) -> tuple[RelatedStep | BackwardRelation, ...]:
         walked = [event for event in self.events if isinstance(event, WalkedStep)]
         backs = iter(_relations_over_steps(walked) if walked else ())
-        events = (
+        return tuple(
             RelatedStep(event.time_s, event.updated_mean, next(backs)) if isinstance(event, WalkedStep) else event
             for event in self.events
         )
-        return replace_unchecked(self, events=tuple(events))
 
     def with_shared(
         self, before: FloatArray, shared_m2: FloatArray, after: FloatArray, time_s: float, present_m: FloatArray

@@ -370,7 +370,20 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
         return min(max(n_since, 1), self._n_kept)
 
     def trimmed(self, state: WalkingHeadingState, contact_s: float) -> WalkingHeadingState:
-        """Return the state without samples that no step needs whose contact is at `contact_s` or later."""
+        """Return the state without samples that no later step needs.
+
+        Parameters
+        ----------
+        state : WalkingHeadingState
+            State after any number of samples.
+        contact_s : float
+            Earliest contact of a later step, s.
+
+        Returns
+        -------
+        WalkingHeadingState
+            State with fewer signals.
+        """
         first = round((contact_s - _MAX_STRIDE_S - state.start_s) * self.rate_hz)
         n_needed = min(max(state.n_samples - first, 1), self._n_needed(state))
         return replace_unchecked(state, signals=state.signals[:, -n_needed:])

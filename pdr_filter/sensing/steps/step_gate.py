@@ -233,7 +233,19 @@ class StepGate(StepStage[StepGateState]):
     def trimmed(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, float]:
         """Return the state without samples that no later window needs, and the earliest contact of a later release.
 
-        `contact_s` is the earliest contact that the detector can still find, s.
+        Parameters
+        ----------
+        state : StepGateState
+            State after any number of samples.
+        contact_s : float
+            Earliest contact that the detector can still find, s.
+
+        Returns
+        -------
+        state : StepGateState
+            State with fewer rows of specific force.
+        contact_s : float
+            Earliest contact of a step that the gate can still release, s.
         """
         contact_s = min((step.time_s for _, step in state.waiting), default=contact_s)
         first = math.floor((contact_s - state.start_s) * EVIDENCE_HZ)
