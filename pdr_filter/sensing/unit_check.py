@@ -33,6 +33,7 @@ class UnitsState:
 
     # Rows of the open window, shape (R, 4): time, norm of the specific force, its z, norm of the angular rate.
     rows: FloatArray
+    last_s: float = -np.inf  # time of the last used row, s
     n: int = 0  # complete windows
     n_wrong_force: int = 0  # windows with an implausible median specific force
     n_wrong_rate: int = 0  # windows with an implausible median angular rate
@@ -71,9 +72,9 @@ def check_units(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> Un
     The columns of the motion are specific force and angular rate. Windows are judged when they are complete, so that
     the result does not depend on how rows were cut into blocks.
     """
-    last_s = state.rows[-1:, 0] if len(state.rows) else [-np.inf]
-    is_used = np.diff(np.floor(np.concatenate([last_s, time_s]) / _ROW_S)) > 0
+    is_used = np.diff(np.floor(np.concatenate([[state.last_s], time_s]) / _ROW_S)) > 0
     time_s, motion = time_s[is_used], motion[is_used]
+    last_s = float(time_s[-1]) if len(time_s) else state.last_s
     new = np.empty((len(time_s), 4))
     new[:, 0], new[:, 2] = time_s, motion[:, 2]
     for column, (x, y, z) in ((1, motion[:, :3].T), (3, motion[:, 3:].T)):
@@ -83,7 +84,7 @@ def check_units(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> Un
     while len(rows) - start >= _WINDOW_ROWS and times_s[-1] - times_s[start] >= _WINDOW_S:
         end = max(int(times_s.searchsorted(times_s[start] + _WINDOW_S)) + 1, start + _WINDOW_ROWS)
         state, start = _units_after_window(state, rows[start:end]), end
-    return replace_unchecked(state, rows=rows[start:])
+    return replace_unchecked(state, rows=rows[start:], last_s=last_s)
 
 
 def _units_after_window(state: UnitsState, rows: FloatArray) -> UnitsState:
