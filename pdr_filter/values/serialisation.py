@@ -103,7 +103,7 @@ def _declared(cls: type[Any]) -> list[Any]:
 
 
 def _packed(node: Any, arrays: bytes = b"", signals: bytes = b"") -> bytes:
-    text = json.dumps(node).encode()
+    text = json.dumps(node, check_circular=False).encode()
     head = f'{{"format": {_FORMAT}, "sha256": "{_checksum(text, arrays + signals)}"'.encode()
     _check_size(text, len(arrays) + len(signals))
     return compressed(b"".join([head, _VALUE, text, b"}"]), arrays, signals)

@@ -137,7 +137,7 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
     ) -> tuple[WindowState, list[tuple[int, FeatureWindow]]]:
         magnitudes, zi = np.zeros((N_MAGNITUDES, len(block.time_s))), None
         # The features of the shipped models use no magnitudes, which would only make saved filters larger.
-        if not isinstance(self.features, AttitudeFreeFeatures):
+        if type(self.features) is not AttitudeFreeFeatures:
             magnitudes[0] = specific_force_magnitude(block.specific_force_mps2)
             magnitudes[2] = specific_force_magnitude(block.angular_rate_radps)
             magnitudes[3] = specific_force_magnitude(block.magnetic_field_ut)
