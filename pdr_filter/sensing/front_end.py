@@ -329,8 +329,7 @@ class Sensing:
         SensingState
             State from which the filter continues with the same bits.
         """
-        is_known = isinstance(self.steps, BaseStepDetector) and isinstance(self.gate, StepGate | None)
-        if state.n_samples == 0 or not is_known:
+        if state.n_samples == 0 or not isinstance(self.steps, BaseStepDetector):
             return state
         contact_s = state.processed_s - self.steps.latency_s - _CONTACT_MARGIN_S
         of_steps: dict[str, Any] = dict(state.of_steps)
