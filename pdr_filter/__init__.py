@@ -5,6 +5,10 @@ of a finished walk. An app pushes its samples to an `OnlineFilter`, and adds fix
 `calibrate` estimates the step lengths of people, `fit_contexts` trains a classifier of contexts, and `recipes` are the
 configurations (`Config`), in which a `Mode` is one motion model of the interacting multiple model.
 
+Three longer ways begin at these examples: `help(pdr_filter.OnlineFilter)` for a loop with a fix,
+`help(pdr_filter.imm)` for an interacting multiple model over own motion models, and `help(pdr_filter.calibrate)` for a
+calibration from known distances, or by smoothing from fixes.
+
 The modules are `imm` (the interacting multiple model alone), `evaluate` (measures), `plot`, `simulate`, `datasets`,
 `batch` (many recordings), `protocols` (interfaces of own parts) and `testing` (checks of own parts). `dir(pdr_filter)`
 lists all names; each has its own help, such as `help(pdr_filter.track)`.

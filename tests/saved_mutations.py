@@ -7,13 +7,11 @@ import copy
 import hashlib
 import io
 import json
-import math
 import os
 import random
 import sys
 import warnings
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
@@ -31,6 +29,7 @@ from pdr_filter.recipes.calibration import Calibration, load_calibration
 from pdr_filter.values import ImuBlock
 from pdr_filter.values import serialisation as serialise
 from pdr_filter.values.recording import Subject
+from pdr_filter.values.saved_bytes import compressed, decompressed
 
 sys.path.insert(0, str(Path(__file__).parent / "data" / "io"))
 
@@ -129,13 +128,11 @@ def at(value: Any, path: tuple[Any, ...]) -> Any:
 
 def tree_of(blob: bytes) -> Any:
     """Return the content of a saved filter, with arrays as text as before format 10."""
-    text, _, arrays = zlib.decompress(blob).partition(b"\n")
+    text, arrays = decompressed(blob, 1 << 26)
+    decoder = serialise._Decoder({}, arrays)
 
     def with_text(node: dict[str, Any]) -> dict[str, Any]:
-        if set(node) != {"array", "dtype", "shape"}:
-            return node
-        n_bytes = math.prod(node["shape"]) * np.dtype(node["dtype"]).itemsize
-        return {**node, "array": base64.b64encode(arrays[node["array"] : node["array"] + n_bytes]).decode()}
+        return encoded(decoder.value(node)) if set(node) == {"array", "dtype", "shape"} else node
 
     return json.loads(text, object_hook=with_text)
 
@@ -220,7 +217,10 @@ def damaged_filter(blob: bytes, rng: random.Random) -> bytes:
     if rng.random() < 0.3:
         return rng.choice([truncated, with_flipped_bits])(blob, rng)
     change = rng.choice([truncated, with_flipped_bits, with_pieces_moved, with_absurd_numbers])
-    return zlib.compress(change(zlib.decompress(blob), rng), 1)
+    text, arrays = decompressed(blob, 1 << 26)
+    if rng.random() < 0.5:
+        return compressed(change(text, rng), b"", arrays)
+    return compressed(text, change(arrays, rng), b"")
 
 
 def forged_filter(blob: bytes, rng: random.Random) -> bytes:

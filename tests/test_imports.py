@@ -64,6 +64,17 @@ def test_every_public_name_can_be_loaded() -> None:
         _ = pdr_filter.no_such_name
 
 
+def test_each_package_logs_with_one_logger_of_its_name() -> None:
+    calls = {
+        path.relative_to(PACKAGE): ast.unparse(node)
+        for path, tree in trees().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("getLogger")
+    }
+    assert len(calls) > 3
+    assert set(calls.values()) == {"logging.getLogger(__package__)"}
+
+
 # --- the packages -----------------------------------------------------------------------------------------------------
 
 # Three groups, in the order in which they may import: each package those before it.

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeVar
@@ -41,10 +42,8 @@ _SHORT_GAP_S = 60.0
 # Of the accepted rows, every 25th is kept to recognise blocks that arrive again. The interval is half of
 # `CLOCK_RESET_SAMPLES`, so that a repeated block contains a kept row before it resembles a clock that was set back.
 _ROWS_PER_KEPT = 25
-# Kept rows. They recognise a repeated minute at 100 Hz, as `stream_merging` does, and take 8 KB.
+# Kept rows. They recognise a repeated minute at 100 Hz, as `stream_merging` does, and take 4 KB.
 _MAX_KEPT = 256
-# Time and specific force of a row: its other values are not needed to recognise it.
-_KEPT_COLUMNS = 4
 # Rows tested together for increasing times. The limit keeps the cost linear when every second time repeats, because
 # each repeat ends a run and the remaining rows are tested again.
 _RUN_ROWS = 256
@@ -64,9 +63,9 @@ class ClockState:
     is_running: bool = False
     n_behind: int = 0  # consecutive rows that lie behind the last accepted one
     n_rejected_times: int = 0  # rows received since the last accepted one, or since one that arrived again
-    # Every 25th accepted row (K, 4), as its time on the sample clock and its specific force. `n_since_kept` counts the
-    # rows accepted after the last of them.
-    kept: FloatArray = field(default_factory=lambda: np.empty((0, _KEPT_COLUMNS)))
+    # Every 25th accepted row (K, 2), as its time on the sample clock and the `fingerprint` of its specific force.
+    # `n_since_kept` counts the rows accepted after the last of them.
+    kept: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     n_since_kept: int = _ROWS_PER_KEPT - 1
 
 
@@ -129,8 +128,8 @@ def _with_kept(clock: ClockState, accepted: FloatArray) -> ClockState:
     n = clock.n_since_kept + len(accepted)
     if n < _ROWS_PER_KEPT:
         return replace_unchecked(clock, n_since_kept=n)
-    new = accepted[_ROWS_PER_KEPT - 1 - clock.n_since_kept :: _ROWS_PER_KEPT, :_KEPT_COLUMNS].copy()
-    new[:, 0] -= clock.offset_s
+    new = accepted[_ROWS_PER_KEPT - 1 - clock.n_since_kept :: _ROWS_PER_KEPT]
+    new = np.column_stack([new[:, 0] - clock.offset_s, fingerprint(new[:, 1:4])])
     kept = np.concatenate([clock.kept, new])[-_MAX_KEPT:]
     return replace_unchecked(clock, kept=kept, n_since_kept=n % _ROWS_PER_KEPT)
 
@@ -139,7 +138,16 @@ def _is_repeat(clock: ClockState, row: FloatArray) -> bool:
     """Return True if a row on the sample clock is equal to a kept one."""
     # The subtraction of the offset rounds the kept time. Times since 1970 have a resolution of 0.2 us.
     is_same_time = np.abs(clock.kept[:, 0] - row[0]) < 1e-5
-    return bool((is_same_time & (clock.kept[:, 1:] == row[1:_KEPT_COLUMNS]).all(axis=1)).any())
+    return bool((is_same_time & (clock.kept[:, 1] == fingerprint(row[1:4]))).any())
+
+
+def fingerprint(force_mps2: FloatArray) -> FloatArray:
+    """Return one number for each specific force (..., 3), which hardly any other sample of a sensor has.
+
+    The weights are irrational, because sensors deliver multiples of a smallest value.
+    """
+    x, y, z = force_mps2[..., 0], force_mps2[..., 1], force_mps2[..., 2]
+    return x + math.sqrt(2.0) * y + math.sqrt(3.0) * z
 
 
 class _Decision(NamedTuple):

@@ -17,9 +17,10 @@ from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.feature_windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.heading_stage import HeadingStage, ShownOffsets, drift_in_time
 from pdr_filter.sensing.heading.magnetic_north import MagneticNorth
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
-from pdr_filter.sensing.steps.step_detector import ContextBlock
+from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBlock
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.sensing.vehicle_vibration import VehicleVibration, VehicleVibrationState
@@ -75,6 +76,10 @@ class SensingState:
     def heading(self) -> object:
         """State of the heading stage, or None without one."""
         return self.of_steps.get("heading")
+
+
+# Time by which a contact may be earlier than the latency of its detector says, s: it lies between samples.
+_CONTACT_MARGIN_S = 0.1
 
 
 class Detected(NamedTuple):
@@ -307,6 +312,32 @@ class Sensing:
         """
         error_rad, error_var = drift_in_time(self.heading, state.heading)
         return self.attitude.bias.learnt_device(self.attitude.bias_state(state.attitude), error_rad, error_var)
+
+    def trimmed(self, state: SensingState) -> SensingState:
+        """Return the state without buffered samples that no later step needs, for saving.
+
+        Stages buffer samples for the slowest step detector. Here the latency of the detector and the steps that wait at
+        the gate are known.
+
+        Parameters
+        ----------
+        state : SensingState
+            State after any number of samples.
+
+        Returns
+        -------
+        SensingState
+            State from which the filter continues with the same bits.
+        """
+        if state.n_samples == 0 or not isinstance(self.steps, BaseStepDetector):
+            return state
+        contact_s = state.processed_s - self.steps.latency_s - _CONTACT_MARGIN_S
+        of_steps: dict[str, Any] = dict(state.of_steps)
+        if self.gate is not None:
+            of_steps["gate"], contact_s = self.gate.trimmed(of_steps["gate"], contact_s)
+        if isinstance(self.heading, WalkingHeading):
+            of_steps["heading"] = self.heading.trimmed(of_steps["heading"], contact_s)
+        return replace_unchecked(state, of_steps=of_steps)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, KnownEvents]:
         """Return the new state and the events of one uniform block without a gap."""

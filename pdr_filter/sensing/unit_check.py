@@ -16,6 +16,8 @@ from pdr_filter.values.plausibility import wrong_angular_rate, wrong_specific_fo
 
 # A window is complete when it has both this duration and this number of rows.
 _WINDOW_S, _WINDOW_ROWS = 2.0, 100
+# Of the rows within each such time, in s, only the first is used. More would only make saved filters larger.
+_ROW_S = 0.015
 # Smallest number and share of windows with an implausible angular rate that cause a warning. Shaking a phone gives
 # single windows above 12 rad/s. A walk in deg/s exceeds the limit in nearly all windows.
 _FAST_WINDOWS, _FAST_SHARE = 2, 0.2
@@ -31,6 +33,7 @@ class UnitsState:
 
     # Rows of the open window, shape (R, 4): time, norm of the specific force, its z, norm of the angular rate.
     rows: FloatArray
+    last_s: float = -np.inf  # time of the last used row, s
     n: int = 0  # complete windows
     n_wrong_force: int = 0  # windows with an implausible median specific force
     n_wrong_rate: int = 0  # windows with an implausible median angular rate
@@ -69,6 +72,9 @@ def check_units(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> Un
     The columns of the motion are specific force and angular rate. Windows are judged when they are complete, so that
     the result does not depend on how rows were cut into blocks.
     """
+    is_used = np.diff(np.floor(np.concatenate([[state.last_s], time_s]) / _ROW_S)) > 0
+    time_s, motion = time_s[is_used], motion[is_used]
+    last_s = float(time_s[-1]) if len(time_s) else state.last_s
     new = np.empty((len(time_s), 4))
     new[:, 0], new[:, 2] = time_s, motion[:, 2]
     for column, (x, y, z) in ((1, motion[:, :3].T), (3, motion[:, 3:].T)):
@@ -78,7 +84,7 @@ def check_units(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> Un
     while len(rows) - start >= _WINDOW_ROWS and times_s[-1] - times_s[start] >= _WINDOW_S:
         end = max(int(times_s.searchsorted(times_s[start] + _WINDOW_S)) + 1, start + _WINDOW_ROWS)
         state, start = _units_after_window(state, rows[start:end]), end
-    return replace_unchecked(state, rows=rows[start:])
+    return replace_unchecked(state, rows=rows[start:], last_s=last_s)
 
 
 def _units_after_window(state: UnitsState, rows: FloatArray) -> UnitsState:

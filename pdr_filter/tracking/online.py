@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.filter.chain.handler import states_of
-from pdr_filter.filter.chain.with_path import without_path
+from pdr_filter.filter.chain.with_path import for_saving
 from pdr_filter.filter.pedestrian import pedestrian_state as pedestrian
 from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.pedestrian.person import Person
@@ -622,8 +622,8 @@ class OnlineFilter:
     def save(self, *, models: bool = False, path: bool = True) -> bytes:
         """Serialise the filter, so that `load` continues with identical results.
 
-        The bytes contain the state, the configuration and models of your own, but no code. They have about 90 kB after
-        a minute of walking, and 0.1 kB more for each further step. A configuration with parts of classes outside of
+        The bytes contain the state, the configuration and models of your own, but no code. They have about 45 kB
+        while walking, and 0.1 kB more for each step of the path. A configuration with parts of classes outside of
         pdr_filter is not included: `load` then needs it as an argument, with classes of the same names and modules.
         Waiting measurements of such classes are omitted with a UserWarning.
 
@@ -652,8 +652,8 @@ class OnlineFilter:
             text = f"{n_waiting - len(own)} waiting measurements are not saved, because their classes are not of"
             warnings.warn(f"{text} pdr_filter: add these measurements to the loaded filter again", stacklevel=2)
             state = replace(state, waiting_fixes=own)
-        if not path:
-            state = replace(state, chain=without_path(state.chain))
+        sensing = self.config.sensing.trimmed(state.sensing)
+        state = replace(state, sensing=sensing, chain=for_saving(state.chain, path))
         try:
             return serialise.to_bytes({"config": self.config, "state": state}, whole=models)
         except TypeError:  # classes of other packages in the configuration or in the state of a part

@@ -1,9 +1,10 @@
 """Serialisation of configurations and states as plain values: no code in the bytes is executed.
 
-The bytes are zlib-compressed: JSON with a version and a checksum, a line feed, and the exact bytes of all arrays.
-Dataclasses are stored by name. Only dataclasses of this package, and of the first state that the caller gives, are
-loaded. Unchanged values of the package's files, such as its trained models, are stored by name and checksum. Bytes with
-a forged checksum can produce a filter with wrong values of the declared types, but cannot execute code.
+The bytes are compressed: JSON with a version and a checksum, and the exact bytes of all arrays (`saved_bytes`). Several
+stages buffer the same signals, and each signal is stored once. Dataclasses are stored by name. Only dataclasses of this
+package, and of the first state that the caller gives, are loaded. Unchanged values of the package's files, such as its
+trained models, are stored by name and checksum. Bytes with a forged checksum can produce a filter with wrong values of
+the declared types, but cannot execute code.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ import importlib
 import json
 import math
 import sys
-import zlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
@@ -23,14 +23,17 @@ from typing import Any, Self, cast, get_args, get_type_hints
 import numpy as np
 
 from pdr_filter.values import check_declared
+from pdr_filter.values.saved_bytes import compressed, decompressed
 from pdr_filter.values.saved_formats import EARLIER_FORMATS, in_present_format
 
 _PACKAGE = "pdr_filter"
-_FORMAT = 10  # `saved_formats` describes the earlier ones
+_FORMAT = 11  # `saved_formats` describes the earlier ones
 _VALUE = b', "value": '  # separates the header from the text of the checksum
 # A filter with own models has some MB, nearly all of it arrays, and some thousand values.
 _MAX_BYTES = 64 << 20
 _MAX_VALUES = 2_000_000
+# Rows of arrays with at least this many numbers are signals, which other arrays may contain as well.
+_MIN_SIGNAL = 32
 # Packages with the classes of a filter. Classes of other packages are loaded only if their module is imported already.
 _PACKAGES = ("values.", "classifiers.", "sensing.", "filter.", "recipes.", "tracking.", "apps.maps.")
 
@@ -59,7 +62,7 @@ def to_bytes(value: object, first: object = None, *, whole: bool = False) -> byt
     """
     encoder = _Encoder(_classes_in(first), whole)
     node = encoder.node(value)
-    return _packed(node, b"".join(encoder.arrays))
+    return _packed(node, *encoder.arrays())
 
 
 def _classes_in(first: object) -> dict[str, type[Any]]:
@@ -99,11 +102,11 @@ def _declared(cls: type[Any]) -> list[Any]:
         return []
 
 
-def _packed(node: Any, arrays: bytes = b"") -> bytes:
-    text = json.dumps(node).encode()
-    head = f'{{"format": {_FORMAT}, "sha256": "{_checksum(text, arrays)}"'.encode()
-    _check_size(text, len(arrays))
-    return zlib.compress(b"".join([head, _VALUE, text, b"}\n", arrays]), 1)
+def _packed(node: Any, arrays: bytes = b"", signals: bytes = b"") -> bytes:
+    text = json.dumps(node, check_circular=False).encode()
+    head = f'{{"format": {_FORMAT}, "sha256": "{_checksum(text, arrays + signals)}"'.encode()
+    _check_size(text, len(arrays) + len(signals))
+    return compressed(b"".join([head, _VALUE, text, b"}"]), arrays, signals)
 
 
 def from_bytes(blob: object, first: object = None, *, without: str = "") -> Any:
@@ -114,7 +117,7 @@ def from_bytes(blob: object, first: object = None, *, without: str = "") -> Any:
     if not isinstance(blob, bytes):
         raise ValueError(f"a saved filter must be bytes, got {type(blob).__name__}: give what save returned")
     try:
-        text, _, arrays = _inflate(blob).partition(b"\n")
+        text, arrays = decompressed(blob, _MAX_BYTES)
         _check_size(text, len(arrays))
         content = json.loads(text)
         if content["format"] not in (*EARLIER_FORMATS, _FORMAT):
@@ -126,7 +129,7 @@ def from_bytes(blob: object, first: object = None, *, without: str = "") -> Any:
             raise ValueError("the checksum does not match, so that the bytes are damaged")
         if without:
             content["value"]["dict"][without] = None
-        node = in_present_format(content["value"], content["format"])
+        node = in_present_format(content["value"], content["format"], arrays)
         return _Decoder(_classes_in(first), arrays).value(node)
     except Exception as error:  # damaged bytes can raise any exception
         raise ValueError(
@@ -149,14 +152,6 @@ def _check_size(text: bytes, n_bytes_of_arrays: int) -> None:
         )
 
 
-def _inflate(blob: bytes) -> bytes:
-    inflater = zlib.decompressobj()
-    content = inflater.decompress(blob, _MAX_BYTES)
-    if inflater.unconsumed_tail or not inflater.eof or inflater.unused_data:
-        raise ValueError(f"incomplete, followed by other data, or more than {_MAX_BYTES >> 20} MiB")
-    return content
-
-
 _PLAIN = frozenset({type(None), bool, int, float, str})
 
 
@@ -166,12 +161,12 @@ def _field_names(cls: type[Any]) -> tuple[str, ...]:
 
 
 class _Encoder:
-    """Turns values into nodes of JSON. `arrays` has the bytes of the arrays so far."""
+    """Turns values into nodes of JSON, which are complete after `arrays`."""
 
     def __init__(self, own: Mapping[str, type[Any]], whole: bool) -> None:
         self.own, self.whole = own, whole
-        self.arrays: list[bytes] = []
-        self._n_bytes = 0
+        self._small: list[tuple[dict[str, Any], bytes]] = []
+        self._signals: list[tuple[dict[str, Any], np.ndarray[Any, Any]]] = []
 
     def node(self, value: Any) -> Any:
         """Return the node of a value. TypeError if it cannot be saved."""
@@ -207,10 +202,45 @@ class _Encoder:
     def _array(self, array: np.ndarray[Any, Any]) -> dict[str, Any]:
         if array.dtype.kind not in "biuf":
             raise TypeError(f"an array of {array.dtype} cannot be saved: use an array of numbers")
-        node = {"array": self._n_bytes, "dtype": array.dtype.str, "shape": list(array.shape)}
-        self.arrays.append(array.tobytes())
-        self._n_bytes += array.nbytes
+        node = {"array": None, "dtype": array.dtype.str, "shape": list(array.shape)}
+        signals = _signals(array)
+        if signals.shape[-1] >= _MIN_SIGNAL and array.dtype.str == "<f8":
+            self._signals.append((node, signals))
+        else:
+            self._small.append((node, array.tobytes()))
         return node
+
+    def arrays(self) -> tuple[bytes, bytes]:
+        """Return the bytes of small arrays and of signals, and set the positions of all arrays in the nodes.
+
+        Positions count the bytes of both. A signal that equals the end of a longer one is not stored again, because the
+        stages buffer signals up to the same sample.
+        """
+        small, stored, n_bytes = list[bytes](), list[bytes](), 0
+        for node, array in self._small:
+            node["array"] = n_bytes
+            small.append(array)
+            n_bytes += len(array)
+        ends = dict[bytes, list[tuple[bytes, int]]]()
+        for node, signals in sorted(self._signals, key=lambda each: -each[1].shape[1]):
+            node["array"] = starts = list[int]()
+            for signal in map(np.ndarray.tobytes, signals):
+                longer = ends.setdefault(signal[-_MIN_SIGNAL:], [])
+                end = next((end for other, end in longer if other.endswith(signal)), 0)
+                if not end:
+                    stored.append(signal)
+                    n_bytes += len(signal)
+                    end = n_bytes
+                    longer.append((signal, end))
+                starts.append(end - len(signal))
+        return b"".join(small), b"".join(stored)
+
+
+def _signals(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return a view of an array whose rows are signals: time is the last axis, or the longer one of a matrix."""
+    if array.ndim == 2 and array.shape[0] > array.shape[1]:
+        return array.T
+    return array.reshape(-1, array.shape[-1]) if array.ndim and array.size else np.empty((0, 0))
 
 
 class _Decoder:
@@ -218,7 +248,7 @@ class _Decoder:
 
     def __init__(self, own: Mapping[str, type[Any]], arrays: bytes) -> None:
         self.own, self.arrays = own, arrays
-        self._n_left = len(arrays)  # a forged file could refer to the same bytes many times
+        self._n_left = _MAX_BYTES  # a forged file could refer to the same bytes many times
 
     def value(self, node: Any) -> Any:
         """Return the value of a node. ValueError if it cannot be loaded."""
@@ -254,16 +284,29 @@ class _Decoder:
         shape = _of_type(node["shape"], list, "the shape of an array")
         if dtype.kind not in "biuf":
             raise ValueError(f"the array has type {dtype}, but saved arrays contain only numbers or truth values")
-        if isinstance(node["array"], str):  # before format 10
-            data = base64.b64decode(node["array"], validate=True)
-        else:
-            start = _of_type(node["array"], int, "the position of an array")
-            n_bytes = math.prod(shape) * dtype.itemsize
-            self._n_left -= n_bytes
-            if not (start >= 0 and 0 <= n_bytes <= len(self.arrays) - start and self._n_left >= 0):
-                raise ValueError(f"an array of shape {str(shape)[:60]} is not in the bytes of the arrays")
-            data = self.arrays[start : start + n_bytes]
-        return np.frombuffer(data, dtype=dtype).reshape(shape).copy()
+        position, n_bytes = node["array"], math.prod(shape) * dtype.itemsize
+        if isinstance(position, str):  # before format 10
+            return np.frombuffer(base64.b64decode(position, validate=True), dtype=dtype).reshape(shape).copy()
+        self._n_left -= n_bytes
+        if not 0 <= n_bytes <= n_bytes + self._n_left:
+            raise ValueError(
+                f"an array has the shape {str(shape)[:60]}, or all arrays have more than {_MAX_BYTES} bytes"
+            )
+        if not isinstance(position, list):
+            return np.frombuffer(self._bytes(position, n_bytes), dtype=dtype).reshape(shape).copy()
+        array = np.empty(shape, dtype)
+        signals, starts = _signals(array), cast(list[Any], position)
+        if len(signals) != len(starts):
+            raise ValueError(f"an array of shape {str(shape)[:60]} cannot have {len(starts)} signals")
+        for i, start in enumerate(starts):
+            signals[i] = np.frombuffer(self._bytes(start, signals.shape[1] * dtype.itemsize), dtype)
+        return array
+
+    def _bytes(self, start: Any, n_bytes: int) -> bytes:
+        start = _of_type(start, int, "the position of an array")
+        if not 0 <= start <= len(self.arrays) - n_bytes:
+            raise ValueError(f"{n_bytes} bytes of an array are not in the bytes of the arrays")
+        return self.arrays[start : start + n_bytes]
 
 
 def _shipped(node: Mapping[str, Any]) -> Shipped:

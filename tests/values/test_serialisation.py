@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 import zlib
@@ -15,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 
 from pdr_filter.filter.imm.motion_model import MotionNoise
 from pdr_filter.filter.step_length.models import known_length
-from pdr_filter.values import PositionFix
+from pdr_filter.values import PositionFix, saved_bytes, serialisation
 from pdr_filter.values.serialisation import _packed, from_bytes, to_bytes
 
 NUMBERS = st.floats(allow_nan=True) | st.integers(-(2**63), 2**63) | st.booleans()
@@ -161,16 +162,42 @@ def test_bytes_that_name_other_classes_are_refused(value: Any) -> None:
 @pytest.mark.parametrize("number", [1, 5, 99])
 def test_a_filter_of_another_version_of_the_package_is_refused_with_a_remedy(number: int) -> None:
     old = zlib.compress(json.dumps({"format": number, "value": None}).encode())
-    words = rf"another version of pdr_filter, with format {number} instead of 6 to 10\): process the samples again"
+    words = rf"another version of pdr_filter, with format {number} instead of 6 to 11\): process the samples again"
     with pytest.raises(ValueError, match=words):
         from_bytes(old)
 
 
-def test_many_arrays_of_the_same_bytes_are_refused() -> None:
-    node = {"array": 0, "dtype": "<f8", "shape": [2]}
-    assert from_bytes(_packed({"list": [node]}, bytes(16)))[0].tolist() == [0.0, 0.0]
-    with pytest.raises(ValueError, match="is not in the bytes of the arrays"):
-        from_bytes(_packed({"list": [node] * 2}, bytes(16)))
+def test_many_arrays_of_the_same_bytes_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    node = {"array": 0, "dtype": "<f8", "shape": [1000]}
+    monkeypatch.setattr(serialisation, "_MAX_BYTES", 100_000)
+    assert not from_bytes(_packed({"list": [node] * 12}, bytes(8000)))[11].any()
+    with pytest.raises(ValueError, match="more than 100000 bytes"):
+        from_bytes(_packed({"list": [node] * 13}, bytes(8000)))
+
+
+@pytest.mark.parametrize("position", [8, -8, [0], [0, 1 << 40], [0, "1"], None, 0.5])
+def test_an_array_whose_bytes_are_not_there_is_refused(position: Any) -> None:
+    node = {"array": position, "dtype": "<f8", "shape": [2, 2]}
+    with pytest.raises(ValueError, match="cannot be loaded as a saved value"):
+        from_bytes(_packed(node, bytes(32)))
+
+
+def test_signals_that_several_arrays_contain_are_stored_once_with_their_bits() -> None:
+    rng = np.random.default_rng(0)
+    signals = rng.normal(size=(5, 200))
+    signals[0, :3] = np.nan, -0.0, -np.inf
+    one, parts = to_bytes([signals]), [signals, signals[1:4, 50:].copy(), signals[:2, -64:].T.copy(), signals[4]]
+    several = to_bytes(parts)
+    assert len(several) < len(one) + 300
+    loaded = from_bytes(several)
+    assert [a.tobytes() for a in loaded] == [a.tobytes() for a in parts]
+    assert [a.shape for a in loaded] == [a.shape for a in parts]
+    assert loaded[0].flags.writeable and loaded[1].base is None
+
+
+def test_saved_filters_are_compressed_with_an_example_that_never_changes() -> None:
+    example = saved_bytes._EXAMPLE.read_bytes()
+    assert hashlib.sha256(example).hexdigest() == "d0537e6567570f71514dc013def7cb9cb154a29768b98621e6ea4d7e306ba786"
 
 
 def test_a_dataclass_of_another_package_is_refused_without_importing_its_module() -> None:

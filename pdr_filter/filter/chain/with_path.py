@@ -48,11 +48,12 @@ def _changed(path: PastPath, changes: tuple[Callable[[PastPath], PastPath], ...]
     return path
 
 
-def without_path(state: Any) -> Any:
-    """Return the state of a chain, and of a second hypothesis in it, without the steps of its path."""
+def for_saving(state: Any, path: bool) -> Any:
+    """Return the state of a chain, and of a second hypothesis in it, with a shorter path or without its steps."""
     if isinstance(state, PathState):
-        return replace(state, path=replace(state.path, earlier=NO_STEPS, events=()))
+        steps = state.path.with_related_steps() if path else replace(state.path, earlier=NO_STEPS, events=())
+        return replace(state, path=steps)
     if not isinstance(state, Around):
         return state
     parts = {name: getattr(state, name, None) for name in ("inner", "rival")}
-    return replace(state, **{name: without_path(part) for name, part in parts.items() if part is not None})
+    return replace(state, **{name: for_saving(part, path) for name, part in parts.items() if part is not None})

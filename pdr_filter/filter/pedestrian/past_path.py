@@ -154,6 +154,25 @@ class WalkedStep:
         return cls(time_s, updated_mean, *of_cycle)
 
 
+@dataclass(frozen=True, eq=False)
+class RelatedStep:
+    """A walked step of which only the backward relation is kept, in a tenth of the numbers, for saving.
+
+    Attributes
+    ----------
+    time_s : float
+        Contact that ends the step.
+    updated_mean : (4,) array
+        Combined mean after the evidence of the step.
+    back : BackwardRelation
+        Backward relation from the combined state after the step to that before it.
+    """
+
+    time_s: float
+    updated_mean: FloatArray
+    back: BackwardRelation
+
+
 def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[BackwardRelation]:
     """Return the backward relation over each step, from the combined state after the step to that before it."""
     (_, updated, prob, mean, cov, drifted_cov, turned_mean, turned_cov, ahead_mean, ahead_cov, by_state) = (
@@ -197,7 +216,8 @@ class PastSteps:
             apart_s = self.time_s[each + 1] - self.time_s[each - 1]
             keep[each[np.argsort(apart_s, kind="stable")[: MAX_STEPS // 8]]] = False
         pairs = ((getattr(self, name)[..., keep], getattr(later, name)) for name in self.__dataclass_fields__)
-        return PastSteps(*(np.concatenate(pair, axis=-1) for pair in pairs))
+        # Contiguous as in a loaded filter, because the bits of matrix products depend on the layout.
+        return PastSteps(*(np.ascontiguousarray(np.concatenate(pair, axis=-1)) for pair in pairs))
 
     def cov_m2(self, cov: FloatArray) -> FloatArray:
         """Return the covariances (3, N) of the positions, for a covariance (4, 4) of the later state."""
@@ -248,7 +268,7 @@ class PastPath:
     ----------
     earlier : PastSteps
         Steps related to the state before `events`.
-    events : tuple of WalkedStep or BackwardRelation
+    events : tuple of WalkedStep, RelatedStep or BackwardRelation
         Last events, not yet applied to `earlier`.
     since_s : float
         Time until which steps are already in the frame of the fixes. A change of the present frame does not move these
@@ -261,7 +281,7 @@ class PastPath:
     """
 
     earlier: PastSteps = NO_STEPS
-    events: tuple[WalkedStep | BackwardRelation, ...] = ()
+    events: tuple[WalkedStep | RelatedStep | BackwardRelation, ...] = ()
     since_s: float = -math.inf
     shared_from_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     shared_from_s: float = -math.inf
@@ -293,15 +313,28 @@ class PastPath:
 
     def _last(self) -> tuple[BackwardRelation, PastSteps]:
         """Return the backward relation over all stored events, and the stored steps related to the present state."""
-        steps = [event for event in self.events if isinstance(event, WalkedStep)]
-        over_steps = iter(_relations_over_steps(steps) if steps else ())
-        backs = [next(over_steps) if isinstance(event, WalkedStep) else event for event in self.events]
-        back, after_steps = _UNCHANGED, list[BackwardRelation]()
-        for event, over in zip(reversed(self.events), reversed(backs), strict=True):
-            if isinstance(event, WalkedStep):
+        steps, back, after_steps = list[RelatedStep](), _UNCHANGED, list[BackwardRelation]()
+        for event in reversed(self._related_events()):
+            if isinstance(event, RelatedStep):
+                steps.append(event)
                 after_steps.append(back)
-            back = over.followed_by(back)
-        return back, _related_steps(steps, after_steps[::-1]) if steps else NO_STEPS
+            back = (event.back if isinstance(event, RelatedStep) else event).followed_by(back)
+        return back, _related_steps(steps[::-1], after_steps[::-1]) if steps else NO_STEPS
+
+    def with_related_steps(self) -> PastPath:
+        """Return the path with the backward relations of all steps, which a saved path needs instead of their moments.
+
+        The bits of a relation do not depend on the other steps with which it is computed.
+        """
+        return replace_unchecked(self, events=self._related_events())
+
+    def _related_events(self) -> tuple[RelatedStep | BackwardRelation, ...]:
+        walked = [event for event in self.events if isinstance(event, WalkedStep)]
+        backs = iter(_relations_over_steps(walked) if walked else ())
+        return tuple(
+            RelatedStep(event.time_s, event.updated_mean, next(backs)) if isinstance(event, WalkedStep) else event
+            for event in self.events
+        )
 
     def with_shared(
         self, before: FloatArray, shared_m2: FloatArray, after: FloatArray, time_s: float, present_m: FloatArray
@@ -441,7 +474,7 @@ def aligned_positions(
     )
 
 
-def _related_steps(steps: Sequence[WalkedStep], backs: Sequence[BackwardRelation]) -> PastSteps:
+def _related_steps(steps: Sequence[RelatedStep], backs: Sequence[BackwardRelation]) -> PastSteps:
     """Return steps related to the present state, from the backward relations to the state after each step."""
     pairs = zip(steps, backs, strict=True)
     position_m = np.stack([step.updated_mean[:2] + back.correction[:2] for step, back in pairs], axis=-1)

@@ -114,7 +114,8 @@ def calibrate(
         If True, solve one factor graph over all walks: poses, step scales, gyroscope biases and parameters. The result
         has the smoothed `tracks`, and one segment for each context of a walk.
     fixes : iterable of iterable of Fix, optional
-        Fixes of each recording, for `smooth`, in the order of the recordings. A recording with fixes is
+        Fixes of each recording, for `smooth`, in the order of the recordings, with times on the clock of the recording.
+        Positions may be in any frame in metres, the same for all fixes of a recording. A recording with fixes is
         calibrated with them instead of its truth. Speed fixes and fixes on a floor plan are not used.
     loop_closures : iterable of iterable of LoopClosure, optional
         Loop closures of each recording, for `smooth`, in addition to its fixes or truth. They have no scale.

@@ -135,18 +135,19 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
     def update(
         self, state: WindowState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[WindowState, list[tuple[int, FeatureWindow]]]:
-        force = specific_force_magnitude(block.specific_force_mps2)
-        low_passed, zi = np.zeros((1, len(force))), None
+        magnitudes, zi = np.zeros((N_MAGNITUDES, len(block.time_s))), None
+        # The features of the shipped models use no magnitudes, which would only make saved filters larger.
+        if type(self.features) is not AttitudeFreeFeatures:
+            magnitudes[0] = specific_force_magnitude(block.specific_force_mps2)
+            magnitudes[2] = specific_force_magnitude(block.angular_rate_radps)
+            magnitudes[3] = specific_force_magnitude(block.magnetic_field_ut)
         if self._sos is not None:
-            low_passed, zi = filtered_rows(self._sos, force[None], state.zi)
+            magnitudes[1:2], zi = filtered_rows(self._sos, magnitudes[:1], state.zi)
         buffer, windows = self.cut(
             state.buffer,
             block.time_s,
             block.angular_rate_known.astype(float)[None],
-            force[None],
-            low_passed,
-            specific_force_magnitude(block.angular_rate_radps)[None],
-            specific_force_magnitude(block.magnetic_field_ut)[None],
+            magnitudes,
             attitude.vertical_mps2[None],
             attitude.horizontal_mps2.T,
             block.angular_rate_radps.T,

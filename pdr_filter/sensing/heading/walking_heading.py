@@ -369,6 +369,25 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
         n_since = state.n_samples - round((state.contacts_s[0] - state.start_s) * self.rate_hz)
         return min(max(n_since, 1), self._n_kept)
 
+    def trimmed(self, state: WalkingHeadingState, contact_s: float) -> WalkingHeadingState:
+        """Return the state without samples that no later step needs.
+
+        Parameters
+        ----------
+        state : WalkingHeadingState
+            State after any number of samples.
+        contact_s : float
+            Earliest contact of a later step, s.
+
+        Returns
+        -------
+        WalkingHeadingState
+            State with fewer signals.
+        """
+        first = round((contact_s - _MAX_STRIDE_S - state.start_s) * self.rate_hz)
+        n_needed = min(max(state.n_samples - first, 1), self._n_needed(state))
+        return replace_unchecked(state, signals=state.signals[:, -n_needed:])
+
     def _with_headings(
         self, state: WalkingHeadingState, steps: NumberedSteps, contexts: ContextBlock
     ) -> tuple[WalkingHeadingState, NumberedSteps]:

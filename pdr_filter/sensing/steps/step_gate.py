@@ -230,6 +230,41 @@ class StepGate(StepStage[StepGateState]):
         state, released = self._judge(state, numbers)
         return replace_unchecked(state, rows=state.rows[-self._n_rows_kept :]), released
 
+    def trimmed(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, float]:
+        """Return the state without samples that no later window needs, and the earliest contact of a later release.
+
+        Parameters
+        ----------
+        state : StepGateState
+            State after any number of samples.
+        contact_s : float
+            Earliest contact that the detector can still find, s.
+
+        Returns
+        -------
+        state : StepGateState
+            State with fewer rows of specific force.
+        contact_s : float
+            Earliest contact of a step that the gate can still release, s.
+        """
+        contact_s = min((step.time_s for _, step in state.waiting), default=contact_s)
+        first = math.floor((contact_s - state.start_s) * EVIDENCE_HZ)
+        n_rows = (state.n_samples - len(state.rest)) // self._samples_per_row
+        n_needed = max(n_rows - first + round(MAX_SLOWNESS * self._n_before), 1)
+        return replace_unchecked(state, rows=state.rows[-n_needed:]), self._first_releasable_s(state, contact_s)
+
+    def _first_releasable_s(self, state: StepGateState, contact_s: float) -> float:
+        """Return the earliest contact of a step that may be released when a step at `contact_s` or later is judged."""
+        if contact_s - state.run_s[1] <= self.max_interval_s:
+            return min((judged.step.time_s for judged in state.held), default=contact_s)
+        # A bout begins after a pause, so that no held step before a pause belongs to it.
+        pause_s = max(self.max_interval_s, self.fill_interval_s * MAX_SLOWNESS)
+        for judged in reversed(state.held):
+            if contact_s - judged.step.time_s > pause_s:
+                break
+            contact_s = judged.step.time_s
+        return contact_s
+
     def finish(self, state: StepGateState, steps: NumberedSteps) -> tuple[StepGateState, NumberedSteps]:
         # A bout continues after a short gap. The probability of walking decays towards its stationary value with time.
         state = replace_unchecked(state, waiting=(*state.waiting, *steps))

@@ -1,0 +1,55 @@
+"""Saved filters are small, and what they leave out is not needed to continue."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from handling import handled_walk
+
+import pdr_filter as pdr
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import ImuBlock
+
+EVERY_S = 1.3
+
+
+def parts_of(block: ImuBlock, until_s: float) -> list[tuple[np.ndarray, ...]]:
+    edges = np.searchsorted(block.time_s, np.arange(0.0, until_s, EVERY_S))
+    columns = block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
+    return [tuple(column[a:b] for column in columns) for a, b in pairwise(edges)]
+
+
+def test_a_filter_saved_while_walking_has_at_most_60_kb_and_its_path_a_tenth_for_each_step() -> None:
+    online = pdr.OnlineFilter()
+    for part in parts_of(pdr.merge_streams(simulate([Leg("walking", distance_m=60.0)])), 40.0):
+        online.push(*part)
+        small = len(online.save(path=False))
+        assert small < 60_000
+        assert len(online.save()) - small < 11_000 + 120 * online.now().n_steps
+    assert online.now().n_steps > 50
+
+
+@pytest.mark.parametrize("path", [True, False])
+def test_a_filter_saved_with_a_handled_phone_and_while_walking_continues_with_the_same_bits(path: bool) -> None:
+    whole, resumed = pdr.OnlineFilter(), pdr.OnlineFilter()
+    n_left_out = n_held = n_steps = 0
+    for part in parts_of(pdr.merge_streams(handled_walk(2)), 55.0):
+        updates = whole.push(*part), resumed.push(*part)
+        n_steps += len(updates[0])
+        bits = [[u.position_m.tobytes() + u.position_cov_m2.tobytes() for u in some] for some in updates]
+        assert bits[0] == bits[1]
+        before: Any = resumed.state.sensing
+        resumed = pdr.OnlineFilter.load(resumed.save(path=path))
+        after: Any = resumed.state.sensing
+        n_left_out = max(n_left_out, before.heading.signals.shape[1] - after.heading.signals.shape[1])
+        n_held = max(n_held, len(before.gate.held))
+        is_same = resumed.save(path=False) == whole.save(path=False)
+        assert is_same
+    if path:
+        is_same = resumed.save() == whole.save()
+        assert is_same
+        np.testing.assert_array_equal(resumed.path().position_m, whole.path().position_m)
+    assert n_steps > 15 and n_held > 1 and n_left_out > 100
