@@ -25,10 +25,10 @@ from pdr_filter.apps.walk_map.walk_poses import (
 )
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
 from pdr_filter.offline.smoothing.linear_graph import graph_of
-from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, step_states
+from pdr_filter.offline.smoothing.preintegration import step_states
 from pdr_filter.offline.smoothing.problem import ObservedPositions, ObservedStates, Problem
-from pdr_filter.offline.smoothing.solve import linear_equations, solve
-from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix
+from pdr_filter.offline.smoothing.solve import linear_equations, point_positions, solve
+from pdr_filter.values import FloatArray, HeadingFix, PositionFix
 
 Known = PositionFix | HeadingFix
 # Definition of a frame without fixes: the start of its first walk.
@@ -82,7 +82,7 @@ def solve_group(
     for _ in range(_MOST_SWEEPS):
         largest_m, at_m = 0.0, np.zeros((len(scans), 2))
         for i, (node, ahead) in points.items():
-            at_m[own[i]] = _by_state(state[i][0], node, ahead)[0]
+            at_m[own[i]] = point_positions(state[i][0], node, ahead)[0]
         slope, information = np.zeros(2 * len(scans)), np.zeros((2 * len(scans), 2 * len(scans)))
         for here, _, of_scan, of_scans in of_storeys(walks, scans, at_m, floor):
             at = (2 * here[:, None] + (0, 1)).ravel()
@@ -96,7 +96,7 @@ def solve_group(
                 by_state = np.zeros((len(node), 2, len(right)))
                 columns = N_STATES * node[:, None] + np.arange(N_STATES)
                 np.put_along_axis(
-                    by_state, columns[:, None, :].repeat(2, axis=1), _by_state(mean, node, ahead)[1], axis=2
+                    by_state, columns[:, None, :].repeat(2, axis=1), point_positions(mean, node, ahead)[1], axis=2
                 )
                 by_state = by_state.reshape(-1, len(right))
                 of_own = (2 * own[i][:, None] + (0, 1)).ravel()
@@ -175,33 +175,13 @@ def step_positions(chain: Chain, states: States) -> tuple[FloatArray, FloatArray
     return np.vstack([states.mean[:1, :2], mean[:, :2]]), np.concatenate([states.joint_cov[:1, :2, :2], cov[:, :2, :2]])
 
 
-def _by_state(state: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the positions (n, 2) of points of a walk, and their derivatives (n, 2, 4) by the states of their knots.
-
-    `state` (N, 4) are the states of the N knots of the walk, and `node` (n,) the knot of each point. `ahead_m` (n, 2)
-    is the displacement from the knot to the point, before heading offset and scale.
-    """
-    at = state[node]
-    moved = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), ahead_m)
-    by_state = np.zeros((len(node), 2, N_STATES))
-    by_state[:, 0, 0] = by_state[:, 1, 1] = 1.0
-    by_state[:, :, HEADING_OFFSET], by_state[:, :, LOG_SCALE] = moved @ TURN.T, moved
-    return at[:, :2] + moved, by_state
-
-
 def _with_known(chain: Chain, known: Sequence[Known], north_rad: float, north_std_rad: float = 0.0) -> Problem:
     """Return the problem of a walk with known fixes, positions first, and magnetic north in their frame."""
     places = [f for f in known if isinstance(f, PositionFix)]
     headings = [f for f in known if isinstance(f, HeadingFix)]
     at, turned_at = ([chain.step_at(f.time_s) for f in fixes] for fixes in (places, headings))
     node, ahead_m = chain.node_of(np.array(at, dtype=np.int64))
-    positions = ObservedPositions(
-        node=node,
-        other=np.full(len(places), -1),
-        ahead_m=ahead_m,
-        position_m=np.array([f.position_m for f in places]).reshape(-1, 2),
-        whiten=np.array([np.linalg.inv(np.linalg.cholesky(f.cov_m2)) for f in places], dtype=float).reshape(-1, 2, 2),
-    )
+    positions = ObservedPositions.on_map(node, ahead_m, [f.position_m for f in places], [f.cov_m2 for f in places])
     magnetic = chain.problem.states
     offsets = [f.walking_heading_rad - chain.device_rad_at(k) for f, k in zip(headings, turned_at, strict=True)]
     states = ObservedStates(
