@@ -225,8 +225,8 @@ FIXES: list[Refusal] = [
     (an_origin, {"turn_rad": 1.0, "turn_std_rad": -1.0}, "leave it out if it is not known"),
     (an_origin, {"turn_std_rad": 0.1}, "give both"),
     *((Origin.of, {"place": p}, "must be") for p in (5, None, "ab", (1.0, 2.0, 3.0), ("48", "x"), (None, 11.0))),
-    (Georeference, {"gnss": "on"}, "gnss must be one of"),
-    (Georeference, {"north": "south"}, "north must be one of"),
+    (Georeference, {"gnss": "on"}, r"gnss must be one of \('filter', 'align', 'off'\), got 'on'"),
+    (Georeference, {"north": "south"}, "north must be one of .*'magnetic'.*got 'south'"),
     (Georeference, {"origin": HERE, "plan": pdr.FloorPlan("", (), Origin(1.0, 2.0))}, "both define the frame"),
     (Georeference, {"start": "hall"}, "start is a position on a floor plan, got 'hall' without plan"),
     (Georeference, {"gnss": "align", "north": "magnetic"}, "both define north"),
@@ -404,7 +404,6 @@ FACES: list[Refusal] = [
         (call, {"calibration": {}}, r"calibration must be a Calibration, or the path of a saved one, got \{\}")
         for call in (of_track, of_smoothing)
     ),
-    (of_smoothing, {"fixes": [pdr.GridFix(5.0, ZEROS, 1.0, np.zeros((2, 2)))]}, "particle filter on a floor plan"),
     (of_smoothing, {"fixes": [(5.0, 0.0)]}, "PositionFix"),
     (of_smoothing, {"fixes": recipes.default()}, r"fixes .* got Config\('default'.*by their names"),
     (pdr.calibrate, {"recordings": recipes.default()}, r"recordings .* got Config\('default'.*by their names"),

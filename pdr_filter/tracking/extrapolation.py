@@ -23,18 +23,10 @@ from pdr_filter.values.uncertainty import floor_prob, worst_std_m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ProvisionalStep:
-    """Candidate step that has been detected but not accepted yet. It may still be rejected.
+    """Candidate step that has been detected but not accepted yet. It may still be rejected."""
 
-    Attributes
-    ----------
-    time_s : float
-        Time of the foot contact, s.
-    position_m : ndarray, shape (2,)
-        East and north after the step, m.
-    """
-
-    time_s: float
-    position_m: FloatArray
+    time_s: float  # time of the foot contact, s
+    position_m: FloatArray  # (2,) East and north after the step, m
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -44,12 +44,8 @@ def with_corridors(config: pdr.Config, **changes: float) -> pdr.Config:
     return with_heading(corridors=replace(heading_of(config).corridors, **changes))(config)
 
 
-def with_model(config: pdr.Config, **changes: Any) -> pdr.Config:
-    return replace(config, tracker=replace(config.tracker, model=replace(config.model, **changes)))
-
-
 def with_noise(config: pdr.Config, **changes: Any) -> pdr.Config:
-    return with_model(config, noise=replace(config.model.noise, **changes))
+    return config.with_model(noise=replace(config.model.noise, **changes))
 
 
 def known_bias(config: pdr.Config) -> pdr.Config:
@@ -78,7 +74,7 @@ def known_steps(config: pdr.Config) -> pdr.Config:
         )
         for mode in config.model.modes
     )
-    return with_model(config, modes=modes)
+    return config.with_model(modes=modes)
 
 
 def known_parameters(config: pdr.Config) -> pdr.Config:
@@ -86,7 +82,7 @@ def known_parameters(config: pdr.Config) -> pdr.Config:
         replace(m, step_length=replace(m.step_length, theta_cov=KNOWN**2 * m.step_length.theta_cov))
         for m in config.model.modes
     )
-    return with_model(config, modes=modes)
+    return config.with_model(modes=modes)
 
 
 SOURCES: dict[str, Change] = {

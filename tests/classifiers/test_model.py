@@ -361,15 +361,6 @@ def test_arrays_that_are_missing_or_wrong_are_refused(
     assert_refused(path, message)
 
 
-def test_a_forest_with_a_cycle_is_refused(forest_model: ContextModel, tmp_path: Path) -> None:
-    path = forest_model.save(tmp_path)
-    assert isinstance(forest_model.machine, Forest)
-    left = np.array(forest_model.machine.trees.left)
-    left[np.flatnonzero(left >= 0)[3]] = 0
-    with_arrays(path, machine_left=left)
-    assert_refused(path, "must come after its parent")
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [

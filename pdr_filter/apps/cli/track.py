@@ -210,11 +210,12 @@ def track_command(
 
     with console.one_line_errors():
         if workers.make_one_table():
-            _check_one_table(method, georeference, output, as_json)
+            _check_options(method, georeference, output, as_json, is_one_table=True)
             _track_many(files, method, georeference, source, output.table, workers)
             return
         if output.long:
-            _check_long(method, georeference, output, as_json)
+            _check_options(method, georeference, output, as_json, is_one_table=False)
+            output.check()
             _track_long(files, method, georeference, source, output)
             return
         given, files = files, console.recording_paths(files)
@@ -304,41 +305,11 @@ def _bias(device: Device) -> str:
     return ", ".join(f"{1e3 * bias:z.1f} ± {1e3 * std:.1f}" for bias, std in each) + " mrad/s about x, y, z"
 
 
-def _check_one_table(
-    method: Method, georeference: options.GeoreferenceOptions, output: OutputOptions, as_json: bool
+def _check_options(
+    method: Method, georeference: options.GeoreferenceOptions, output: OutputOptions, as_json: bool, is_one_table: bool
 ) -> None:
-    """Raise ValueError for options of a single recording if many recordings are written to one table."""
-    given = _single_options(method, georeference, output, as_json) | {
-        "--classifier": method.classifier,
-        "--model": method.model,
-        "--transitions": method.transitions,
-        "--device": method.device,
-        "--long": output.long,
-    }
-    if names := [name for name, value in given.items() if value]:
-        raise ValueError(
-            f"{', '.join(names)} cannot be used with --jobs or --scheduler, which write one table of many recordings: "
-            "omit one or the other"
-        )
-
-
-def _check_long(
-    method: Method, georeference: options.GeoreferenceOptions, output: OutputOptions, as_json: bool
-) -> None:
-    """Raise ValueError for options that need a whole recording."""
-    if names := [name for name, value in _single_options(method, georeference, output, as_json).items() if value]:
-        raise ValueError(
-            f"{', '.join(names)} cannot be used with --long, which writes the online track of a recording in parts: "
-            "omit one or the other"
-        )
-    output.check()
-
-
-def _single_options(
-    method: Method, georeference: options.GeoreferenceOptions, output: OutputOptions, as_json: bool
-) -> dict[str, object]:
-    """Return the values of the options that need a whole recording, by name."""
-    return {
+    """Raise ValueError for options of single, whole recordings with --jobs, --scheduler or --long."""
+    given: dict[str, object] = {
         **replace(georeference, gnss=None).given(),
         "--radio": method.radio,
         "--ranges": method.ranges,
@@ -347,6 +318,13 @@ def _single_options(
         "--report": output.report,
         "--json": as_json,
     }
+    mode, writes = "--long", "writes the online track of a recording in parts"
+    if is_one_table:
+        mode, writes = "--jobs or --scheduler", "write one table of many recordings"
+        of_one = {"--classifier": method.classifier, "--model": method.model, "--transitions": method.transitions}
+        given |= of_one | {"--device": method.device, "--long": output.long}
+    if names := [name for name, value in given.items() if value]:
+        raise ValueError(f"{', '.join(names)} cannot be used with {mode}, which {writes}: omit one or the other")
 
 
 def _track_long(

@@ -31,7 +31,8 @@ from pdr_filter.filter.chain.handler import FixUse
 from pdr_filter.filter.chain.with_plan import PlanEvent
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.pedestrian.pedestrian_state import PedestrianState, StepUpdate
-from pdr_filter.offline.smoothing.plan_result import SmoothedOnPlan
+from pdr_filter.offline.smoothing.observations import Observations
+from pdr_filter.offline.smoothing.smoothed import Smoothed, floors_at_steps, observation_table
 from pdr_filter.recipes.config import Config
 from pdr_filter.tracking.step_statistics import UNKNOWN_HEADING_RAD
 from pdr_filter.tracking.track import Track
@@ -42,6 +43,8 @@ from pdr_filter.values import (
     FloatArray,
     Note,
     Origin,
+    PositionFix,
+    Table,
     read_only,
     reference_headings,
     wrap_angle,
@@ -102,7 +105,7 @@ def smooth_on_plan(
     fixes: tuple[Fix, ...],
     with_location: bool = False,
     progress: Callable[[float], None] | None = None,
-) -> SmoothedOnPlan:
+) -> Smoothed:
     """Return the track on a floor plan, smoothed over a whole recording. `pdr_filter.smooth` uses it.
 
     Parameters
@@ -120,8 +123,8 @@ def smooth_on_plan(
 
     Returns
     -------
-    SmoothedOnPlan
-        Smoothed track, with heading offset and step scale after each step.
+    Smoothed
+        Smoothed track, whose observations are the position fixes.
 
     Raises
     ------
@@ -148,7 +151,7 @@ def smooth_on_plan(
         if (reckoned := ancestors.event.reckoned) is not None:
             alternative = online.alternative(ancestors.event.state, reckoned, ancestors.elsewhere)
             rows.append(_row(ancestors, alternative, online.ground(next(floors))))
-    return _with_rows(track, rows[::-1], online.plan.origin)
+    return _smoothed(track, rows[::-1], online.plan.origin, _observations(fixes, track))
 
 
 class _Ancestors(NamedTuple):
@@ -236,7 +239,19 @@ def _notes(offset_std_rad: FloatArray) -> tuple[str, ...]:
     )
 
 
-def _with_rows(track: Track, rows: Sequence[_Row], origin: Origin | None) -> SmoothedOnPlan:
+def _observations(fixes: Sequence[Fix], track: Track) -> Table:
+    """Return the table of the position fixes, with their use in a track."""
+    observed = Observations(tuple(fix for fix in fixes if isinstance(fix, PositionFix)))
+    results = {result.time_s: result for result in track.fixes}
+    each = [results.get(fix.time_s) for fix in observed.fixes]
+    observations = observation_table(observed).copy()
+    observations.nis = [np.nan if result is None else result.nis for result in each]
+    observations.weight = [float(result is not None and result.accepted) for result in each]
+    observations.flags.writeable = False
+    return observations
+
+
+def _smoothed(track: Track, rows: Sequence[_Row], origin: Origin | None, observations: Table) -> Smoothed:
     """Return a track with the positions, headings and step lengths of the smoothed rows."""
     position = np.array([row.cluster.position_m for row in rows])
     length = np.array([row.length_m for row in rows])
@@ -259,10 +274,15 @@ def _with_rows(track: Track, rows: Sequence[_Row], origin: Origin | None) -> Smo
         is_smoothed=True,
         notes=(*track.notes, *off_plan, *_notes(offset_std)),
     )
-    return SmoothedOnPlan(
-        smoothed,
-        heading_offset_rad=read_only(offset),
+    return Smoothed(
+        track=smoothed,
+        heading_offset_rad=read_only(wrap_angle(offset)),
         heading_offset_std_rad=read_only(offset_std),
         log_scale=read_only(np.array([row.log_scale for row in rows])),
         log_scale_std=read_only(np.array([row.log_scale_std for row in rows])),
+        start_position_m=smoothed.start_position_m,
+        start_position_cov_m2=read_only(smoothed.position_cov_m2[0]),
+        observations=observations,
+        floor=floors_at_steps(smoothed, ()),
+        notes=smoothed.notes,
     )

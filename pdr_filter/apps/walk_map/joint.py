@@ -24,11 +24,11 @@ from pdr_filter.apps.walk_map.walk_poses import (
     scans_around,
 )
 from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES
-from pdr_filter.offline.smoothing.linear_graph import Rows
-from pdr_filter.offline.smoothing.preintegration import TURN, scaled_rotation, step_states
-from pdr_filter.offline.smoothing.problem import ObservedPositions, ObservedStates
-from pdr_filter.offline.smoothing.solve import linear_equations, solve
-from pdr_filter.values import FloatArray, HeadingFix, IntArray, PositionFix, wrap_angle
+from pdr_filter.offline.smoothing.linear_graph import graph_of
+from pdr_filter.offline.smoothing.preintegration import step_states
+from pdr_filter.offline.smoothing.problem import ObservedPositions, ObservedStates, Problem
+from pdr_filter.offline.smoothing.solve import linear_equations, point_positions, solve
+from pdr_filter.values import FloatArray, HeadingFix, PositionFix
 
 Known = PositionFix | HeadingFix
 # Definition of a frame without fixes: the start of its first walk.
@@ -82,7 +82,7 @@ def solve_group(
     for _ in range(_MOST_SWEEPS):
         largest_m, at_m = 0.0, np.zeros((len(scans), 2))
         for i, (node, ahead) in points.items():
-            at_m[own[i]] = _by_state(state[i][0], node, ahead)[0]
+            at_m[own[i]] = point_positions(state[i][0], node, ahead)[0]
         slope, information = np.zeros(2 * len(scans)), np.zeros((2 * len(scans), 2 * len(scans)))
         for here, _, of_scan, of_scans in of_storeys(walks, scans, at_m, floor):
             at = (2 * here[:, None] + (0, 1)).ravel()
@@ -96,7 +96,7 @@ def solve_group(
                 by_state = np.zeros((len(node), 2, len(right)))
                 columns = N_STATES * node[:, None] + np.arange(N_STATES)
                 np.put_along_axis(
-                    by_state, columns[:, None, :].repeat(2, axis=1), _by_state(mean, node, ahead)[1], axis=2
+                    by_state, columns[:, None, :].repeat(2, axis=1), point_positions(mean, node, ahead)[1], axis=2
                 )
                 by_state = by_state.reshape(-1, len(right))
                 of_own = (2 * own[i][:, None] + (0, 1)).ravel()
@@ -132,26 +132,12 @@ def _of_walk(
     The unknowns are the changes of the states of its knots, then of the rotation of its frame, if it has one.
     `is_origin` is True if the first seed of the group defines the frame.
     """
-    problem, (mean, frame_rad) = walks.chains[walk].problem, state
-    observed = problem.states
-    north_rad = np.where(observed.state == HEADING_OFFSET, group.north_rad, 0.0)
-    problem = replace(problem, states=replace(observed, value=observed.value + north_rad))
-    rows = linear_equations(problem, mean, frame_rad, np.ones(len(observed)))
+    chain, (mean, frame_rad) = walks.chains[walk], state
     if is_origin and walk == next(iter(group.seeds)):
-        known = [*known, *_origin(walks.chains[walk], group.seeds[walk], known)]
-    rows += _known_rows(walks.chains[walk], mean, known)
-    size = N_STATES * len(mean) + (len(problem.offsets) > 0)
-    left, right = np.zeros((size, size)), np.zeros(size)
-    for block in rows:
-        weight = block.weight if len(block.weight) else np.ones(len(block.a))
-        for k, (a, b) in enumerate(zip(block.a.tolist(), block.b.tolist(), strict=True)):
-            by_state, at = block.A[k], N_STATES * a + np.arange(block.A.shape[2])
-            if b >= 0:
-                by_state = np.hstack([by_state, block.B[k]])
-                at = np.append(at, N_STATES * b + np.arange(block.B.shape[2]))
-            left[np.ix_(at, at)] += weight[k] * by_state.T @ by_state
-            right[at] += weight[k] * by_state.T @ block.rhs[k]
-    return left, right
+        known = [*known, *_origin(chain, group.seeds[walk], known)]
+    problem = _with_known(chain, known, group.north_rad)
+    weight = np.ones(len(problem.positions) + len(problem.states))
+    return graph_of(linear_equations(problem, mean, frame_rad, weight)).hessian()
 
 
 def _by_pose(mean: FloatArray, shift_m: FloatArray) -> FloatArray:
@@ -171,33 +157,16 @@ def contradicting(chain: Chain, known: Sequence[Known], north: tuple[float, floa
     the magnetometer contradicts are wrong as well, because it seldom errs by more than three standard deviations.
     `north` is the mean and the standard deviation of magnetic north in the frame of the fixes.
     """
-    places = [f for f in known if isinstance(f, PositionFix)]
-    headings = [f for f in known if isinstance(f, HeadingFix)]
-    at, turned_at = ([chain.step_at(f.time_s) for f in fixes] for fixes in (places, headings))
-    node, ahead_m = chain.node_of(np.array(at, dtype=np.int64))
-    positions = ObservedPositions(
-        node=node,
-        other=np.full(len(places), -1),
-        ahead_m=ahead_m,
-        position_m=np.array([f.position_m for f in places]).reshape(-1, 2),
-        whiten=np.array([np.linalg.inv(np.linalg.cholesky(f.cov_m2)) for f in places], dtype=float).reshape(-1, 2, 2),
-    )
-    magnetic = chain.problem.states
-    offsets = [f.walking_heading_rad - chain.device_rad_at(k) for f, k in zip(headings, turned_at, strict=True)]
-    states = ObservedStates(
-        node=np.concatenate([magnetic.node, chain.node_of(np.array(turned_at, dtype=np.int64))[0]]),
-        state=np.concatenate([magnetic.state, np.full(len(headings), HEADING_OFFSET)]),
-        value=np.concatenate([magnetic.value + north[0] * (magnetic.state == HEADING_OFFSET), offsets]),
-        std=np.concatenate([np.hypot(magnetic.std, north[1]), [f.std_rad for f in headings]]),
-    )
-    used = solve(replace(chain.problem, positions=positions, states=states)).weight > 0
-    of_places, of_north, of_headings = np.split(used, [len(places), len(used) - len(headings)])
-    if 2 * np.count_nonzero(of_places) <= len(places):
-        of_places = np.zeros(len(places), dtype=bool)
+    n_headings = sum(isinstance(fix, HeadingFix) for fix in known)
+    used = solve(_with_known(chain, known, *north)).weight > 0
+    of_places, of_north, of_headings = np.split(used, [len(known) - n_headings, len(used) - n_headings])
+    if 2 * np.count_nonzero(of_places) <= len(of_places):
+        of_places[:] = False
     # two positions give a direction as well
     if np.count_nonzero(of_headings) + (np.count_nonzero(of_places) > 1) <= np.count_nonzero(~of_north):
-        of_headings = np.zeros(len(headings), dtype=bool)
-    return [f for f, is_used in zip([*places, *headings], [*of_places, *of_headings], strict=True) if not is_used]
+        of_headings[:] = False
+    in_order = sorted(known, key=lambda fix: isinstance(fix, HeadingFix))
+    return [f for f, is_used in zip(in_order, [*of_places, *of_headings], strict=True) if not is_used]
 
 
 def step_positions(chain: Chain, states: States) -> tuple[FloatArray, FloatArray]:
@@ -206,36 +175,22 @@ def step_positions(chain: Chain, states: States) -> tuple[FloatArray, FloatArray
     return np.vstack([states.mean[:1, :2], mean[:, :2]]), np.concatenate([states.joint_cov[:1, :2, :2], cov[:, :2, :2]])
 
 
-def _by_state(state: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the positions (n, 2) of points of a walk, and their derivatives (n, 2, 4) by the states of their knots.
-
-    `state` (N, 4) are the states of the N knots of the walk, and `node` (n,) the knot of each point. `ahead_m` (n, 2)
-    is the displacement from the knot to the point, before heading offset and scale.
-    """
-    at = state[node]
-    moved = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), ahead_m)
-    by_state = np.zeros((len(node), 2, N_STATES))
-    by_state[:, 0, 0] = by_state[:, 1, 1] = 1.0
-    by_state[:, :, HEADING_OFFSET], by_state[:, :, LOG_SCALE] = moved @ TURN.T, moved
-    return at[:, :2] + moved, by_state
-
-
-def _known_rows(chain: Chain, state: FloatArray, known: Sequence[Known]) -> list[Rows]:
-    """Return the equations of the known positions and headings of a walk, linearised at its states."""
-    rows = list[Rows]()
-    for fix in known:
-        step = chain.step_at(fix.time_s)
-        (node,), ahead = chain.node_of(np.array([step]))
-        if isinstance(fix, HeadingFix):
-            error = wrap_angle(state[node, HEADING_OFFSET] + chain.device_rad_at(step) - fix.walking_heading_rad)
-            by_state = np.zeros((1, N_STATES))
-            by_state[0, HEADING_OFFSET] = 1.0 / fix.std_rad
-            rows.append(Rows.of_one(int(node), by_state, -np.array([error / fix.std_rad])))
-        else:
-            (place,), (by_state,) = _by_state(state, np.array([node]), ahead)
-            whiten = np.linalg.inv(np.linalg.cholesky(fix.cov_m2))
-            rows.append(Rows.of_one(int(node), whiten @ by_state, -(whiten @ (place - fix.position_m))))
-    return rows
+def _with_known(chain: Chain, known: Sequence[Known], north_rad: float, north_std_rad: float = 0.0) -> Problem:
+    """Return the problem of a walk with known fixes, positions first, and magnetic north in their frame."""
+    places = [f for f in known if isinstance(f, PositionFix)]
+    headings = [f for f in known if isinstance(f, HeadingFix)]
+    at, turned_at = ([chain.step_at(f.time_s) for f in fixes] for fixes in (places, headings))
+    node, ahead_m = chain.node_of(np.array(at, dtype=np.int64))
+    positions = ObservedPositions.on_map(node, ahead_m, [f.position_m for f in places], [f.cov_m2 for f in places])
+    magnetic = chain.problem.states
+    offsets = [f.walking_heading_rad - chain.device_rad_at(k) for f, k in zip(headings, turned_at, strict=True)]
+    states = ObservedStates(
+        node=np.concatenate([magnetic.node, chain.node_of(np.array(turned_at, dtype=np.int64))[0]]),
+        state=np.concatenate([magnetic.state, np.full(len(headings), HEADING_OFFSET)]),
+        value=np.concatenate([magnetic.value + north_rad * (magnetic.state == HEADING_OFFSET), offsets]),
+        std=np.concatenate([np.hypot(magnetic.std, north_std_rad), [f.std_rad for f in headings]]),
+    )
+    return replace(chain.problem, positions=positions, states=states)
 
 
 def _origin(chain: Chain, seed: WalkPose, known: Sequence[Known]) -> list[Known]:

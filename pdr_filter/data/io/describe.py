@@ -42,44 +42,21 @@ PLAUSIBLE = (
 
 @dataclass(frozen=True, slots=True)
 class StreamDescription:
-    """Statistics of one sensor stream. Values are None if there are too few samples.
-
-    Attributes
-    ----------
-    name, unit : str
-        Name and unit of the stream.
-    n_samples : int
-        Number of samples.
-    rate_hz, mean_rate_hz : float or None
-        Delivered rate in Hz, 1 / median positive interval, and number of intervals / duration, which includes gaps and
-        is correct for rounded timestamps.
-    first_s, last_s : float or None
-        Time in s of the first and the last sample with a value.
-    n_gaps : int
-        Number of intervals longer than 0.3 s and 2.5 median intervals.
-    longest_gap_s : float
-        Longest of these intervals in s, or zero.
-    n_duplicates, n_backward : int
-        Number of times equal to, and before, the previous time.
-    n_missing_rows : int
-        Number of rows with a missing value in a column that is not completely empty.
-    requested_hz : float or None
-        Rate in Hz that the app requested, None if unknown.
-    """
+    """Statistics of one sensor stream. Values are None if there are too few samples."""
 
     name: str
     unit: str
     n_samples: int
-    rate_hz: float | None
-    mean_rate_hz: float | None
-    first_s: float | None
+    rate_hz: float | None  # delivered rate, 1 / median positive interval
+    mean_rate_hz: float | None  # number of intervals / duration, which includes gaps and fits rounded timestamps
+    first_s: float | None  # of the samples with a value
     last_s: float | None
-    n_gaps: int
-    longest_gap_s: float
-    n_duplicates: int
-    n_backward: int
-    n_missing_rows: int
-    requested_hz: float | None = None
+    n_gaps: int  # number of intervals longer than 0.3 s and 2.5 median intervals
+    longest_gap_s: float  # longest of these intervals in s, or zero
+    n_duplicates: int  # number of times equal to the previous time
+    n_backward: int  # number of times before the previous time
+    n_missing_rows: int  # number of rows with a missing value in a column that is not completely empty
+    requested_hz: float | None = None  # rate in Hz that the app requested, None if unknown
 
     @property
     def is_slow(self) -> bool:

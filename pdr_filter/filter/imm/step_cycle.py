@@ -225,25 +225,14 @@ class StepMotion(NamedTuple):
     Each array is (..., M), for M modes and any leading axes of steps or pedestrians. The displacement is d = L e^s u,
     with u = [sin psi, cos psi] and psi = device heading + heading offset + offset of the mode. Its covariance is
     (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v', with u along and v across the step.
-
-    Attributes
-    ----------
-    sine, cosine : array
-        Sine and cosine of psi.
-    scale : array
-        Step scale e^s of the person.
-    length_m : array
-        Length L e^s in m.
-    var_along_m2, var_across_m2 : array
-        Variances along and across the step in m2.
     """
 
-    sine: FloatArray
-    cosine: FloatArray
-    scale: FloatArray
-    length_m: FloatArray
-    var_along_m2: FloatArray
-    var_across_m2: FloatArray
+    sine: FloatArray  # sin psi
+    cosine: FloatArray  # cos psi
+    scale: FloatArray  # step scale e^s of the person
+    length_m: FloatArray  # length L e^s in m
+    var_along_m2: FloatArray  # variance along the step in m2
+    var_across_m2: FloatArray  # variance across the step in m2
 
     @property
     def along(self) -> FloatArray:

@@ -49,22 +49,12 @@ class WeightedDistances:
 
     Two context windows contain an epoch, because windows overlap by half. The provisional distance uses the context
     weights of the window that ends with the epoch. The final distance uses those of the next window.
-
-    Attributes
-    ----------
-    provisional_m : (K,) array
-        Provisional distance pd_k of each epoch.
-    final_m : (K,) array
-        Final distance d_k of each epoch.
-    total_final_m : (K,) array
-        Total final distance D_k, the sum of (d_i + pd_i) / 2 over the epochs 1 to k.
-    total_provisional_m : (K,) array
-        Total provisional distance PD_k = PD_{k-1} + (d_{k-1} - pd_{k-1}) / 2 + pd_k, which is known before d_k.
     """
 
-    provisional_m: FloatArray
-    final_m: FloatArray
-    total_final_m: FloatArray
+    provisional_m: FloatArray  # (K,) provisional distance pd_k of each epoch
+    final_m: FloatArray  # (K,) final distance d_k of each epoch
+    total_final_m: FloatArray  # (K,) total final distance D_k, the sum of (d_i + pd_i) / 2 over the epochs 1 to k
+    # (K,) total provisional distance PD_k = PD_{k-1} + (d_{k-1} - pd_{k-1}) / 2 + pd_k, which is known before d_k
     total_provisional_m: FloatArray
 
 

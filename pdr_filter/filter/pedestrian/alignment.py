@@ -32,24 +32,12 @@ def rotated_cov(cov: FloatArray, twice: complex) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Position and walking heading in some frame.
+    """Position and walking heading in some frame."""
 
-    Attributes
-    ----------
-    position_m : (2,) array
-        Position (east, north).
-    cov_m2 : (2, 2) array
-        Covariance of the position.
-    heading_rad : float
-        Walking heading, clockwise from the north axis of the frame.
-    n_steps : int
-        Index of the step that led to the pose, from 0 for the first step.
-    """
-
-    position_m: FloatArray
-    cov_m2: FloatArray
-    heading_rad: float
-    n_steps: int
+    position_m: FloatArray  # (2,) position (east, north)
+    cov_m2: FloatArray  # (2, 2) covariance of the position
+    heading_rad: float  # walking heading, clockwise from the north axis of the frame
+    n_steps: int  # index of the step that led to the pose, from 0 for the first step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,30 +46,17 @@ class Alignment:
 
     The transformation leads from a frame of the track ("track") to another frame ("world"), which is usually the frame
     of the fixes.
-
-    Attributes
-    ----------
-    angle_rad : float
-        Angle of R.
-    angle_var_rad2 : float
-        Variance of the angle.
-    track_centre_m, world_centre_m : (2,) array
-        Centre of rotation in both frames.
-    centre_var_m2 : float
-        Variance of the centre along each axis.
-    n_steps : int
-        Number of steps when the alignment was estimated. The alignment transforms steps with the indices k for which
-        `since` <= k < `n_steps`. Steps from `n_steps` on are reported in the world frame.
-    since : int
-        Index of the first step in the track frame of this alignment. Steps before it were reported in an earlier frame.
     """
 
-    angle_rad: float
-    angle_var_rad2: float
-    track_centre_m: FloatArray
-    world_centre_m: FloatArray
-    centre_var_m2: float
+    angle_rad: float  # angle of R
+    angle_var_rad2: float  # variance of the angle
+    track_centre_m: FloatArray  # (2,) centre of rotation in the track frame
+    world_centre_m: FloatArray  # (2,) centre of rotation in the world frame
+    centre_var_m2: float  # variance of the centre along each axis
+    # Number of steps when the alignment was estimated. The alignment transforms steps with the indices k for which
+    # `since` <= k < `n_steps`. Steps from `n_steps` on are reported in the world frame.
     n_steps: int
+    # Index of the first step in the track frame of this alignment. Steps before it were reported in an earlier frame.
     since: int = 0
 
     def applies_to(self, pose: Pose) -> bool:

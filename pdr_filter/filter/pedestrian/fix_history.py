@@ -36,28 +36,16 @@ class StandstillSteps:
     Detections are Poisson distributed, with the rate of walking or with that of false detections while standing. The
     log-likelihood ratio of walking therefore grows with each step and decreases with time (E. S. Page, "Continuous
     inspection schemes", Biometrika 41, 1954). Single false steps in a long standstill are no contradiction.
-
-    Attributes
-    ----------
-    log_ratio : float
-        Log-likelihood ratio of walking and standing for the last steps, 0 or more.
-    n_recent : float
-        Expected number of walking steps among these, as far as they are not in `n_contradicting`.
-    n_contradicting : float
-        Expected number of walking steps that contradict the standstills: those with a ratio above
-        `STANDSTILL_LOG_EVIDENCE`, including the steps that led to it.
-    recent_s : float
-        Time of the first of the last steps.
-    first_s, last_s : float
-        Times of the first and the last contradicting step.
     """
 
-    log_ratio: float = 0.0
-    n_recent: float = 0.0
+    log_ratio: float = 0.0  # log-likelihood ratio of walking and standing for the last steps, 0 or more
+    n_recent: float = 0.0  # expected number of walking steps among these, as far as they are not in `n_contradicting`
+    # expected number of walking steps that contradict the standstills: those with a ratio above
+    # `STANDSTILL_LOG_EVIDENCE`, including the steps that led to it
     n_contradicting: float = 0.0
-    recent_s: float = math.nan
-    first_s: float = math.nan
-    last_s: float = math.nan
+    recent_s: float = math.nan  # time of the first of the last steps
+    first_s: float = math.nan  # time of the first contradicting step
+    last_s: float = math.nan  # time of the last contradicting step
 
     def plus(self, time_s: float, since_s: float, moving_prob: float, step_log_ratio: float) -> StandstillSteps:
         """Return the evidence after a further step at `time_s`, `since_s` after the last one.

@@ -39,46 +39,28 @@ class Frame:
     rotation begins where the heading is lost. In `START_FRAME` the fixes are relative to the start, so that it is
     joined from the beginning. Its north is unknown until a heading fix determines it, or until position fixes confirm
     the direction of the start.
-
-    Attributes
-    ----------
-    is_joined : bool
-        True if the filter states are in the frame of the fixes. Unlike `is_known`, this concerns the filter states and
-        not the reported positions.
-    since : int
-        Number of steps before the present frame began where the heading was lost, or 0 for the start frame.
-    pairs : tuple of PairedPoint
-        Fixes since the present frame began, each with the track position at its time, until the frame is joined. After
-        a lost heading the first pair is the track position at the loss.
-    agreeing : tuple of PairedPoint
-        Members of `pairs` that are consistent with each other.
-    rotation : RotationDensity or None
-        Density of the rotation from the present frame to the frame of the fixes, given the consistent pairs.
-    compass : Compass or None
-        Magnetic north, until the frame is joined.
-    north_var_rad2 : float
-        Prior variance of the rotation before any position fix, or infinity if it is unknown. In a joined frame it is
-        the variance with which used fixes determine the rotation, 0 if the rotation was estimated.
-    north_conflict : float
-        Decrease of the misfit of the pairs (`disagreement`) if the prior with variance `north_var_rad2` is omitted.
-    north : Alignment or None
-        Rotation of the start frame by a heading fix, before any position fix.
-    alignment : Alignment or None
-        Alignment of the start frame with the frame of the fixes.
-    later : tuple of Alignment
-        Alignments of the frames after a lost heading, and relocations of the track by fixes.
     """
 
+    # True if the filter states are in the frame of the fixes. Unlike `is_known`, this concerns the filter states and
+    # not the reported positions.
     is_joined: bool
+    # number of steps before the present frame began where the heading was lost, or 0 for the start frame
     since: int = 0
+    # Fixes since the present frame began, each with the track position at its time, until the frame is joined. After a
+    # lost heading the first pair is the track position at the loss.
     pairs: tuple[PairedPoint, ...] = ()
-    agreeing: tuple[PairedPoint, ...] = ()
+    agreeing: tuple[PairedPoint, ...] = ()  # members of `pairs` that are consistent with each other
+    # density of the rotation from the present frame to the frame of the fixes, given the consistent pairs
     rotation: RotationDensity | None = None
-    compass: Compass | None = None
+    compass: Compass | None = None  # magnetic north, until the frame is joined
+    # Prior variance of the rotation before any position fix, or infinity if it is unknown. In a joined frame it is the
+    # variance with which used fixes determine the rotation, 0 if the rotation was estimated.
     north_var_rad2: float = math.inf
+    # decrease of the misfit of the pairs (`disagreement`) if the prior with variance `north_var_rad2` is omitted
     north_conflict: float = 0.0
-    north: Alignment | None = None
-    alignment: Alignment | None = None
+    north: Alignment | None = None  # rotation of the start frame by a heading fix, before any position fix
+    alignment: Alignment | None = None  # alignment of the start frame with the frame of the fixes
+    # alignments of the frames after a lost heading, and relocations of the track by fixes
     later: tuple[Alignment, ...] = ()
 
     @property

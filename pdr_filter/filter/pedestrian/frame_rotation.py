@@ -120,32 +120,19 @@ class Compass:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RotationDensity:
-    """Density of the unknown rotation from the start frame to the frame of the fixes, and the centre of rotation.
+    """Density of the unknown rotation from the start frame to the frame of the fixes, and the centre of rotation."""
 
-    Attributes
-    ----------
-    prob : (A,) array
-        Probability of each of the angles `_ANGLES_RAD`.
-    normal_prob : (A,) array
-        Probability of each angle if the errors of the fixes are normally distributed, used by `samples`. `prob` is for
-        errors with a Student's t distribution.
-    track_centre_m : (2,) array
-        Centre of rotation in the start frame.
-    world_centre_m : (2,) array
-        Position of the centre in the frame of the fixes, which does not depend on the angle.
-    centre_var_m2 : float
-        Variance of `world_centre_m` along each axis.
-    drawn : int or None
-        Index of the single angle with which positions are reported, as for a plot. Covariances are then the mean
-        squares of the deviations from these positions, over all angles. If it is None, positions are means over the
-        density and covariances are about these means.
-    """
-
-    prob: FloatArray
+    prob: FloatArray  # (A,) probability of each of the angles `_ANGLES_RAD`
+    # (A,) Probability of each angle if the errors of the fixes are normally distributed, used by `samples`. `prob` is
+    # for errors with a Student's t distribution.
     normal_prob: FloatArray
-    track_centre_m: FloatArray
+    track_centre_m: FloatArray  # (2,) centre of rotation in the start frame
+    # (2,) position of the centre in the frame of the fixes, which does not depend on the angle
     world_centre_m: FloatArray
-    centre_var_m2: float
+    centre_var_m2: float  # variance of `world_centre_m` along each axis
+    # Index of the single angle with which positions are reported, as for a plot. Covariances are then the mean squares
+    # of the deviations from these positions, over all angles. If it is None, positions are means over the density and
+    # covariances are about these means.
     drawn: int | None = None
 
     @property

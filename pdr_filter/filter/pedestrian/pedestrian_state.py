@@ -177,38 +177,21 @@ class PedestrianState:
     """Estimates after the latest event, and the history that later steps and fixes need.
 
     An event is a gap, a fix, or a step whose track row is final.
-
-    Attributes
-    ----------
-    estimates : Estimates
-        Estimates of all filters.
-    frame : Frame
-        Relation between the track and the frame of the fixes.
-    heading_zero : HeadingZero
-        Zero of the heading offset.
-    steps : StepHistory
-        Last final steps.
-    fixes : FixHistory
-        Earlier fixes, as far as the next fix depends on them.
-    changes : tuple of callable
-        What the last event did to the path of past steps (`with_path.WithPath`), as functions of this path.
-    rival : Rival or None
-        Second hypothesis of the position if the last range has found two positions. `TwoHypotheses` takes it over.
-    std_at_start_m : float
-        Standard deviation of the position after the last used position fix, minus the distance walked until then, in m.
-        A gap adds its standard deviation. Infinite before the first step and the first such fix.
-    unstepped_var_m2 : float
-        Variance added by motion without steps since the last used position fix, along each axis, m2.
     """
 
-    estimates: Estimates
-    frame: Frame
-    heading_zero: HeadingZero = field(default_factory=HeadingZero)
-    steps: StepHistory = field(default_factory=StepHistory)
-    fixes: FixHistory = field(default_factory=FixHistory)
+    estimates: Estimates  # estimates of all filters
+    frame: Frame  # relation between the track and the frame of the fixes
+    heading_zero: HeadingZero = field(default_factory=HeadingZero)  # zero of the heading offset
+    steps: StepHistory = field(default_factory=StepHistory)  # last final steps
+    fixes: FixHistory = field(default_factory=FixHistory)  # earlier fixes, as far as the next fix depends on them
+    # what the last event did to the path of past steps (`with_path.WithPath`), as functions of this path
     changes: tuple[Callable[[PastPath], PastPath], ...] = ()
+    # Second hypothesis of the position if the last range has found two positions. `TwoHypotheses` takes it over.
     rival: Rival | None = None
+    # Standard deviation of the position after the last used position fix, minus the distance walked until then, in m. A
+    # gap adds its standard deviation. Infinite before the first step and the first such fix.
     std_at_start_m: float = math.inf
+    # variance added by motion without steps since the last used position fix, along each axis, m2
     unstepped_var_m2: float = 0.0
 
     @property

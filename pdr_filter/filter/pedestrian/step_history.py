@@ -25,54 +25,30 @@ class Walked:
     """Length and heading of one step, weighted over the modes of a tracker.
 
     The estimated position may move by a different amount, because evidence also corrects it.
-
-    Attributes
-    ----------
-    length_m : float
-        Weighted length in m.
-    length_var_m2 : float
-        Variance of the length in m2, without the scale of the person.
-    heading_rad : float
-        Walking heading in rad.
-    parameter_std_m : (M,) array
-        Standard deviation in m due to the parameters of the length model of each mode, times the probability of the
-        mode.
-    direction : (M, 2) or (1, 2) array
-        Unit vector (east, north) of the walking direction in each mode, or in all modes together.
     """
 
-    length_m: float
-    length_var_m2: float
-    heading_rad: float
+    length_m: float  # weighted length in m
+    length_var_m2: float  # variance of the length in m2, without the scale of the person
+    heading_rad: float  # walking heading in rad
+    # (M,) standard deviation in m due to the parameters of the length model of each mode, times the probability of the
+    # mode
     parameter_std_m: FloatArray
+    # (M, 2) unit vector (east, north) of the walking direction in each mode, or in all modes together
     direction: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class StepHistory:
-    """Last steps of a track whose estimates are final.
+    """Last steps of a track whose estimates are final."""
 
-    Attributes
-    ----------
-    n_final : int
-        Number of final steps.
-    last_s : float
-        Time of the foot contact that ended the last step, s. NaN before the first step of a segment.
-    gap_s : float
-        Time without samples since the last step, s.
-    stepless_s : float
-        Time of motion without a known step since the last step, s, as far as it has been added to the covariance.
-    speed : WalkingSpeed or None
-        Walking speed after the last step, or None before the first step of a segment.
-    trail : (R, 4) array
-        Time (s), east (m), north (m) and device heading (rad) of the last R steps.
-    """
-
-    n_final: int = 0
+    n_final: int = 0  # number of final steps
+    # Time of the foot contact that ended the last step, s. NaN before the first step of a segment.
     last_s: float = math.nan
-    gap_s: float = 0.0
+    gap_s: float = 0.0  # time without samples since the last step, s
+    # time of motion without a known step since the last step, s, as far as it has been added to the covariance
     stepless_s: float = 0.0
-    speed: WalkingSpeed | None = None
+    speed: WalkingSpeed | None = None  # walking speed after the last step, or None before the first step of a segment
+    # (R, 4) time (s), east (m), north (m) and device heading (rad) of the last R steps
     trail: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
 
     @property

@@ -29,30 +29,14 @@ _LASTING_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class WalkingSpeed:
-    """Walking speed after a step.
+    """Walking speed after a step."""
 
-    Attributes
-    ----------
-    step_mps : float
-        Speed of the step in m/s: length divided by duration.
-    step_std_mps : float
-        Standard deviation of `step_mps`.
-    smoothed_mps : float
-        Speed in m/s, smoothed over the steps of the bout.
-    level_var_m2ps2 : float
-        Variance of the smoothed speed without the errors that all steps share.
-    smoothed_std_mps : float
-        Standard deviation of the smoothed speed, including the errors that all steps share.
-    scatter_m2ps2 : float
-        Running mean of the squared difference between the speed of a step and its prediction.
-    """
-
-    step_mps: float
-    step_std_mps: float
-    smoothed_mps: float
-    level_var_m2ps2: float
-    smoothed_std_mps: float
-    scatter_m2ps2: float
+    step_mps: float  # speed of the step in m/s: length divided by duration
+    step_std_mps: float  # standard deviation of `step_mps`
+    smoothed_mps: float  # speed in m/s, smoothed over the steps of the bout
+    level_var_m2ps2: float  # variance of the smoothed speed without the errors that all steps share
+    smoothed_std_mps: float  # standard deviation of the smoothed speed, including the errors that all steps share
+    scatter_m2ps2: float  # running mean of the squared difference between the speed of a step and its prediction
 
 
 def speed_after_step(

@@ -47,6 +47,14 @@ class ObservedPositions(Columns):
     position_m: FloatArray  # (F, 2) observed position, east and north. Zero for a loop closure.
     whiten: FloatArray  # (F, 2, 2) inverse of the lower Cholesky factor of the covariance
 
+    @classmethod
+    def on_map(
+        cls, node: IntArray, ahead_m: FloatArray, position_m: Sequence[FloatArray], cov_m2: Sequence[FloatArray]
+    ) -> ObservedPositions:
+        """Return observed positions (2,) on the map, with their covariances (2, 2)."""
+        whiten = np.linalg.inv(np.linalg.cholesky(np.reshape(cov_m2, (-1, 2, 2))))
+        return cls(node, np.full(len(node), -1), ahead_m, np.reshape(position_m, (-1, 2)), read_only(whiten))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedDirections(Columns):

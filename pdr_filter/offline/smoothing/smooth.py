@@ -756,26 +756,7 @@ def _on_plan(run: Run, plan: Plan, passes: Passes, *, is_given: bool) -> Smoothe
     config, _ = with_first_pass(run.recording, run.config, passes[0])
     if is_given and any(not isinstance(fix, GridFix) for fix in run.fixes):
         config = config.in_world_frame()
-    found = plan.smoothed(run.recording, config, run.fixes, run.with_location, passes[1])
-    observed = Observations(tuple(fix for fix in run.fixes if isinstance(fix, PositionFix)))
-    results = {result.time_s: result for result in found.track.fixes}
-    each = [results.get(fix.time_s) for fix in observed.fixes]
-    observations = observation_table(observed).copy()
-    observations.nis = [np.nan if result is None else result.nis for result in each]
-    observations.weight = [float(result is not None and result.accepted) for result in each]
-    observations.flags.writeable = False
-    return Smoothed(
-        track=found.track,
-        heading_offset_rad=read_only(wrap_angle(found.heading_offset_rad)),
-        heading_offset_std_rad=found.heading_offset_std_rad,
-        log_scale=found.log_scale,
-        log_scale_std=found.log_scale_std,
-        start_position_m=found.track.start_position_m,
-        start_position_cov_m2=read_only(found.track.position_cov_m2[0]),
-        observations=observations,
-        floor=floors_at_steps(found.track, ()),
-        notes=found.track.notes,
-    )
+    return plan.smoothed(run.recording, config, run.fixes, run.with_location, passes[1])
 
 
 def _ahead_m(posed: Posed, found: Solution, source: Source) -> FloatArray:

@@ -171,17 +171,10 @@ def _with_stated_fixes(problem: Problem) -> tuple[Problem, IntArray]:
     n = [len(positions), len(problem.directions), len(states)]
     rows = np.concatenate([np.arange(n[0]), n[0] + len(places) + np.arange(n[1] + n[2])])
     at, turned = (np.array([k for k, _ in found], dtype=np.int64) for found in (places, headings))
-    cov_m2 = np.array([fix.cov_m2 + of.extra_var_m2[k] * np.eye(2) for k, fix in places]).reshape(-1, 2, 2)
-    stated_m = np.array([fix.position_m for _, fix in places]).reshape(-1, 2)
     offset_rad = np.array([fix.walking_heading_rad - of.device_rad[k] for k, fix in headings])
     std_rad = np.array([fix.std_rad for _, fix in headings])
-    stated = ObservedPositions(
-        of.node[at],
-        np.full(len(at), -1),
-        of.ahead_m[at],
-        stated_m,
-        read_only(np.linalg.inv(np.linalg.cholesky(cov_m2))),
-    )
+    cov_m2 = [fix.cov_m2 + of.extra_var_m2[k] * np.eye(2) for k, fix in places]
+    stated = ObservedPositions.on_map(of.node[at], of.ahead_m[at], [fix.position_m for _, fix in places], cov_m2)
     of_headings = ObservedStates(of.node[turned], np.full(len(turned), HEADING_OFFSET), offset_rad, std_rad)
     return replace(
         problem,
@@ -483,6 +476,20 @@ def state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArra
     return (error / states.std)[:, None], H
 
 
+def point_positions(mean: FloatArray, node: IntArray, ahead_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the positions (n, 2) of points of a walk, and their derivatives (n, 2, 4) by the states of their anchors.
+
+    `mean` (N, 4) are the states of N anchors, `node` (n,) is the anchor of each point, and `ahead_m` (n, 2) the
+    displacement from the anchor to the point, before heading offset and scale.
+    """
+    at = mean[node, :N_STATES]
+    moved = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), ahead_m)
+    H = np.zeros((len(node), 2, N_STATES))
+    H[:, :, _POSITION] = np.eye(2)
+    H[:, :, HEADING_OFFSET], H[:, :, LOG_SCALE] = moved @ TURN.T, moved
+    return at[:, :2] + moved, H
+
+
 def position_residuals(
     positions: ObservedPositions, errors: Errors, mean: FloatArray, error_mean: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -492,16 +499,11 @@ def position_residuals(
     at the anchor, and d is the displacement from the anchor to the time of the observation. B e is the correlated error
     of the fix, G x_other the position of the other anchor (loop closures only), and z the observed position, all in m.
     """
-    at, relative = mean[positions.node, :N_STATES], positions.other >= 0
-    moved = np.einsum("nab,nb->na", scaled_rotation(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
+    relative, (at_m, H) = positions.other >= 0, point_positions(mean, positions.node, positions.ahead_m)
     origin = np.where(relative[:, None], mean[positions.other, :2], 0.0)
-    error = at[:, :2] + moved - origin - positions.position_m
+    error = at_m - origin - positions.position_m
     if len(errors):
         error[errors.position] += np.einsum("nab,nb->na", errors.by, error_mean)
-    H = np.zeros((len(positions), 2, N_STATES))
-    H[:, :, _POSITION] = np.eye(2)
-    H[:, :, HEADING_OFFSET] = moved @ TURN.T
-    H[:, :, LOG_SCALE] = moved
     by_other = -(positions.whiten @ _OF_POSITION)
     return np.einsum("nab,nb->na", positions.whiten, error), positions.whiten @ H, by_other
 

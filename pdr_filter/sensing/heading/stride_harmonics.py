@@ -30,38 +30,21 @@ class Stride:
     """Motion of one stride relative to a horizontal reference axis of the phone.
 
     Angles are clockwise.
-
-    Attributes
-    ----------
-    up : tuple of float
-        Mean unit vector up, sensor frame.
-    axis : tuple of float
-        Reference axis, a unit vector perpendicular to `up`, sensor frame.
-    axis_heading_rad : float
-        Mean direction of the axis in the attitude frame, from north, rad.
-    device_heading_rad : float
-        Mean device heading, rad.
-    pointing_rad : float
-        Direction in which the phone points, from the axis, rad.
-    runs : bool
-        True if the pedestrian runs.
-    vectors : tuple of complex
-        Three horizontal vectors, forward + i right of the axis, m/s2: amplitudes of the horizontal specific force in
-        phase with the vertical specific force. The first is the part at stride frequency. The second is the part at
-        step frequency, in phase with the vertical force advanced by the phase of `Phases`. The third is the part at
-        step frequency, in phase with the vertical force advanced by another 90 degrees.
-    powers : tuple of float
-        Squared amplitudes, (m/s2)^2: horizontal at stride frequency, horizontal at step frequency, and vertical at
-        stride frequency.
     """
 
-    up: Vector
-    axis: Vector
-    axis_heading_rad: float
-    device_heading_rad: float
-    pointing_rad: float
-    runs: bool
+    up: Vector  # mean unit vector up, sensor frame
+    axis: Vector  # reference axis, a unit vector perpendicular to `up`, sensor frame
+    axis_heading_rad: float  # mean direction of the axis in the attitude frame, from north, rad
+    device_heading_rad: float  # mean device heading, rad
+    pointing_rad: float  # direction in which the phone points, from the axis, rad
+    runs: bool  # true if the pedestrian runs
+    # Three horizontal vectors, forward + i right of the axis, m/s2: amplitudes of the horizontal specific force in
+    # phase with the vertical specific force. The first is the part at stride frequency. The second is the part at step
+    # frequency, in phase with the vertical force advanced by the phase of `Phases`. The third is the part at step
+    # frequency, in phase with the vertical force advanced by another 90 degrees.
     vectors: tuple[complex, complex, complex]
+    # squared amplitudes, (m/s2)^2: horizontal at stride frequency, horizontal at step frequency, and vertical at stride
+    # frequency
     powers: Vector
 
     @property

@@ -34,47 +34,23 @@ class StepSpan:
 
 @dataclass(frozen=True, eq=False)
 class StepLogState:
-    """Signals of the last seconds, the last contact, and running means over the steps of the person.
+    """Signals of the last seconds, the last contact, and running means over the steps of the person."""
 
-    Attributes
-    ----------
-    n_samples : int
-        Samples of the segment.
-    signals : FloatArray
-        Recent signals, shape (6, H). The rows are time, magnitude and vertical part of the specific force, device
-        heading, cumulative count of samples without angular rate, and standard deviation of the bias about the
-        vertical.
-    last_contact : int
-        Sample number of the last contact; negative before the first.
-    last_contact_s : float
-        Time of the last contact, s.
-    last_unknown : float
-        Samples without angular rate up to the last contact.
-    n_usual : float
-        Number of steps in the two following sums, exponentially forgotten with `USUAL_DECAY`. First steps of bouts
-        and steps much longer than usual are not in the sums.
-    log_amplitudes : float
-        Sum of the logarithms of the vertical amplitudes.
-    log_durations : float
-        Sum of the logarithms of the step durations.
-    last_turn_rad : float
-        Turn of the device over the last step, rad; 0 before the first.
-    last_duration_s : float
-        Duration of the last step, s; 0 before the first.
-    last_amplitude_mps2 : float
-        Vertical amplitude of the last step, m/s2; 0 before the first, and after a step that is not in the sums.
-    """
-
-    n_samples: int
+    n_samples: int  # samples of the segment
+    # Recent signals, shape (6, H). The rows are time, magnitude and vertical part of the specific force, device
+    # heading, cumulative count of samples without angular rate, and standard deviation of the bias about the vertical.
     signals: FloatArray
-    last_contact: int
-    last_contact_s: float
-    last_unknown: float
+    last_contact: int  # sample number of the last contact; negative before the first
+    last_contact_s: float  # time of the last contact, s
+    last_unknown: float  # samples without angular rate up to the last contact
+    # Number of steps in the two following sums, exponentially forgotten with `USUAL_DECAY`. First steps of bouts and
+    # steps much longer than usual are not in the sums.
     n_usual: float
-    log_amplitudes: float
-    log_durations: float
-    last_turn_rad: float
-    last_duration_s: float
+    log_amplitudes: float  # sum of the logarithms of the vertical amplitudes
+    log_durations: float  # sum of the logarithms of the step durations
+    last_turn_rad: float  # turn of the device over the last step, rad; 0 before the first
+    last_duration_s: float  # duration of the last step, s; 0 before the first
+    # vertical amplitude of the last step, m/s2; 0 before the first, and after a step that is not in the sums
     last_amplitude_mps2: float
 
 

@@ -44,23 +44,12 @@ class WalkEvidence:
 
     The log odds are b + sum_i w_i clip((x_i - m_i) / s_i, -3, 3), with the bias b and, for each feature, the weight
     w_i, the mean m_i and the standard deviation s_i.
-
-    Attributes
-    ----------
-    mean : FloatArray
-        Means m of the features, shape (4,).
-    scale : FloatArray
-        Standard deviations s of the features, shape (4,).
-    weight : FloatArray
-        Weights w, shape (4,).
-    intercept : float
-        Intercept b.
     """
 
-    mean: FloatArray
-    scale: FloatArray
-    weight: FloatArray
-    intercept: float
+    mean: FloatArray  # means m of the features, shape (4,)
+    scale: FloatArray  # standard deviations s of the features, shape (4,)
+    weight: FloatArray  # weights w, shape (4,)
+    intercept: float  # intercept b
 
     __reduce__ = reduction
 

@@ -13,7 +13,7 @@ import pytest
 import pdr_filter as pdr
 from pdr_filter.apps.walk_map import walk_map, walk_poses
 from pdr_filter.apps.walk_map.chains import Chain, Scans, chain_of
-from pdr_filter.apps.walk_map.joint import _by_state, contradicting, solve_group, step_positions
+from pdr_filter.apps.walk_map.joint import contradicting, solve_group, step_positions
 from pdr_filter.apps.walk_map.likeness import (
     EVIDENCE,
     LENGTH_M,
@@ -36,6 +36,7 @@ from pdr_filter.apps.walk_map.walk_poses import (
     partners_of,
     scans_around,
 )
+from pdr_filter.offline.smoothing.solve import point_positions
 
 
 @pytest.fixture
@@ -196,12 +197,12 @@ def test_one_scan_of_each_square_is_kept_on_each_storey() -> None:
 
 def test_derivatives_of_points_are_those_of_differences() -> None:
     state, ahead = np.array([[3.0, -2.0, 0.4, 0.1]]), np.array([[5.0, 2.0]])
-    place, by_state = _by_state(state, np.array([0]), ahead)
+    place, by_state = point_positions(state, np.array([0]), ahead)
     for k in range(4):
         moved = state.copy()
         moved[0, k] += 1e-6
         np.testing.assert_allclose(
-            (_by_state(moved, np.array([0]), ahead)[0] - place)[0] / 1e-6, by_state[0, :, k], atol=1e-5
+            (point_positions(moved, np.array([0]), ahead)[0] - place)[0] / 1e-6, by_state[0, :, k], atol=1e-5
         )
 
 

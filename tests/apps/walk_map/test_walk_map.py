@@ -16,7 +16,7 @@ import pdr_filter as pdr
 from pdr_filter.apps.maps.marks import Marks
 from pdr_filter.apps.walk_map.chains import chain_of, hashed
 from pdr_filter.apps.walk_map.drawing import plan_text
-from pdr_filter.apps.walk_map.joint import _known_rows
+from pdr_filter.apps.walk_map.joint import _with_known
 from pdr_filter.apps.walk_map.mapped_walk import MappedWalk
 from pdr_filter.apps.walk_map.walk_map import _known_pose, in_one_frame
 from pdr_filter.simulate import Leg
@@ -231,8 +231,8 @@ def test_a_known_heading_is_that_of_the_step_that_ends_at_its_time(building: lis
         assert pose is not None and pose.turn_rad == pytest.approx(0.5, abs=1e-9)
     turn = int(np.argmax(np.abs(np.diff(chain.device_rad)))) + 1
     heading = pdr.HeadingFix(float(chain.time_s[turn - 1]), float(chain.device_rad[turn - 1]) + 0.5, 0.001)
-    (row,) = _known_rows(chain, np.zeros_like(chain.mean), [heading])
-    assert row.rhs[0, 0] == pytest.approx(0.5 / 0.001)
+    observed = _with_known(chain, [heading], 0.0).states
+    assert (observed.value[-1], observed.std[-1]) == (pytest.approx(0.5), 0.001)
 
 
 def test_a_map_does_not_depend_on_the_zero_of_time(building: list[Recording]) -> None:

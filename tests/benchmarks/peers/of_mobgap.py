@@ -7,6 +7,7 @@ the walk, which the detectors require, or in the gait sequences that the pipelin
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,7 +27,7 @@ def _frame(walk: Walk, columns: list[str]) -> Any:
     return pd.DataFrame(np.hstack([force[:, order], np.degrees(rate[:, order])]), columns=columns)
 
 
-def _contacts(name: str) -> Run:
+def _contacts(name: str, with_speed: bool) -> Run:
     from mobgap import initial_contacts
     from mobgap.cadence import CadFromIc
     from mobgap.consts import BF_SENSOR_COLS
@@ -40,7 +41,7 @@ def _contacts(name: str) -> Run:
         data = _frame(walk, BF_SENSOR_COLS).iloc[walk.inside].reset_index(drop=True)
         contacts = detector.clone().detect(data, sampling_rate_hz=RATE_HZ).ic_list_
         time_s = walk.time_s[walk.inside][contacts["ic"].to_numpy(dtype=int).clip(0, len(data) - 1)]
-        if len(contacts) < 2:
+        if len(contacts) < 2 or not with_speed:
             return Found(time_s)
         _, contacts = refine_gs(contacts)
         contacts = contacts.reset_index("r_gs_id", drop=True)
@@ -91,26 +92,9 @@ def _pipeline() -> Run:
     return run
 
 
-def _contacts_only(name: str) -> Run:
-    """Return the detection of contacts without stride length and speed."""
-    from mobgap import initial_contacts
-    from mobgap.consts import BF_SENSOR_COLS
-
-    detector = getattr(initial_contacts, name)()
-
-    def run(walk: Walk) -> Found:
-        data = _frame(walk, BF_SENSOR_COLS).iloc[walk.inside].reset_index(drop=True)
-        contacts = detector.clone().detect(data, sampling_rate_hz=RATE_HZ).ic_list_["ic"].to_numpy(dtype=int)
-        return Found(walk.time_s[walk.inside][contacts.clip(0, len(data) - 1)])
-
-    return run
-
-
 _NAMES = ("IcdIonescu", "IcdShinImproved", "IcdHKLeeImproved")
-DETECTORS = tuple(
-    Method(f"mobgap, {n}, contacts only", "mobgap", lambda n=n: _contacts_only(n), walk_known=True) for n in _NAMES
+DETECTORS, _WITH_SPEED = (
+    tuple(Method(f"mobgap, {n}{what}", "mobgap", partial(_contacts, n, speed), walk_known=True) for n in _NAMES)
+    for what, speed in ((", contacts only", False), ("", True))
 )
-METHODS = (
-    *(Method(f"mobgap, {n}", "mobgap", lambda n=n: _contacts(n), walk_known=True) for n in _NAMES),
-    Method("mobgap, MobilisedPipelineHealthy", "mobgap", _pipeline),
-)
+METHODS = (*_WITH_SPEED, Method("mobgap, MobilisedPipelineHealthy", "mobgap", _pipeline))

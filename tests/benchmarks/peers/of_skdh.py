@@ -7,6 +7,7 @@ defaults. Both of its event methods are run.
 from __future__ import annotations
 
 import warnings
+from functools import partial
 
 import numpy as np
 from scipy.signal import resample_poly
@@ -64,11 +65,8 @@ def _gait(events: str, walk_known: bool) -> Run:
     return run
 
 
-METHODS = (
-    Method("skdh, GaitLumbar, AP CWT", "scikit-digital-health", lambda: _gait("AP CWT", True), walk_known=True),
-    Method(
-        "skdh, GaitLumbar, Vertical CWT", "scikit-digital-health", lambda: _gait("Vertical CWT", True), walk_known=True
-    ),
-    Method("skdh, own bouts, AP CWT", "scikit-digital-health", lambda: _gait("AP CWT", False)),
-    Method("skdh, own bouts, Vertical CWT", "scikit-digital-health", lambda: _gait("Vertical CWT", False)),
+METHODS = tuple(
+    Method(f"skdh, {name}, {events}", "scikit-digital-health", partial(_gait, events, known), walk_known=known)
+    for name, known in (("GaitLumbar", True), ("own bouts", False))
+    for events in ("AP CWT", "Vertical CWT")
 )
