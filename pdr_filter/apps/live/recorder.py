@@ -255,11 +255,11 @@ def _lines(messages: Iterable[Message]) -> bytes:
     Device, session and platform precede the JSON text. The text may lack them, because the address of the request can
     hold them.
     """
-    lines = b""
+    lines: list[bytes] = []
     for message in messages:
         names = {"device": message.device, "session": message.session, "platform": message.platform}
-        lines += json.dumps(names).encode() + b" " + message.source.decode("utf-8", "replace").encode() + b"\n"
-    return lines
+        lines.append(json.dumps(names).encode() + b" " + message.source.decode("utf-8", "replace").encode() + b"\n")
+    return b"".join(lines)
 
 
 def _messages(lines: Sequence[bytes]) -> Iterator[Message]:

@@ -62,7 +62,11 @@ class Process(Share):
     async def start(cls, settings: Settings, folder: Path, part: int, n_parts: int) -> Process:
         """Return a new process that is ready for requests."""
         made = cls(settings, folder, part, n_parts)
-        await made.ask([])
+        try:
+            await made.ask([])
+        except BaseException:  # also if the caller waits no longer: two processes must not write the same sessions
+            made._process.close()
+            raise
         return made
 
     async def ask(self, requests: Sequence[Request]) -> list[Response]:

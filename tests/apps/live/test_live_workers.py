@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from serving import until
 
 from pdr_filter.apps.batch.worker_process import LostError
 from pdr_filter.apps.live import workers as live_workers
@@ -15,7 +19,7 @@ from pdr_filter.apps.live.messages import Message, MessageBatch, parse
 from pdr_filter.apps.live.parts import Answer, Part, Request, Response
 from pdr_filter.apps.live.session import DeviceSession
 from pdr_filter.apps.live.settings import Settings
-from pdr_filter.apps.live.workers import Workers
+from pdr_filter.apps.live.workers import Process, Workers
 
 
 class Mortal:
@@ -178,3 +182,30 @@ def test_a_fix_whose_process_dies_before_its_answer_is_in_the_track_once_and_the
     assert asyncio.run(run()) == [200] * 4
     (fixes,) = tmp_path.glob("*/fixes.csv")
     assert len(fixes.read_text().splitlines()) == 1 + 2
+
+
+def never_ready(settings: Settings, folder: Path, part: int, n_parts: int) -> None:
+    """A worker that loads for ever."""
+    (folder / "started").write_text(str(os.getpid()))
+    time.sleep(600.0)
+
+
+def test_a_process_that_is_not_ready_in_time_is_ended_before_another_one_takes_its_sessions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_workers, "answers_of_part", never_ready)
+
+    def pid() -> int:
+        path = tmp_path / "started"
+        return int(path.read_text() or 0) if path.exists() else 0
+
+    async def run() -> None:
+        starting = asyncio.create_task(Process.start(Settings(), tmp_path, 0, 1))
+        await asyncio.to_thread(until, pid, 60.0)
+        starting.cancel()
+        with suppress(asyncio.CancelledError):
+            await starting
+
+    asyncio.run(asyncio.wait_for(run(), 90.0))
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid(), 0)
