@@ -161,8 +161,11 @@ class Sources:
         recording = None if self.replay is None else read(self.replay)
         return recording if recording is None or height_m is None else recording.of_height(height_m)
 
-    def tasks(self, walk: Recording | None, shared: Live) -> list[Coroutine[Any, Any, None]]:
-        """Return a coroutine for each source, which fetches its samples and passes them to the server `shared`."""
+    def tasks(self, walk: Recording | None, shared: Live, record: Path | None) -> list[Coroutine[Any, Any, None]]:
+        """Return a coroutine for each source, which fetches its samples and passes them to the server `shared`.
+
+        With the folder `record`, brokers keep messages for the next start of the server.
+        """
         from pdr_filter.apps.live import sources
 
         def take(name: str) -> sources.Taker:
@@ -172,7 +175,9 @@ class Sources:
         made: list[tuple[str, Callable[[], Coroutine[Any, Any, None]]]] = [
             *((at, sources.Phyphox(at, take(at)).run) for at in self.phyphox or ()),
             *((at, partial(sources.sensor_server, at, session, take(at))) for at in self.sensorserver or ()),
-            *(("--mqtt", sources.Mqtt(at, take("--mqtt")).run) for at in self.mqtt or ()),  # `at` may have a password
+            *(
+                ("--mqtt", sources.Mqtt(at, take("--mqtt"), record).run) for at in self.mqtt or ()
+            ),  # `at` may have a password
         ]
         replay = [] if walk is None else [sources.replay(walk, self.speed, take(f"--replay {walk.name}"))]
         return [*(sources.again(name, source, console.say_error) for name, source in made), *replay]
@@ -211,7 +216,7 @@ def live_command(
         opened.enter_context(folder_lock(folder, f"pdr-filter live at {address.url(port)}"))
         server = address.server(live_application(shared, token, tiles), folder)  # may write a certificate there
         say = partial(_print_addresses, address, port, token)
-        asyncio.run(run_server(server, listening, [shared], partial(sources.tasks, walk, shared), say))
+        asyncio.run(run_server(server, listening, [shared], partial(sources.tasks, walk, shared, record), say))
 
 
 def bound_socket(host: str, port: int) -> socket.socket:
