@@ -213,7 +213,8 @@ class Soak:
         await asyncio.to_thread(self.server.kill)
         for _ in range(_N_STARTS):
             try:
-                return await asyncio.to_thread(self.start)
+                await asyncio.to_thread(self.start)
+                break
             except RuntimeError as error:
                 self.refused.append(f"the server did not start: {error}")
 
