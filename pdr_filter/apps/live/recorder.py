@@ -19,7 +19,7 @@ import hashlib
 import io
 import json
 import zipfile
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -155,10 +155,10 @@ class Recorder:
         for other in (*journals, *self.folder.glob(".*.part")):
             if other != journal:  # left by a process that died in `save`
                 other.unlink()
-        content = journal.read_bytes() if journal.exists() else b""
-        self._journal_size = content.rfind(b"\n") + 1  # a broken-off line was not acknowledged
+        # a broken-off line was not acknowledged
+        self._journal_size = sum(len(line) for line in _lines_of(journal) if line.endswith(b"\n"))
         cut_file(journal, self._journal_size)
-        return state, _messages(content[: self._journal_size].split(b"\n")[:-1])
+        return state, _messages(_lines_of(journal))
 
     @contextmanager
     def trying(self) -> Generator[None]:
@@ -262,13 +262,20 @@ def _lines(messages: Iterable[Message]) -> bytes:
     return b"".join(lines)
 
 
-def _messages(lines: Sequence[bytes]) -> Iterator[Message]:
+def _lines_of(journal: Path) -> Iterator[bytes]:
+    """Yield the lines of a journal, which may be too long for the memory after hours without a saved state."""
+    if journal.exists():
+        with journal.open("rb") as file:
+            yield from file
+
+
+def _messages(lines: Iterable[bytes]) -> Iterator[Message]:
     """Yield the messages of lines of the journal; DamagedError if a line has none."""
     for line in lines:
         with reading("journal"):
             text = line.decode()
             names, end = json.JSONDecoder().raw_decode(text)
-            messages = parse(text[end + 1 :].encode(), **names)
+            messages = parse(text[end + 1 : -1].encode(), **names)
         yield from messages
 
 

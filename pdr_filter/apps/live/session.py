@@ -502,6 +502,8 @@ class DeviceSession:
                 self.take(message)
             if number % _LOAD_MESSAGES == 0:
                 self.advance()
+                with suppress(OSError):  # on a full disk, lines wait in memory
+                    self.recorder.flush()
         self.save()
 
     def _restore(self, saved: Mapping[str, Any]) -> None:

@@ -594,3 +594,27 @@ def test_a_path_keeps_its_newest_rows_in_the_bytes_of_its_numbers(monkeypatch: p
         path.append(row.tolist())
     np.testing.assert_array_equal(path.values, rows[-100:])
     np.testing.assert_array_equal(PathRows(3, rows).values, rows[-100:])
+
+
+def test_a_session_with_a_long_journal_is_loaded_in_little_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after hours of a full disk, on which no state could be saved."""
+    monkeypatch.setattr(live_session, "_LOAD_MESSAGES", 20)
+    peaks_bytes: list[int] = []
+    for n in (60, 60, 240):  # the first one loads the filter
+        folder = tmp_path / str(len(peaks_bytes))
+        session = DeviceSession("p", "s", Settings(platform="android"), folder)
+        for number in range(n):
+            rows = [[number + 0.02 * k, 0.1, 0.2, 9.81] for k in range(50)]
+            content = {"number": number, "samples": {"accelerometer": rows, "gyroscope": rows}}
+            session.recorder.journal(parse(json.dumps(content).encode(), "p", "s"))
+        tracemalloc.start()
+        try:
+            loaded = DeviceSession.load("p", "s", session.settings, folder)
+            peaks_bytes.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+        assert loaded.assembly.next_number == n
+        assert len((folder / loaded.id / "accelerometer.csv").read_text().splitlines()) == 1 + 50 * n
+    assert peaks_bytes[2] - peaks_bytes[1] < 200_000
