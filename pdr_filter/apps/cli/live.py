@@ -79,14 +79,16 @@ class Address:
         import uvicorn
 
         from pdr_filter.apps.live.certificate import certificate
-        from pdr_filter.apps.live.connections import LimitedConnection, backlog
+        from pdr_filter.apps.live.connections import LimitedConnection, TlsConnection, backlog, tls_context
 
+        protocol: Any = LimitedConnection
+        if self.https:
+            protocol = partial(TlsConnection, tls_context(certificate(folder / "certificate", self.name)))
         return uvicorn.Server(
             uvicorn.Config(
                 application,
-                http=LimitedConnection,
+                http=protocol,
                 backlog=backlog(),
-                ssl_certfile=certificate(folder / "certificate", self.name) if self.https else None,
                 log_level="warning",
                 access_log=False,
                 ws_max_size=4 * 1024**2,
