@@ -121,14 +121,15 @@ class TlsConnection(SSLProtocol):
 
     def __init__(self, context: SSLContext, **named: Any) -> None:
         self._inner = LimitedConnection(**named)
-        super().__init__(self._inner.loop, self._inner, context, None, server_side=True, ssl_shutdown_timeout=_HEAD_S)
+        waiter: Any = None  # nothing waits for the end of the handshake
+        super().__init__(self._inner.loop, self._inner, context, waiter, True, ssl_shutdown_timeout=_HEAD_S)
 
     def connection_made(self, transport: Any) -> None:
         """Begin the handshake."""
         self._inner.connection_made(transport)
         super().connection_made(transport)
 
-    def connection_lost(self, exc: Exception | None) -> None:
+    def connection_lost(self, exc: BaseException | None) -> None:
         """Stop waiting."""
         super().connection_lost(exc)
         self._inner.end()

@@ -538,6 +538,49 @@ def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     assert rows == len(walk.accelerometer)
 
 
+@pytest.mark.parametrize("is_disk", [False, True])
+def test_a_session_that_is_not_loaded_is_shown_until_its_next_message_loads_it(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_disk: bool
+) -> None:
+    """Loading it has ended the last process, or the disk does not answer, and the phone is silent."""
+
+    def broken(*_: Any) -> DeviceSession:
+        raise OSError(5, "Input/output error")
+
+    bodies = own_messages(walk)
+    session, _ = taken(tmp_path, bodies[:20])
+    events: list[Event] = []
+    if is_disk:
+        monkeypatch.setattr(DeviceSession, "load", broken)
+    else:
+        (session.recorder.folder / ".tries").write_bytes(b"x")
+    devices = sessions_in(tmp_path, events)
+    monkeypatch.undo()
+    (event,) = events
+    assert (event["event"], event["id"], event["device"]) == ("session", session.id, "p")
+    assert ("Input/output error" if is_disk else "ended while it loaded") in event["waits"]
+    assert [event["event"] for event in devices.snapshots()] == ["track", "path"]
+    take(devices, bodies[20])
+    assert events[-1]["id"] == session.id
+    assert [event["waits"] for event in events if event["event"] == "session"][-1] == ""
+    (track, *_) = (event for event in devices.snapshots() if event["event"] == "track")
+    assert len(track["path"]) >= len(session.path) > 0
+
+
+def test_a_session_that_is_not_loaded_is_gone_after_ten_minutes(walk: Recording, tmp_path: Path) -> None:
+    session, _ = taken(tmp_path, own_messages(walk)[:8])
+    (session.recorder.folder / ".tries").write_bytes(b"x")
+    events: list[Event] = []
+    devices = sessions_in(tmp_path, events)
+    (unloaded,) = devices._unloaded.values()
+    devices.maintain()
+    assert [event["event"] for event in events] == ["session"]
+    unloaded.seen_at -= 601.0
+    devices.maintain()
+    assert events[-1] == {"event": "gone", "id": session.id}
+    assert devices.snapshots() == []
+
+
 @pytest.mark.parametrize("deleted", ["", "gyroscope.csv"])
 def test_a_session_whose_files_are_deleted_begins_again_or_is_set_aside(
     walk: Recording, tmp_path: Path, deleted: str
