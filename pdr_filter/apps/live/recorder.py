@@ -38,8 +38,9 @@ DEVICE = "device.json"  # the gyroscope bias with which the session began
 CONFIGS = "configurations"
 # In the folder of a session while it is loaded: a byte for each try. It stays if the process does not survive this.
 TRIES = ".tries"
-# The second try is alone, for a message of the session. Processes that end whatever is tried serve no other phone.
-_MAX_TRIES = 2
+# From the second try on, a message of the session loads it alone. A server that is killed for another reason may meet
+# the same session twice, and one that ends whatever is tried serves no other phone.
+_MAX_TRIES = 4
 _APPENDED = (STEPS, FIXES, RANGES, *(f"{name}.csv" for name in STREAM_COLUMNS))
 _ZIP_BLOCK_BYTES = 2**20
 _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
@@ -162,7 +163,7 @@ class Recorder:
 
     @contextmanager
     def trying(self) -> Generator[None]:
-        """Mark the session while the block loads it. DamagedError if earlier processes did not survive this twice."""
+        """Mark the session while the block loads it. DamagedError if too many processes did not survive this."""
         mark = self.folder / TRIES
         n = mark.stat().st_size if mark.exists() else 0
         if n >= _MAX_TRIES:

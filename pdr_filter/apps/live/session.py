@@ -486,6 +486,7 @@ class DeviceSession:
         silent_s = time.time() - max((file.stat().st_mtime for file in files), default=0.0)
         with self.recorder.trying():
             self._resume()
+        self.save()
         self._drawn = PathRows(3, self.path.values[:, :3])
         self._turned(is_due=True)
         self._corrected(is_due=True)
@@ -507,7 +508,7 @@ class DeviceSession:
                 self.advance()
                 with suppress(OSError):  # on a full disk, lines wait in memory
                     self.recorder.flush()
-        self.save()
+        self.advance()
 
     def _restore(self, saved: Mapping[str, Any]) -> None:
         self.assembly, self.notes = saved["assembly"], saved.get("notes", ())

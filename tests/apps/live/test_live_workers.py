@@ -121,7 +121,7 @@ def still(device: str, number: int) -> MessageBatch:
     return MessageBatch(device, parse(json.dumps(content).encode()), 0.0)
 
 
-@pytest.mark.parametrize(("error", "n_died"), [(Died, 3), (MemoryError, 2)])
+@pytest.mark.parametrize(("error", "n_died"), [(Died, 5), (MemoryError, 4)])
 def test_a_phone_that_ends_its_process_at_each_start_is_set_aside_and_others_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[BaseException], n_died: int
 ) -> None:
@@ -142,13 +142,13 @@ def test_a_phone_that_ends_its_process_at_each_start_is_set_aside_and_others_go_
     async def run() -> list[int]:
         workers = Workers(start, 1, lambda _: None)
         await workers.start()
-        sent = [("good", 0), ("bad", 0), ("good", 1), ("bad", 1), ("good", 2)]
+        sent = [("good", 0), ("bad", 0), ("good", 1), ("bad", 1), ("good", 2), ("bad", 2), ("good", 3)]
         answers = [await asyncio.wait_for(workers.take(still(*one)), 10.0) for one in sent]
         await workers.close()
         return [answer.status for answer in answers]
 
     monkeypatch.setattr(DeviceSession, "_filtered", deadly)
-    assert asyncio.run(run()) == [200, 500, 200, 200, 200]
+    assert asyncio.run(run()) == [200, 500, 200, 500, 200, 200, 200]
     assert n_starts == 1 + n_died  # if only memory is missing, the process continues without the session
     (aside,) = tmp_path.glob("bad-*.damaged1")
     assert b'"number": 0' in (aside / "journal_0.json").read_bytes()
