@@ -567,6 +567,24 @@ def test_a_session_that_is_not_loaded_is_shown_until_its_next_message_loads_it(
     assert len(track["path"]) >= len(session.path) > 0
 
 
+def test_kills_while_a_session_is_loaded_and_saved_do_not_set_it_aside(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bodies = own_messages(walk)
+    session, _ = taken(tmp_path, bodies[:20])
+    mark = session.recorder.folder / ".tries"
+    mark.write_bytes(b"xxx")
+    devices = sessions_in(tmp_path)
+    take(devices, bodies[20])
+    assert not mark.exists()
+    assert devices.sessions[session.id].assembly.next_number == 21
+    tries: list[bool] = []
+    monkeypatch.setattr(DeviceSession, "save", lambda _: tries.append(mark.exists()))
+    sessions_in(tmp_path)
+    assert tries == [False]  # waiting for the disk may take long, and says nothing about the messages
+    assert not list(tmp_path.glob("*.damaged*"))
+
+
 def test_a_session_that_is_not_loaded_is_gone_after_ten_minutes(walk: Recording, tmp_path: Path) -> None:
     session, _ = taken(tmp_path, own_messages(walk)[:8])
     (session.recorder.folder / ".tries").write_bytes(b"x")
