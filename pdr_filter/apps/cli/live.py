@@ -177,9 +177,8 @@ class Sources:
         made: list[tuple[str, Callable[[], Coroutine[Any, Any, None]]]] = [
             *((at, sources.Phyphox(at, take(at)).run) for at in self.phyphox or ()),
             *((at, partial(sources.sensor_server, at, session, take(at))) for at in self.sensorserver or ()),
-            *(
-                ("--mqtt", sources.Mqtt(at, take("--mqtt"), record).run) for at in self.mqtt or ()
-            ),  # `at` may have a password
+            # not named by `at`, which may have a password
+            *(("--mqtt", sources.Mqtt(at, take("--mqtt"), record).run) for at in self.mqtt or ()),
         ]
         replay = [] if walk is None else [sources.replay(walk, self.speed, take(f"--replay {walk.name}"))]
         return [*(sources.again(name, source, console.say_error) for name, source in made), *replay]

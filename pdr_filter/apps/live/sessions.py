@@ -164,6 +164,9 @@ class Sessions:
         else:
             write_text(names, json.dumps([message.device, message.session, received_s]))
         session.begun_unix_s = received_s
+        if is_kept:  # pages may know nothing of it, or not its path
+            self.emit(session.about())
+            self.emit(session.track())
         return session
 
     def _new(self, device: str, session: str) -> DeviceSession:

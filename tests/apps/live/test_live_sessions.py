@@ -563,8 +563,9 @@ def test_a_session_that_is_not_loaded_is_shown_until_its_next_message_loads_it(
     take(devices, bodies[20])
     assert events[-1]["id"] == session.id
     assert [event["waits"] for event in events if event["event"] == "session"][-1] == ""
-    (track, *_) = (event for event in devices.snapshots() if event["event"] == "track")
-    assert len(track["path"]) >= len(session.path) > 0
+    (told,) = (event for event in events if event["event"] == "track")
+    assert len(told["path"]) >= len(session.path) > 0
+    assert [event["id"] for event in devices.snapshots() if event["event"] == "track"] == [session.id]
 
 
 def test_kills_while_a_session_is_loaded_and_saved_do_not_set_it_aside(
