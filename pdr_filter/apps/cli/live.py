@@ -79,14 +79,16 @@ class Address:
         import uvicorn
 
         from pdr_filter.apps.live.certificate import certificate
-        from pdr_filter.apps.live.connections import LimitedConnection, backlog
+        from pdr_filter.apps.live.connections import LimitedConnection, TlsConnection, backlog, tls_context
 
+        protocol: Any = LimitedConnection
+        if self.https:
+            protocol = partial(TlsConnection, tls_context(certificate(folder / "certificate", self.name)))
         return uvicorn.Server(
             uvicorn.Config(
                 application,
-                http=LimitedConnection,
+                http=protocol,
                 backlog=backlog(),
-                ssl_certfile=certificate(folder / "certificate", self.name) if self.https else None,
                 log_level="warning",
                 access_log=False,
                 ws_max_size=4 * 1024**2,
@@ -161,8 +163,11 @@ class Sources:
         recording = None if self.replay is None else read(self.replay)
         return recording if recording is None or height_m is None else recording.of_height(height_m)
 
-    def tasks(self, walk: Recording | None, shared: Live) -> list[Coroutine[Any, Any, None]]:
-        """Return a coroutine for each source, which fetches its samples and passes them to the server `shared`."""
+    def tasks(self, walk: Recording | None, shared: Live, record: Path | None) -> list[Coroutine[Any, Any, None]]:
+        """Return a coroutine for each source, which fetches its samples and passes them to the server `shared`.
+
+        With the folder `record`, brokers keep messages for the next start of the server.
+        """
         from pdr_filter.apps.live import sources
 
         def take(name: str) -> sources.Taker:
@@ -172,7 +177,8 @@ class Sources:
         made: list[tuple[str, Callable[[], Coroutine[Any, Any, None]]]] = [
             *((at, sources.Phyphox(at, take(at)).run) for at in self.phyphox or ()),
             *((at, partial(sources.sensor_server, at, session, take(at))) for at in self.sensorserver or ()),
-            *(("--mqtt", sources.Mqtt(at, take("--mqtt")).run) for at in self.mqtt or ()),  # `at` may have a password
+            # not named by `at`, which may have a password
+            *(("--mqtt", sources.Mqtt(at, take("--mqtt"), record).run) for at in self.mqtt or ()),
         ]
         replay = [] if walk is None else [sources.replay(walk, self.speed, take(f"--replay {walk.name}"))]
         return [*(sources.again(name, source, console.say_error) for name, source in made), *replay]
@@ -211,7 +217,7 @@ def live_command(
         opened.enter_context(folder_lock(folder, f"pdr-filter live at {address.url(port)}"))
         server = address.server(live_application(shared, token, tiles), folder)  # may write a certificate there
         say = partial(_print_addresses, address, port, token)
-        asyncio.run(run_server(server, listening, [shared], partial(sources.tasks, walk, shared), say))
+        asyncio.run(run_server(server, listening, [shared], partial(sources.tasks, walk, shared, record), say))
 
 
 def bound_socket(host: str, port: int) -> socket.socket:

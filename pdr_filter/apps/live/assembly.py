@@ -205,10 +205,12 @@ def _released(
         first = _number(counted[0])
         n_missing = 0 if state.next_number < 0 else first - state.next_number
         if n_missing:
-            # a backlog that is coming in makes the hole smaller, and the wait begins again
-            newest_s = max(_span_s(state, m)[1] for m in counted)
-            if has_moved or np.isnan(state.hole_s):
-                state = replace_unchecked(state, hole_s=newest_s if has_moved else _span_s(state, counted[0])[0])
+            newest_s = next((end_s for m in reversed(counted) if np.isfinite(end_s := _span_s(state, m)[1])), np.nan)
+            begun_s = state.hole_s
+            if np.isnan(begun_s):  # a backlog that is coming in makes the hole smaller, and the wait begins again
+                begun_s = newest_s if has_moved else _span_s(state, counted[0])[0]
+            # it also begins again if the clock of the phone is set back meanwhile
+            state = replace_unchecked(state, hole_s=float(np.fmin(begun_s, newest_s)))
             is_due = newest_s - state.hole_s > _WAIT_S
             if not (is_last or is_due or _is_too_much(counted)):
                 break

@@ -7,6 +7,9 @@ phones get no answer. An access token does not help, because it stands in the mi
 from __future__ import annotations
 
 import asyncio
+from asyncio.sslproto import SSLProtocol
+from pathlib import Path
+from ssl import PROTOCOL_TLS_SERVER, SSLContext
 from typing import Any
 
 import h11
@@ -16,11 +19,12 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 ALLOWED = "is_allowed"
 # Connections in all, and from one address, which the phones behind a router share. Each phone and each page needs two.
 MAX_CONNECTIONS, MAX_OF_ADDRESS = 512, 256
-# File descriptors that the server asks for, because many systems give 256 or 1024. Connections need them before they
-# count: in a burst, and until the TLS handshake is complete, which asyncio ends after a minute.
+# File descriptors that the server asks for, because many systems give 256 or 1024. In a burst, connections need them
+# before they count.
 _FILE_DESCRIPTORS = 8192
 _BACKLOG = 2048  # as in uvicorn
-# A phone sends a head, of at most 16 kB, at once. A phone that falls silent within a body has lost its network.
+# A phone sends a head, of at most 16 kB, at once, or after the TLS handshake. A phone that falls silent within a body
+# has lost its network.
 _HEAD_S, _SILENT_BODY_S = 10.0, 30.0
 
 
@@ -37,7 +41,10 @@ class LimitedConnection(H11Protocol):
         self._timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: Any) -> None:
-        """Count a new connection, and close another one if there are too many."""
+        """Count a new connection, and close another one if there are too many.
+
+        With TLS, this method is called at the begin of the handshake and again at its end.
+        """
         super().connection_made(transport)
         self._wait()
         of_address = [other for other in self.connections if _address(other) == _address(self)]
@@ -76,6 +83,11 @@ class LimitedConnection(H11Protocol):
         self._stop()
         super().connection_lost(exc)
 
+    def end(self) -> None:
+        """Count the connection no longer, because its TLS handshake has failed."""
+        self.connections.discard(self)
+        self._stop()
+
     def _wait(self) -> None:
         """Start or stop the timer that closes the connection."""
         if self not in self.connections:  # closed, or passed to the WebSocket protocol
@@ -99,6 +111,35 @@ class LimitedConnection(H11Protocol):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
+
+
+class TlsConnection(SSLProtocol):
+    """TLS of a `LimitedConnection`, which the handshake is a part of: it counts, and the first head waits for it.
+
+    With the `ssl` of `uvicorn.Config`, connections would count after the handshake, which may take a minute.
+    """
+
+    def __init__(self, context: SSLContext, **named: Any) -> None:
+        self._inner = LimitedConnection(**named)
+        waiter: Any = None  # nothing waits for the end of the handshake
+        super().__init__(self._inner.loop, self._inner, context, waiter, True, ssl_shutdown_timeout=_HEAD_S)
+
+    def connection_made(self, transport: Any) -> None:
+        """Begin the handshake."""
+        self._inner.connection_made(transport)
+        super().connection_made(transport)
+
+    def connection_lost(self, exc: BaseException | None) -> None:
+        """Stop waiting."""
+        super().connection_lost(exc)
+        self._inner.end()
+
+
+def tls_context(certificate: Path) -> SSLContext:
+    """Return the context of a server with the certificate and key in a file."""
+    context = SSLContext(PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate)
+    return context
 
 
 def _address(connection: Any) -> str:

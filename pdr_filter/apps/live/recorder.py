@@ -19,7 +19,7 @@ import hashlib
 import io
 import json
 import zipfile
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -38,8 +38,9 @@ DEVICE = "device.json"  # the gyroscope bias with which the session began
 CONFIGS = "configurations"
 # In the folder of a session while it is loaded: a byte for each try. It stays if the process does not survive this.
 TRIES = ".tries"
-# The second try is alone, for a message of the session. Processes that end whatever is tried serve no other phone.
-_MAX_TRIES = 2
+# From the second try on, a message of the session loads it alone. A server that is killed for another reason may meet
+# the same session twice, and one that ends whatever is tried serves no other phone.
+_MAX_TRIES = 4
 _APPENDED = (STEPS, FIXES, RANGES, *(f"{name}.csv" for name in STREAM_COLUMNS))
 _ZIP_BLOCK_BYTES = 2**20
 _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
@@ -155,14 +156,14 @@ class Recorder:
         for other in (*journals, *self.folder.glob(".*.part")):
             if other != journal:  # left by a process that died in `save`
                 other.unlink()
-        content = journal.read_bytes() if journal.exists() else b""
-        self._journal_size = content.rfind(b"\n") + 1  # a broken-off line was not acknowledged
+        # a broken-off line was not acknowledged
+        self._journal_size = sum(len(line) for line in _lines_of(journal) if line.endswith(b"\n"))
         cut_file(journal, self._journal_size)
-        return state, _messages(content[: self._journal_size].split(b"\n")[:-1])
+        return state, _messages(_lines_of(journal))
 
     @contextmanager
     def trying(self) -> Generator[None]:
-        """Mark the session while the block loads it. DamagedError if earlier processes did not survive this twice."""
+        """Mark the session while the block loads it. DamagedError if too many processes did not survive this."""
         mark = self.folder / TRIES
         n = mark.stat().st_size if mark.exists() else 0
         if n >= _MAX_TRIES:
@@ -255,20 +256,27 @@ def _lines(messages: Iterable[Message]) -> bytes:
     Device, session and platform precede the JSON text. The text may lack them, because the address of the request can
     hold them.
     """
-    lines = b""
+    lines: list[bytes] = []
     for message in messages:
         names = {"device": message.device, "session": message.session, "platform": message.platform}
-        lines += json.dumps(names).encode() + b" " + message.source.decode("utf-8", "replace").encode() + b"\n"
-    return lines
+        lines.append(json.dumps(names).encode() + b" " + message.source.decode("utf-8", "replace").encode() + b"\n")
+    return b"".join(lines)
 
 
-def _messages(lines: Sequence[bytes]) -> Iterator[Message]:
+def _lines_of(journal: Path) -> Iterator[bytes]:
+    """Yield the lines of a journal, which may be too long for the memory after hours without a saved state."""
+    if journal.exists():
+        with journal.open("rb") as file:
+            yield from file
+
+
+def _messages(lines: Iterable[bytes]) -> Iterator[Message]:
     """Yield the messages of lines of the journal; DamagedError if a line has none."""
     for line in lines:
         with reading("journal"):
             text = line.decode()
             names, end = json.JSONDecoder().raw_decode(text)
-            messages = parse(text[end + 1 :].encode(), **names)
+            messages = parse(text[end + 1 : -1].encode(), **names)
         yield from messages
 
 

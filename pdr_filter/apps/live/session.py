@@ -99,6 +99,7 @@ class DeviceSession:
         self.assembly, self.held = Assembly(), list[Message]()
         self.online: OnlineFilter | None = None
         self.refused = ""  # reason why the session cannot be tracked
+        self.unloaded = ""  # reason why the files of the session are not loaded before its next message
         self.has_ended = False
         self.begun_unix_s: float | None = None  # when the first message came
         self.notes: tuple[str, ...] = ()  # about the session as a whole, besides those of the filter
@@ -323,7 +324,9 @@ class DeviceSession:
             for at_s, size_s in self.assembly.set_backs
         ]
         of_device = [] if self.online is None else device_notes(self.online.config, self.online.state)
-        waits = "" if self.refused else assembly.reason_to_wait(self.assembly, self.held, self.settings.platform)
+        waits = self.unloaded
+        if not (self.unloaded or self.refused):
+            waits = assembly.reason_to_wait(self.assembly, self.held, self.settings.platform)
         return {
             "event": "session",
             "id": self.id,
@@ -483,6 +486,7 @@ class DeviceSession:
         silent_s = time.time() - max((file.stat().st_mtime for file in files), default=0.0)
         with self.recorder.trying():
             self._resume()
+        self.save()
         self._drawn = PathRows(3, self.path.values[:, :3])
         self._turned(is_due=True)
         self._corrected(is_due=True)
@@ -502,7 +506,9 @@ class DeviceSession:
                 self.take(message)
             if number % _LOAD_MESSAGES == 0:
                 self.advance()
-        self.save()
+                with suppress(OSError):  # on a full disk, lines wait in memory
+                    self.recorder.flush()
+        self.advance()
 
     def _restore(self, saved: Mapping[str, Any]) -> None:
         self.assembly, self.notes = saved["assembly"], saved.get("notes", ())

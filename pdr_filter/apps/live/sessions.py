@@ -13,6 +13,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from pdr_filter.apps.batch.worker_process import reason_of
 from pdr_filter.apps.live.assembly import SessionError
 from pdr_filter.apps.live.messages import Message, MessageBatch, MessageError
 from pdr_filter.apps.live.recorder import TRIES, DamagedError
@@ -42,19 +43,33 @@ class Sessions:
         self.settings, self.folder, self.emit = settings, folder, emit
         self.sessions: dict[str, DeviceSession] = {}
         self._taken: set[str] = set()  # sessions with messages that are not filtered yet
+        self._unloaded: dict[str, DeviceSession] = {}  # sessions that only their next message loads
         for path in sorted((folder / NAMES).glob("*.json")):
             try:
                 device, session, begun_unix_s = json.loads(path.read_text())
-                files = list((folder / path.stem).iterdir())
-                is_recent = time.time() - max(file.stat().st_mtime for file in files) < _IDLE_S
-                # one whose loading has ended a process is tried again alone, for its next message
-                is_safe = not (folder / path.stem / TRIES).exists()
-                if is_recent and is_safe and worker_of(device, n_parts) == part:
-                    self.sessions[path.stem] = self._loaded(device, session)
-                    self.sessions[path.stem].begun_unix_s = begun_unix_s
-                    emit(self.sessions[path.stem].about())
-            except Exception as error:  # one folder must not stop the others; its next message tries again
+                silent_s = time.time() - max(file.stat().st_mtime for file in (folder / path.stem).iterdir())
+                if silent_s < _IDLE_S and worker_of(device, n_parts) == part:
+                    self._begin(device, session, begun_unix_s, silent_s)
+            except Exception as error:  # one folder must not stop the others
                 _LOG.warning("%s: not loaded: %s", path, error)
+
+    def _begin(self, device: str, session: str, begun_unix_s: float, silent_s: float) -> None:
+        """Load a recent session. If this fails, or has ended an earlier process, its next message tries it alone."""
+        key = session_id(device, session)
+        reason = "the server ended while it loaded this session, and tries again at the next message"
+        if not (self.folder / key / TRIES).exists():
+            try:
+                self.sessions[key] = self._loaded(device, session)
+                self.sessions[key].begun_unix_s = begun_unix_s
+                self.emit(self.sessions[key].about())
+                return
+            except Exception as error:
+                _LOG.warning("%s: not loaded: %s", self.folder / key, error)
+                reason = f"the session cannot be loaded ({printable(reason_of(error))}): the next message tries again"
+        made = DeviceSession(device, session, self.settings, self.folder)
+        made.unloaded, made.begun_unix_s, made.seen_at = reason, begun_unix_s, time.monotonic() - max(silent_s, 0.0)
+        self._unloaded[key] = made
+        self.emit(made.about())
 
     def take(self, batches: Sequence[MessageBatch]) -> list[Exception | None]:
         """Record messages, filter the sessions that are due, and return the first error of each batch, or None.
@@ -120,7 +135,8 @@ class Sessions:
 
     def _forget(self, key: str) -> None:
         """Remove a session from memory. Its next message loads its files again, or renames their folder if damaged."""
-        del self.sessions[key]
+        self.sessions.pop(key, None)
+        self._unloaded.pop(key, None)
         self._taken.discard(key)
         self.emit({"event": "gone", "id": key})
 
@@ -134,6 +150,7 @@ class Sessions:
                 raise BusyError(f"{len(self.sessions)} sessions already; start the server with more --max-devices")
             with _writing():
                 self.sessions[key] = self._opened(message, received_s)
+            self._unloaded.pop(key, None)
         return self.sessions[key]
 
     def _opened(self, message: Message, received_s: float) -> DeviceSession:
@@ -147,6 +164,9 @@ class Sessions:
         else:
             write_text(names, json.dumps([message.device, message.session, received_s]))
         session.begun_unix_s = received_s
+        if is_kept:  # pages may know nothing of it, or not its path
+            self.emit(session.about())
+            self.emit(session.track())
         return session
 
     def _new(self, device: str, session: str) -> DeviceSession:
@@ -175,7 +195,8 @@ class Sessions:
     def snapshots(self) -> list[Event]:
         """Return the events that show all sessions to a newly opened page."""
         self.advance(is_all=True)
-        return [event for session in self.sessions.values() for event in session.snapshot()]
+        shown = (*self.sessions.values(), *self._unloaded.values())
+        return [event for session in shown for event in session.snapshot()]
 
     def maintain(self) -> None:
         """Filter and save what remains, send events, and remove silent phones. Call it about once per second."""
@@ -190,6 +211,9 @@ class Sessions:
             for event in events:
                 self.emit(event)
             if is_gone:
+                self._forget(key)
+        for key, session in list(self._unloaded.items()):
+            if time.monotonic() - session.seen_at > _IDLE_S:
                 self._forget(key)
 
     def close(self) -> None:

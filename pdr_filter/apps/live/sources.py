@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
 import json
+import socket
 import urllib.request
 import uuid
 from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit
 
@@ -213,15 +216,22 @@ _MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 
 class Mqtt:
-    """Subscription to a topic, mqtt://USER:PASSWORD@HOST:PORT/TOPIC, or mqtts with encryption."""
+    """Subscription to a topic, mqtt://USER:PASSWORD@HOST:PORT/TOPIC, or mqtts with encryption.
 
-    def __init__(self, address: str, take: Taker) -> None:
+    With a folder, the broker keeps messages that are published with QoS 1 while the server of this folder does not run.
+    """
+
+    def __init__(self, address: str, take: Taker, folder: Path | None = None) -> None:
         self._address, self._take = urlsplit(_with_scheme(address, "mqtt")), take
         if self._address.scheme not in _MQTT_PORTS or not self._address.hostname:
             raise MessageError(
                 f"--mqtt takes mqtt://HOST:PORT/TOPIC or mqtts://HOST:PORT/TOPIC, got {printable(address)!r}; over "
                 "WebSocket, brokers fall behind a phone, so give the port of the broker for TCP"
             )
+        self._topic = unquote(self._address.path.lstrip("/")) or "sensor-logger"
+        # another topic is another session, because the broker would continue to send the messages of the earlier topic
+        owner = f"{socket.gethostname()} {'' if folder is None else folder.resolve()} {self._topic}"
+        self._identifier = None if folder is None else f"pdr{hashlib.sha256(owner.encode()).hexdigest()[:20]}"
 
     async def run(self) -> None:
         """Receive messages of the topic and pass them to `take`, until an error of the connection ends the method."""
@@ -234,12 +244,22 @@ class Mqtt:
             username=unquote(parts.username) if parts.username else None,
             password=unquote(parts.password) if parts.password else None,
             tls_params=aiomqtt.TLSParameters() if parts.scheme == "mqtts" else None,
+            identifier=self._identifier,
+            clean_session=self._identifier is None,
         )
-        giving = set[asyncio.Task[Answer]]()  # each reaches the worker of its phone in its turn
+        # aiomqtt acknowledges messages when they arrive, and a server that is killed would lose those in its memory
+        paho = client._client  # pyright: ignore[reportPrivateUsage]
+        paho.manual_ack_set(True)
+
+        async def give(message: aiomqtt.Message) -> None:
+            await self._take(message.payload)
+            paho.ack(message.mid, message.qos)
+
+        giving = set[asyncio.Task[None]]()  # each reaches the worker of its phone in its turn
         async with client:
-            await client.subscribe(unquote(parts.path.lstrip("/")) or "sensor-logger", qos=1)
+            await client.subscribe(self._topic, qos=1)
             async for message in client.messages:
-                task = asyncio.create_task(self._take(message.payload))
+                task = asyncio.create_task(give(message))
                 giving.add(task)
                 task.add_done_callback(giving.discard)
                 while len(giving) >= _AT_ONCE:

@@ -31,7 +31,8 @@ _AT_ONCE = 32
 # Tries for one request: a message that kills its worker must not do so for ever.
 _MAX_TRIES = 2
 _TICK_S = 1.0
-_START_S, _CLOSE_S = 60.0, 20.0
+# A start loads all sessions, up to a second each on a slow machine. A process that dies meanwhile is noticed at once.
+_START_S, _CLOSE_S = 180.0, 20.0
 # Between two tries to start a share: the reason may last, and each try loads the filter.
 _LONGEST_WAIT_S = 30.0
 # Phones wait for an answer as long as a worker takes to start; most apps give up after half a minute.
@@ -62,7 +63,11 @@ class Process(Share):
     async def start(cls, settings: Settings, folder: Path, part: int, n_parts: int) -> Process:
         """Return a new process that is ready for requests."""
         made = cls(settings, folder, part, n_parts)
-        await made.ask([])
+        try:
+            await made.ask([])
+        except BaseException:  # also if the caller waits no longer: two processes must not write the same sessions
+            made._process.close()
+            raise
         return made
 
     async def ask(self, requests: Sequence[Request]) -> list[Response]:

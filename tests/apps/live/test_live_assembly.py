@@ -66,6 +66,23 @@ def test_a_lost_message_is_given_up_when_three_seconds_of_later_samples_are_ther
         assembly.take(state, held, late, "")
 
 
+@pytest.mark.parametrize("back_s", [2.0, 5.0, 3600.0])
+def test_a_lost_message_is_not_waited_for_longer_if_the_clock_is_set_back_meanwhile(back_s: float) -> None:
+    state, held = Assembly(), list[Message]()
+    waited, n_ready = 0, 0
+    for number in range(40):
+        if number == 10:
+            continue
+        time_s = 1e5 + number + np.arange(50) / 50 - (back_s if number >= 12 else 0.0)
+        samples = {name: [[t, 0.1, 0.2, 9.8] for t in time_s.tolist()] for name in ("accelerometer", "gyroscope")}
+        content = {"device": "p", "session": "s", "number": number, "samples": samples}
+        (message,) = parse(json.dumps(content).encode())
+        state, held, ready = assembly.take(state, held, message, "")
+        waited, n_ready = max(waited, len(held)), n_ready + sum(len(streams["accelerometer"]) for streams in ready)
+    assert waited <= 6
+    assert (held, state.n_lost, n_ready, len(state.set_backs)) == ([], 1, 39 * 50, 1)
+
+
 @pytest.mark.parametrize("order", ["newest first", "in turn with new messages", "backward"])
 def test_a_backlog_of_an_outage_is_kept_if_a_newer_message_comes_before_it(walk: Recording, order: str) -> None:
     messages = sensor_logger_messages(walk)[:100]

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import ssl
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import pytest
 import uvicorn
@@ -14,7 +18,8 @@ from starlette.routing import Route
 
 from pdr_filter.apps.cli.live import bound_socket
 from pdr_filter.apps.live import connections
-from pdr_filter.apps.live.connections import LimitedConnection
+from pdr_filter.apps.live.certificate import NAMES, certificate
+from pdr_filter.apps.live.connections import LimitedConnection, TlsConnection, tls_context
 from pdr_filter.apps.live.server import application, body_of
 
 Connection = tuple[asyncio.StreamReader, asyncio.StreamWriter]
@@ -22,14 +27,14 @@ HEAD = b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\nAuthorization: Beare
 
 
 @asynccontextmanager
-async def port_of_server() -> AsyncIterator[int]:
+async def port_of_server(protocol: Any = LimitedConnection) -> AsyncIterator[int]:
     """Port of a server that answers with the length of the body that is sent with the token "secret"."""
 
     async def length(request: Request) -> Response:
         return JSONResponse(len(await body_of(request) or b""))
 
     routes = application([Route("/", length, methods=["POST"])], "secret")
-    config = uvicorn.Config(routes, http=LimitedConnection, lifespan="off", log_config=None, log_level="warning")
+    config = uvicorn.Config(routes, http=protocol, lifespan="off", log_config=None, log_level="warning")
     server, listening = uvicorn.Server(config), bound_socket("127.0.0.1", 0)
     serving = asyncio.create_task(server.serve([listening]))
     while not server.started:
@@ -96,6 +101,52 @@ def test_a_flood_of_half_sent_requests_displaces_itself_and_no_phone(monkeypatch
                 each.close()
 
     asyncio.run(run())
+
+
+def test_tls_handshakes_are_dropped_in_time_and_a_flood_of_them_displaces_itself_and_no_phone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connections, "MAX_OF_ADDRESS", 20)
+    context = tls_context(certificate(tmp_path, "127.0.0.1"))
+    trusted = ssl.create_default_context(cafile=str(tmp_path / NAMES[0]))
+    whole, hello = HEAD % b"secret" + b"123456789", b"\x16\x03\x01\x02\x00\x01"  # a handshake that begins
+
+    async def run() -> None:
+        async with port_of_server(partial(TlsConnection, context)) as port:
+            reader, writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted)
+            writer.write(whole[:-1])
+            flood = [await sent(port, content) for content in (hello, b"") for _ in range(30)]
+            phone, its_writer = await asyncio.open_connection("127.0.0.1", port, ssl=trusted)
+            its_writer.write(whole)
+            assert (await asyncio.wait_for(phone.readuntil(b"9"), 5)).startswith(b"HTTP/1.1 200")
+            writer.write(b"9")  # the rest of a request that began before the flood
+            assert (await asyncio.wait_for(reader.readuntil(b"9"), 5)).startswith(b"HTTP/1.1 200")
+            assert sum(r.at_eof() or r.exception() is not None for r, _ in flood) == 60 - 18
+            its_writer.close()
+            writer.close()
+            monkeypatch.setattr(connections, "_HEAD_S", 0.1)
+            assert await asyncio.gather(answer_to(port, hello), answer_to(port, b"")) == [b"", b""]
+            for _, each in flood:
+                each.close()
+
+    asyncio.run(run())
+
+
+def test_a_tls_handshake_that_fails_counts_no_longer(tmp_path: Path) -> None:
+    context = tls_context(certificate(tmp_path, "127.0.0.1"))
+    states: list[Any] = []
+
+    def protocol(**named: Any) -> TlsConnection:
+        states.append(named["server_state"])
+        return TlsConnection(context, **named)
+
+    async def run() -> None:
+        async with port_of_server(protocol) as port:
+            await answer_to(port, b"GET / HTTP/1.1\r\n\r\n")
+            assert states[0].connections == set()
+
+    asyncio.run(run())
+    assert len(states) == 1
 
 
 def test_addresses_that_are_none_and_senders_that_leave_are_no_errors_of_the_server(

@@ -538,6 +538,68 @@ def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
     assert rows == len(walk.accelerometer)
 
 
+@pytest.mark.parametrize("is_disk", [False, True])
+def test_a_session_that_is_not_loaded_is_shown_until_its_next_message_loads_it(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_disk: bool
+) -> None:
+    """Loading it has ended the last process, or the disk does not answer, and the phone is silent."""
+
+    def broken(*_: Any) -> DeviceSession:
+        raise OSError(5, "Input/output error")
+
+    bodies = own_messages(walk)
+    session, _ = taken(tmp_path, bodies[:20])
+    events: list[Event] = []
+    if is_disk:
+        monkeypatch.setattr(DeviceSession, "load", broken)
+    else:
+        (session.recorder.folder / ".tries").write_bytes(b"x")
+    devices = sessions_in(tmp_path, events)
+    monkeypatch.undo()
+    (event,) = events
+    assert (event["event"], event["id"], event["device"]) == ("session", session.id, "p")
+    assert ("Input/output error" if is_disk else "ended while it loaded") in event["waits"]
+    assert [event["event"] for event in devices.snapshots()] == ["track", "path"]
+    take(devices, bodies[20])
+    assert events[-1]["id"] == session.id
+    assert [event["waits"] for event in events if event["event"] == "session"][-1] == ""
+    (told,) = (event for event in events if event["event"] == "track")
+    assert len(told["path"]) >= len(session.path) > 0
+    assert [event["id"] for event in devices.snapshots() if event["event"] == "track"] == [session.id]
+
+
+def test_kills_while_a_session_is_loaded_and_saved_do_not_set_it_aside(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bodies = own_messages(walk)
+    session, _ = taken(tmp_path, bodies[:20])
+    mark = session.recorder.folder / ".tries"
+    mark.write_bytes(b"xxx")
+    devices = sessions_in(tmp_path)
+    take(devices, bodies[20])
+    assert not mark.exists()
+    assert devices.sessions[session.id].assembly.next_number == 21
+    tries: list[bool] = []
+    monkeypatch.setattr(DeviceSession, "save", lambda _: tries.append(mark.exists()))
+    sessions_in(tmp_path)
+    assert tries == [False]  # waiting for the disk may take long, and says nothing about the messages
+    assert not list(tmp_path.glob("*.damaged*"))
+
+
+def test_a_session_that_is_not_loaded_is_gone_after_ten_minutes(walk: Recording, tmp_path: Path) -> None:
+    session, _ = taken(tmp_path, own_messages(walk)[:8])
+    (session.recorder.folder / ".tries").write_bytes(b"x")
+    events: list[Event] = []
+    devices = sessions_in(tmp_path, events)
+    (unloaded,) = devices._unloaded.values()
+    devices.maintain()
+    assert [event["event"] for event in events] == ["session"]
+    unloaded.seen_at -= 601.0
+    devices.maintain()
+    assert events[-1] == {"event": "gone", "id": session.id}
+    assert devices.snapshots() == []
+
+
 @pytest.mark.parametrize("deleted", ["", "gyroscope.csv"])
 def test_a_session_whose_files_are_deleted_begins_again_or_is_set_aside(
     walk: Recording, tmp_path: Path, deleted: str
@@ -594,3 +656,27 @@ def test_a_path_keeps_its_newest_rows_in_the_bytes_of_its_numbers(monkeypatch: p
         path.append(row.tolist())
     np.testing.assert_array_equal(path.values, rows[-100:])
     np.testing.assert_array_equal(PathRows(3, rows).values, rows[-100:])
+
+
+def test_a_session_with_a_long_journal_is_loaded_in_little_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after hours of a full disk, on which no state could be saved."""
+    monkeypatch.setattr(live_session, "_LOAD_MESSAGES", 20)
+    peaks_bytes: list[int] = []
+    for n in (60, 60, 240):  # the first one loads the filter
+        folder = tmp_path / str(len(peaks_bytes))
+        session = DeviceSession("p", "s", Settings(platform="android"), folder)
+        for number in range(n):
+            rows = [[number + 0.02 * k, 0.1, 0.2, 9.81] for k in range(50)]
+            content = {"number": number, "samples": {"accelerometer": rows, "gyroscope": rows}}
+            session.recorder.journal(parse(json.dumps(content).encode(), "p", "s"))
+        tracemalloc.start()
+        try:
+            loaded = DeviceSession.load("p", "s", session.settings, folder)
+            peaks_bytes.append(tracemalloc.get_traced_memory()[1])
+        finally:
+            tracemalloc.stop()
+        assert loaded.assembly.next_number == n
+        assert len((folder / loaded.id / "accelerometer.csv").read_text().splitlines()) == 1 + 50 * n
+    assert peaks_bytes[2] - peaks_bytes[1] < 200_000

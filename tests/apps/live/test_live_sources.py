@@ -179,7 +179,7 @@ def broker_and_server(folder: Path, *options: str) -> Iterator[tuple[Server, Cal
         client.loop_start()
 
         def publish(content: str) -> None:
-            client.publish("phones/one", content).wait_for_publish(5)
+            client.publish("phones/one", content, qos=1).wait_for_publish(5)
 
         def subscribed() -> bool:
             """QoS 0 keeps nothing for those who are not there."""
@@ -207,6 +207,24 @@ def test_a_broker_passes_on_what_phones_publish_while_others_are_not_there(walk:
     check(walk, record, track)
     said = [line for line in "".join(server.said).splitlines() if "trying again" in line]
     assert len(said) == 2 and all("127.0.0.1:9: " in line for line in said)  # phones that are not there, once each
+
+
+def test_a_broker_keeps_what_is_published_while_the_server_is_down(walk: Recording, tmp_path: Path) -> None:
+    record = tmp_path / "record"
+    messages = [json.dumps(message) for message in sensor_logger_messages(walk, "over mqtt")]
+    with broker_and_server(tmp_path, "--record", str(record)) as (server, publish):
+        for message in messages[:20]:
+            publish(message)
+        until(lambda: "over mqtt" in server.tracks(), _LONGEST_S)
+        server.kill()
+        for message in messages[20:]:
+            publish(message)
+        n = len(walk.accelerometer)
+        port = (tmp_path / "mosquitto.conf").read_text().split()[1]
+        with Server("--record", str(record), "--mqtt", f"mqtt://127.0.0.1:{port}/phones/+"):
+            (folder,) = record.glob("over_mqtt-*")
+            until(lambda: len((folder / "accelerometer.csv").read_text().splitlines()) >= 1 + n, _LONGEST_S)
+    assert len((folder / "accelerometer.csv").read_text().splitlines()) == 1 + n
 
 
 def test_the_reason_why_a_message_of_a_broker_is_refused_is_told_once(walk: Recording, tmp_path: Path) -> None:

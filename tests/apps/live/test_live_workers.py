@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
+from serving import until
 
 from pdr_filter.apps.batch.worker_process import LostError
 from pdr_filter.apps.live import workers as live_workers
@@ -15,7 +19,7 @@ from pdr_filter.apps.live.messages import Message, MessageBatch, parse
 from pdr_filter.apps.live.parts import Answer, Part, Request, Response
 from pdr_filter.apps.live.session import DeviceSession
 from pdr_filter.apps.live.settings import Settings
-from pdr_filter.apps.live.workers import Workers
+from pdr_filter.apps.live.workers import Process, Workers
 
 
 class Mortal:
@@ -117,7 +121,7 @@ def still(device: str, number: int) -> MessageBatch:
     return MessageBatch(device, parse(json.dumps(content).encode()), 0.0)
 
 
-@pytest.mark.parametrize(("error", "n_died"), [(Died, 3), (MemoryError, 2)])
+@pytest.mark.parametrize(("error", "n_died"), [(Died, 5), (MemoryError, 4)])
 def test_a_phone_that_ends_its_process_at_each_start_is_set_aside_and_others_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, error: type[BaseException], n_died: int
 ) -> None:
@@ -138,13 +142,13 @@ def test_a_phone_that_ends_its_process_at_each_start_is_set_aside_and_others_go_
     async def run() -> list[int]:
         workers = Workers(start, 1, lambda _: None)
         await workers.start()
-        sent = [("good", 0), ("bad", 0), ("good", 1), ("bad", 1), ("good", 2)]
+        sent = [("good", 0), ("bad", 0), ("good", 1), ("bad", 1), ("good", 2), ("bad", 2), ("good", 3)]
         answers = [await asyncio.wait_for(workers.take(still(*one)), 10.0) for one in sent]
         await workers.close()
         return [answer.status for answer in answers]
 
     monkeypatch.setattr(DeviceSession, "_filtered", deadly)
-    assert asyncio.run(run()) == [200, 500, 200, 200, 200]
+    assert asyncio.run(run()) == [200, 500, 200, 500, 200, 200, 200]
     assert n_starts == 1 + n_died  # if only memory is missing, the process continues without the session
     (aside,) = tmp_path.glob("bad-*.damaged1")
     assert b'"number": 0' in (aside / "journal_0.json").read_bytes()
@@ -178,3 +182,30 @@ def test_a_fix_whose_process_dies_before_its_answer_is_in_the_track_once_and_the
     assert asyncio.run(run()) == [200] * 4
     (fixes,) = tmp_path.glob("*/fixes.csv")
     assert len(fixes.read_text().splitlines()) == 1 + 2
+
+
+def never_ready(settings: Settings, folder: Path, part: int, n_parts: int) -> None:
+    """A worker that loads for ever."""
+    (folder / "started").write_text(str(os.getpid()))
+    time.sleep(600.0)
+
+
+def test_a_process_that_is_not_ready_in_time_is_ended_before_another_one_takes_its_sessions(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_workers, "answers_of_part", never_ready)
+
+    def pid() -> int:
+        path = tmp_path / "started"
+        return int(path.read_text() or 0) if path.exists() else 0
+
+    async def run() -> None:
+        starting = asyncio.create_task(Process.start(Settings(), tmp_path, 0, 1))
+        await asyncio.to_thread(until, pid, 60.0)
+        starting.cancel()
+        with suppress(asyncio.CancelledError):
+            await starting
+
+    asyncio.run(asyncio.wait_for(run(), 90.0))
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid(), 0)
