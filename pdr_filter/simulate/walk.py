@@ -167,7 +167,7 @@ def demo_walk(seed: int = 0) -> Recording:
     >>> import pdr_filter as pdr
     >>> walk = pdr.simulate.demo_walk()
     >>> walk.name, round(walk.duration_s), round(float(walk.truth.segments.distance_m.sum()))
-    ('demo_walk', 114, 138)
+    ('demo_walk', 120, 138)
     """
     right = np.pi / 2
     legs = [
