@@ -20,14 +20,13 @@ real: NEES and log score (minus the log density of the true position, in nats pe
 that no number of the covariance was chosen on, apart from humolire and ms_indoor. Without fixes the truth is rotated
 and shifted onto the first 20 % of the track, as in `placements`. With fixes, every third waypoint is a fix, or the
 continuous reference every 20 s, with the standard deviation of the reference. The positions between are held out, from
-the second fix on, and are not aligned. Walks over several storeys are left out. A set has `--most` walks at most,
-evenly spread over its list.
+the second fix on, and are not aligned. Walks over several storeys are left out. A set of twice `--most` walks or
+more is thinned to about `--most`, evenly spread over its list.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -400,7 +399,7 @@ def mean_and_median(values: list[float]) -> str:
 
 
 def real_walks(data: Path, most: int) -> Iterator[Walk]:
-    """Walks on foot on one storey, at most some of each set."""
+    """Walks on foot on one storey, and only some of a large set."""
     for site in STD_M:
         found = [
             walk
@@ -409,7 +408,7 @@ def real_walks(data: Path, most: int) -> Iterator[Walk]:
             and len(walk.time_s) > 3
             and (walk.recording.truth.waypoints is None or is_on_one_storey(walk.recording.truth.waypoints))
         ]
-        yield from found[:: max(1, math.ceil(len(found) / most))]
+        yield from found[:: max(1, len(found) // most)]
 
 
 def held_out(walk: Walk, estimate: Estimate) -> tuple[FloatArray, FloatArray] | None:
