@@ -169,6 +169,12 @@ def demo_walk(seed: int = 0) -> Recording:
     >>> walk.name, round(walk.duration_s), round(float(walk.truth.segments.distance_m.sum()))
     ('demo_walk', 120, 138)
     """
+    legs, errors = demo_legs(seed), SensorErrors.random(seed)
+    return simulate(legs, Gait.random(seed), "pocket", errors=errors, seed=seed, name="demo_walk")
+
+
+def demo_legs(seed: int) -> list[Leg]:
+    """Return the legs of the demonstration walk, whose directions deviate from the axes of the building."""
     right = np.pi / 2
     legs = [
         Leg("stationary", duration_s=5.0),
@@ -183,13 +189,13 @@ def demo_walk(seed: int = 0) -> Recording:
         Leg("walking", distance_m=14.0, turn_rad=-right),
         Leg("stationary", duration_s=5.0),
     ]
-    # Each leg has its own direction about its corridor, so the deviation of the leg before is undone at a corner.
+    # Each leg has its own deviation from its axis, so a corner also undoes the deviation of the leg before.
     rng, deviation_rad = np.random.default_rng([seed, 1]), 0.0
     for k, leg in enumerate(legs):
         if leg.turn_rad:
             before_rad, deviation_rad = deviation_rad, LEG_STD_RAD * float(rng.standard_normal())
             legs[k] = replace(leg, turn_rad=leg.turn_rad + deviation_rad - before_rad)
-    return simulate(legs, Gait.random(seed), "pocket", errors=SensorErrors.random(seed), seed=seed, name="demo_walk")
+    return legs
 
 
 def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carrying]) -> list[tuple[str, Carrying]]:
