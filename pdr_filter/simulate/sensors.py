@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -76,6 +76,12 @@ _AK09911 = SensorError(noise_density=0.06, bias_std=1.5, bias_walk=0.01, scale_s
 # Typical barometer of a phone, including changes of the air: draughts of 0.06 m in a second and a random walk of 0.025
 # m per root second, as measured on one storey of ipin21, and the weather of the day as bias.
 BAROMETER = SensorError(noise_density=0.01, bias_std=10.0, bias_walk=0.003, quantum=0.001)
+# Root mean square over the axes of the mean rates of 17 phones at rest, in rad/s, in windows of 1 s: one phone each of
+# ipin2023, motionsense, ms_indoor and oxiod, and the phones of 13 people of ubicomp13.
+BIASES_AT_REST_RADPS = (
+    0.0027, 0.0005, 0.0009, 0.0001,
+    0.0090, 0.0016, 0.0154, 0.0316, 0.0068, 0.0024, 0.0185, 0.0228, 0.0569, 0.0027, 0.0024, 0.0010, 0.0431,
+)  # fmt: skip
 
 
 def _accelerometer(noise_ug: float) -> SensorError:
@@ -145,6 +151,24 @@ class SensorErrors:
             Errors of zero, without a barometer.
         """
         return cls(SensorError(), SensorError(), SensorError(), jitter_s=0.0)
+
+    @classmethod
+    def random(cls, seed: int) -> SensorErrors:
+        """Return the errors of a phone whose gyroscope bias is as large as that of a random real phone at rest.
+
+        Parameters
+        ----------
+        seed : int
+            Seed. Equal seeds give equal phones.
+
+        Returns
+        -------
+        SensorErrors
+            Errors with a gyroscope bias from `BIASES_AT_REST_RADPS`. All other errors have their default.
+        """
+        bias_radps = float(np.random.default_rng([seed, 2]).choice(BIASES_AT_REST_RADPS))
+        errors = cls()
+        return replace(errors, gyroscope=replace(errors.gyroscope, bias_std=bias_radps))
 
     @classmethod
     def bmi160(cls) -> SensorErrors:

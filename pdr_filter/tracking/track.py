@@ -119,7 +119,7 @@ class Track(TrackRows):
     >>> east_m, north_m = track.end_position_m
     >>> std_m = track.position_std_m[-1]  # in the worst direction
     >>> sorted(name for name, seconds in track.context_seconds().items() if seconds > 5)
-    ['downstairs', 'stationary', 'upstairs', 'walking']
+    ['downstairs', 'running', 'stationary', 'upstairs', 'walking']
     >>> track.to_csv("walk.csv").name
     'walk.csv'
     """

@@ -1,37 +1,68 @@
 # ruff: noqa: N806 - the letters of the equations
-"""Covariance of the filter against its errors, on walks drawn from its own model.
+"""Covariance of the filter against its errors, on simulated and on real walks.
 
-usage: python -m tests.benchmarks.consistency
+usage: python -m tests.benchmarks.consistency [simulated] [demo] [real] [--seeds 100] [--most 12]
+           [--data ../shared/data]
 
-Walks of mixed contexts, as `Step`s, `WindowContext`s and `PositionFix`es, are drawn from what the default recipe's
-tracker assumes: contexts by its transitions, lengths by each mode's fit, the person's scale and the heading's
+simulated: walks of mixed contexts, as `Step`s, `WindowContext`s and `PositionFix`es, are drawn from what the default
+recipe's tracker assumes: contexts by its transitions, lengths by each mode's fit, the person's scale and the heading's
 drift by `MotionNoise`. The classifier is a linear one on Gaussian features, so that its probabilities are calibrated.
 NEES is of the position (2 degrees of freedom) and of the whole state (4), ten times in a walk of 300 steps, NIS of a
 fix of 3 m every 60 steps. The bounds are those of a chi-square mean over the walks; that of the NIS is over all
 fixes. Rows below "the filter's own model" leave it, by what their names say.
+
+demo: the demonstration walk with 100 seeds, each with another person, phone and building, by the default recipe. The
+frame of the track begins at the start with the first heading, which is true north of the simulation. Aligned, the truth
+is rotated and shifted onto the first 20 % of the track, which then do not count. The lower rows leave out one source of
+the differences between walks. They are online tracks of a third of the seeds.
+
+real: NEES and log score (minus the log density of the true position, in nats per position; lower is better) of walks
+that no number of the covariance was chosen on, apart from humolire and ms_indoor. Without fixes the truth is rotated
+and shifted onto the first 20 % of the track, as in `placements`. With fixes, every third waypoint is a fix, or the
+continuous reference every 20 s, with the standard deviation of the reference. The positions between are held out, from
+the second fix on, and are not aligned. Walks over several storeys are left out. A set of twice `--most` walks or
+more is thinned to about `--most`, evenly spread over its list.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 
 import pdr_filter as pdr
+from pdr_filter import evaluate
 from pdr_filter.evaluate import mean_bounds
 from pdr_filter.filter.chain.imm_tracker import ImmTracker
 from pdr_filter.filter.pedestrian.pedestrian_model import PedestrianModel
 from pdr_filter.filter.pedestrian.pedestrian_state import reckoned_position
 from pdr_filter.filter.step_length.models import length_and_jacobian
-from pdr_filter.values import CONTEXTS, FloatArray, IntArray, PositionFix, Step, WindowContext
-from tests.benchmarks.common import Tables, run
+from pdr_filter.simulate import walk as demo_walks
+from pdr_filter.values import (
+    CONTEXTS,
+    FloatArray,
+    IntArray,
+    PositionFix,
+    Step,
+    WindowContext,
+    interpolated_rows,
+)
+from tests.benchmarks.common import MOST, Tables, run, say
+from tests.benchmarks.placements import REFERENCE_STD_M, Walk, errors_and_cov, walks
+from tests.benchmarks.smoothed_places import is_on_one_storey
 from tests.helpers import a_step as made_step
 
 EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
 # Features of the simulated classifier: a unit vector for each context, this long, in unit noise. Of even contexts it
 # classifies 87 % of the windows correctly; the shipped model gets 86 to 97 % of people left out.
 SEPARATION = 2.5
+# Standard deviations of references; a surveyed point of ipin2023 is pressed within half a step.
+STD_M = REFERENCE_STD_M | {"ipin2023": 0.5}
+Estimate = Callable[[pdr.Recording, pdr.Config, list[PositionFix]], pdr.Track]
 LATENCY_S = 0.7  # from a contact to its step, where windows overlap
 
 
@@ -54,7 +85,7 @@ def own_model(context: str | None = None) -> PedestrianModel:
 
 
 @dataclass(frozen=True)
-class Walk:
+class DrawnWalk:
     """Steps, what the classifier said, and the truth after each step."""
 
     steps: list[Step]
@@ -85,7 +116,7 @@ def root(cov: FloatArray) -> FloatArray:
 
 def simulated_walk(
     model: PedestrianModel, n_steps: int, rng: np.random.Generator, *, redrawn: bool = False, overlapping: bool = False
-) -> Walk:
+) -> DrawnWalk:
     """A walk of the model.
 
     Parameters
@@ -127,7 +158,7 @@ def simulated_walk(
         states.append([*position_m, offset, scale])
     contexts = np.array([CONTEXTS.index(modes[m].context) for m in chosen])
     windows = said_of(contexts, np.array([s.time_s for s in steps]), rng, overlapping)
-    return Walk(steps, windows, np.array(states), np.array(chosen))
+    return DrawnWalk(steps, windows, np.array(states), np.array(chosen))
 
 
 def said_of(contexts: IntArray, time_s: FloatArray, rng: np.random.Generator, overlapping: bool) -> list[WindowContext]:
@@ -164,7 +195,7 @@ def normalised(error: FloatArray, cov: FloatArray) -> float:
 
 def filtered_errors(
     model: PedestrianModel,
-    walk: Walk,
+    walk: DrawnWalk,
     rng: np.random.Generator,
     check_every: int,
     fix_every: int,
@@ -287,5 +318,163 @@ def simulated(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("consistency_simulated", columns, found, about)
 
 
+# --- the demonstration walk -------------------------------------------------------------------------------------------
+
+
+def typical_person(seed: int) -> pdr.simulate.Gait:
+    """The typical person with the height of a random one."""
+    return pdr.simulate.Gait(height_m=RANDOM_PERSON(seed).height_m)
+
+
+def exact_gyroscope(seed: int) -> pdr.simulate.SensorErrors:
+    """The typical phone without bias and scale error of the gyroscope."""
+    errors = pdr.simulate.SensorErrors()
+    return replace(errors, gyroscope=replace(errors.gyroscope, bias_std=0.0, bias_walk=0.0, scale_std=0.0))
+
+
+RANDOM_PERSON, RANDOM_PHONE = pdr.simulate.Gait.random, pdr.simulate.SensorErrors.random
+POPULATIONS = {
+    "all": (RANDOM_PERSON, RANDOM_PHONE, demo_walks.LEG_STD_RAD),
+    "typical people of random height": (typical_person, RANDOM_PHONE, demo_walks.LEG_STD_RAD),
+    "gyroscopes without bias and scale error": (RANDOM_PERSON, exact_gyroscope, demo_walks.LEG_STD_RAD),
+    "legs along the corridors": (RANDOM_PERSON, RANDOM_PHONE, 0.0),
+    "none of the three": (typical_person, exact_gyroscope, 0.0),
+}
+
+
+def demo_errors(recording: pdr.Recording, track: pdr.Track) -> list[FloatArray]:
+    """NEES (K,) in the frame of the track, and after alignment NEES (N,), squared errors and variances of positions."""
+    truth = recording.truth.position
+    assert truth is not None
+    true_m = interpolated_rows(track.time_s, truth.time_s, np.column_stack([truth.east_m, truth.north_m]))
+    first = evaluate.first_of_path(true_m)
+    aligned_m = track.position_m - evaluate.fitted(true_m, track.position_m, first)
+    cov_m2 = track.position_cov_m2
+    return [
+        evaluate.nees(track.position_m - true_m, cov_m2),
+        evaluate.nees(aligned_m, cov_m2)[~first],
+        (aligned_m**2).sum(axis=1)[~first],
+        np.trace(cov_m2, axis1=1, axis2=2)[~first],
+    ]
+
+
+def demo(tables: Tables, arguments: argparse.Namespace) -> None:
+    """NEES of the demonstration walk over people, phones and buildings."""
+    rows = list[list[object]]()
+    for name, (person, phone, leg_std_rad) in POPULATIONS.items():
+        found: dict[str, list[list[FloatArray]]] = {"online": [], "smoothed": []}
+        with (
+            patch.object(pdr.simulate.Gait, "random", person),
+            patch.object(pdr.simulate.SensorErrors, "random", phone),
+            patch.object(demo_walks, "LEG_STD_RAD", leg_std_rad),
+        ):
+            for seed in range(arguments.seeds if name == "all" else arguments.seeds // 3):
+                recording = pdr.simulate.demo_walk(seed)
+                found["online"].append(demo_errors(recording, pdr.track(recording)))
+                if name == "all":
+                    found["smoothed"].append(demo_errors(recording, pdr.smooth(recording).track))
+        for estimate, errors in found.items():
+            if not errors:
+                continue
+            own, aligned, square_m2, var_m2 = zip(*errors, strict=True)
+            cells = [mean_and_median([nees[-1] for nees in own])]
+            for of_walks in (own, aligned):
+                outside = np.mean([np.mean(nees > MOST) for nees in of_walks])
+                cells += [mean_and_median([nees.mean() for nees in of_walks]), f"{100 * outside:.0f} %"]
+            cells += [f"{np.sqrt(np.mean([m2.mean() for m2 in of])):.1f}" for of in (square_m2, var_m2)]
+            rows.append([name, estimate, len(errors), *cells])
+            say(" | ".join(map(str, rows[-1])))
+    columns = "walks differ by | estimate | walks | NEES of the end | NEES | outside 95 % | NEES, aligned | "
+    columns += "outside 95 %, aligned | error, aligned m | stated m"
+    tables.write("consistency_demo", columns, rows, "NEES: mean ± its standard error (median), over walks.")
+
+
+def mean_and_median(values: list[float]) -> str:
+    """Mean with its standard error, and median."""
+    a = np.array(values)
+    return f"{a.mean():.2f} ± {a.std(ddof=1) / np.sqrt(len(a)):.2f} ({np.median(a):.2f})"
+
+
+# --- real walks -------------------------------------------------------------------------------------------------------
+
+
+def real_walks(data: Path, most: int) -> Iterator[Walk]:
+    """Walks on foot on one storey, and only some of a large set."""
+    for site in STD_M:
+        found = [
+            walk
+            for walk in walks(data, (site,))
+            if "trolley" not in walk.group
+            and len(walk.time_s) > 3
+            and (walk.recording.truth.waypoints is None or is_on_one_storey(walk.recording.truth.waypoints))
+        ]
+        yield from found[:: max(1, len(found) // most)]
+
+
+def held_out(walk: Walk, estimate: Estimate) -> tuple[FloatArray, FloatArray] | None:
+    """Errors (N, 2) and covariances (N, 2, 2) of the positions of a walk between fixes. None for too few fixes."""
+    std_m = STD_M[walk.group.split()[0]]
+    when_s, true_m = walk.time_s, walk.position_m
+    if len(when_s) > 300:  # a continuous reference
+        when_s = np.arange(when_s[0], when_s[-1], 2.0)
+        true_m = interpolated_rows(when_s, walk.time_s, true_m)
+    given = np.arange(len(when_s)) % (10 if len(walk.time_s) > 300 else 3) == 0
+    cov_m2 = std_m**2 * np.eye(2)
+    fixes = [PositionFix(float(t), p, cov_m2) for t, p in zip(when_s[given], true_m[given], strict=True)]
+    if len(fixes) < 3:
+        return None
+    track = estimate(walk.recording, pdr.recipes.for_recording("default", walk.recording).in_world_frame(), fixes)
+    use = ~given & (when_s > fixes[1].time_s) & (when_s >= track.time_s[0]) & (when_s <= track.time_s[-1])
+    at_m = evaluate.positions_at(track.time_s, track.position_m, when_s[use])
+    nearest = np.clip(np.searchsorted(track.time_s, when_s[use]), 0, track.n_steps - 1)
+    return at_m - true_m[use], track.position_cov_m2[nearest] + cov_m2
+
+
+def without_fixes(walk: Walk, estimate: Estimate) -> tuple[FloatArray, FloatArray]:
+    """Errors (N, 2) and covariances (N, 2, 2) of the positions after the first 20 % of the path, without fixes."""
+    _, error_m, cov_m2, first = errors_and_cov(
+        walk, estimate(walk.recording, pdr.recipes.for_recording("default", walk.recording), []), STD_M
+    )
+    return error_m[~first], cov_m2[~first]
+
+
+def online(recording: pdr.Recording, config: pdr.Config, fixes: list[PositionFix]) -> pdr.Track:
+    return pdr.track(recording, config, fixes=fixes, gnss="off")
+
+
+def smoothed(recording: pdr.Recording, config: pdr.Config, fixes: list[PositionFix]) -> pdr.Track:
+    return pdr.smooth(recording, config, fixes=fixes, gnss="off").track
+
+
+def log_scores(error_m: FloatArray, cov_m2: FloatArray) -> FloatArray:
+    """Minus the logarithms of the normal densities of errors."""
+    return 0.5 * (evaluate.nees(error_m, cov_m2) + np.log(np.linalg.det(2 * np.pi * cov_m2)))
+
+
+def real(tables: Tables, arguments: argparse.Namespace) -> None:
+    """NEES and log scores of real walks, online and smoothed, without and with fixes."""
+    found: dict[tuple[str, str, str], list[tuple[FloatArray, FloatArray]]] = {}
+    for walk in real_walks(arguments.data, arguments.most):
+        site = walk.group.split()[0]
+        if pdr.track(walk.recording, gnss="off").n_steps < 10:
+            continue
+        for estimate in (online, smoothed):
+            found.setdefault((site, "none", estimate.__name__), []).append(without_fixes(walk, estimate))
+            if (errors := held_out(walk, estimate)) is not None:
+                found.setdefault((site, "some", estimate.__name__), []).append(errors)
+    rows = list[list[object]]()
+    for key, errors in sorted(found.items()):
+        error_m, cov_m2 = (np.concatenate(parts) for parts in zip(*errors, strict=True))
+        nees = evaluate.nees(error_m, cov_m2)
+        of_walks = [evaluate.nees(*one).mean() for one in errors if len(one[0])]
+        rms_m = np.sqrt([(error_m**2).sum(axis=1).mean(), np.trace(cov_m2, axis1=1, axis2=2).mean()])
+        scores = f"{nees.mean():.2f}", f"{np.median(of_walks):.2f}", f"{100 * np.mean(nees > MOST):.0f} %"
+        log_score = f"{log_scores(error_m, cov_m2).mean():.2f}"
+        rows.append([*key, len(errors), len(nees), *scores, log_score, f"{rms_m[0]:.1f}", f"{rms_m[1]:.1f}"])
+    columns = "set | fixes | estimate | walks | positions | mean NEES | median of walks | outside 95 % | log score | "
+    columns += "error m | stated m"
+    tables.write("consistency_real", columns, rows)
+
+
 if __name__ == "__main__":
-    run(__doc__, simulated)
+    run(__doc__, simulated, demo, real, seeds=100, most=12)

@@ -39,7 +39,7 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -231,14 +231,16 @@ def alignment_cov_m2(true_m: FloatArray, used: BoolArray, std_m: float) -> Float
     return std_m**2 / used.sum() * np.eye(2) + turn_var * across[:, :, None] * across[:, None, :]
 
 
-def errors_and_cov(walk: Walk, track: pdr.Track) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+def errors_and_cov(
+    walk: Walk, track: pdr.Track, std_m_of: Mapping[str, float] = REFERENCE_STD_M
+) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
     """Times, errors (N, 2) and covariances (N, 2, 2) of the positions after alignment, and those used for it."""
     when, true_m, at_m = places(walk, track)
     first = evaluate.first_of_path(true_m)
     first[: max(3, int(first.sum()))] = True
     turned_m = evaluate.fitted(true_m, at_m, first)
     nearest = np.clip(np.searchsorted(track.time_s, when), 0, track.n_steps - 1)
-    std_m = REFERENCE_STD_M[walk.group.split()[0]]
+    std_m = std_m_of[walk.group.split()[0]]
     cov = track.position_cov_m2[nearest] + std_m**2 * np.eye(2) + alignment_cov_m2(turned_m, first, std_m)
     return when, at_m - turned_m, cov, first
 

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from pdr_filter.simulate import Gait, Leg, SensorErrors, demo_walk, phone_motion, simulate, walk
 from pdr_filter.simulate.gait import nominal_step
 from pdr_filter.simulate.motion import CARRYING, build_motion, leg_strides
+from pdr_filter.simulate.sensors import BIASES_AT_REST_RADPS
 from pdr_filter.simulate.strides import of_person, strides_in
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2
 from pdr_filter.values.recording import Recording
@@ -246,6 +247,31 @@ def test_the_demo_walk_has_all_contexts_that_models_know_and_ends_near_its_start
     end = demo.truth.waypoints[-1]
     assert np.hypot(end.east_m, end.north_m) < 2.0
     assert end.floor == 0 and demo.truth.waypoints.floor.max() == 1
+
+
+def test_the_demo_walk_of_another_seed_has_another_person_and_another_phone(demo: Recording) -> None:
+    other = demo_walk(1)
+    assert other.subject.height_m != demo.subject.height_m
+    still_radps = [walk.gyroscope.values[walk.gyroscope.time_s < 4.0].mean(axis=0) for walk in (demo, other)]
+    assert np.abs(still_radps[0] - still_radps[1]).max() > 5e-4
+
+
+def test_a_leg_of_the_demo_walk_deviates_from_its_corridor_and_not_from_the_leg_before() -> None:
+    turns_rad = np.array([[leg.turn_rad for leg in walk.demo_legs(seed) if leg.turn_rad] for seed in range(400)])
+    direction_rad = np.cumsum(turns_rad, axis=1)
+    deviation_rad = direction_rad - RIGHT * np.round(direction_rad / RIGHT)
+    # 95 % bounds of a standard deviation of 400 values are 7 % apart from it; all four legs stay within twice that
+    np.testing.assert_allclose(deviation_rad.std(axis=0), walk.LEG_STD_RAD, rtol=0.14)
+    correlation = np.corrcoef(deviation_rad.T)
+    assert np.abs(correlation - np.eye(4)).max() < 0.2
+
+
+def test_a_random_phone_has_the_bias_of_a_real_one_and_else_the_errors_of_the_typical_phone() -> None:
+    phones, typical = [SensorErrors.random(seed) for seed in range(200)], SensorErrors()
+    assert {phone.gyroscope.bias_std for phone in phones} == set(BIASES_AT_REST_RADPS)
+    for phone in phones:
+        gyroscope = replace(phone.gyroscope, bias_std=typical.gyroscope.bias_std)
+        assert replace(phone, gyroscope=gyroscope) == typical
 
 
 def test_meta_says_that_it_is_simulated_and_how_tall_the_person_is() -> None:

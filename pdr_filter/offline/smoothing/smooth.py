@@ -286,7 +286,7 @@ def smooth(
     >>> import numpy as np, pdr_filter as pdr
     >>> recording = pdr.simulate.demo_walk()
     >>> begin = pdr.PositionFix(2.0, (0.0, 0.0), 0.5**2 * np.eye(2))
-    >>> end = pdr.PositionFix(110.0, (0.0, 0.0), 0.5**2 * np.eye(2))  # the walk ends at its start
+    >>> end = pdr.PositionFix(117.0, (0.0, 0.0), 0.5**2 * np.eye(2))  # the walk ends at its start
     >>> smoothed = pdr.smooth(recording, fixes=[begin, end])
     >>> bool(np.hypot(*smoothed.track.position_m[-1]) < 1.5)
     True

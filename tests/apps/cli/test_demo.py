@@ -76,8 +76,8 @@ def test_the_summary_says_that_the_walk_is_simulated_and_what_is_true(simulated:
     assert f"{simulated.track.distance_m:.1f} m" in text
 
 
-def test_the_demo_shows_all_contexts_and_ends_close_to_the_true_end(simulated: Demo) -> None:
-    """The demo shows all contexts, ends close to the true end, and has no notes."""
+def test_the_demo_shows_all_contexts_and_ends_within_its_ellipse(simulated: Demo) -> None:
+    """The demo shows all contexts, its ellipse of 95 % holds the true end, and it has no notes."""
     track, truth = simulated.track, simulated.recording.truth
     middle_s = track.windows.time_s - 1.0
     true = truth.labels.context[np.searchsorted(truth.labels.end_s, middle_s)]
@@ -85,7 +85,8 @@ def test_the_demo_shows_all_contexts_and_ends_close_to_the_true_end(simulated: D
     for context in ("stationary", "walking", "upstairs", "downstairs", "running"):
         assert (best[true == context] == context).mean() > 0.8, context
     end_m = np.array([truth.position.east_m[-1], truth.position.north_m[-1]])
-    assert np.linalg.norm(track.end_position_m - end_m) < 0.03 * truth.segments.distance_m.sum()
+    nees = pdr.evaluate.nees((track.end_position_m - end_m)[None], track.position_cov_m2[-1:])
+    assert 0.1 < nees[0] < 5.99  # the person and the phone are not the typical ones, which end much closer
     assert track.floor_changes()[0].to_floor == 1
     assert track.floor[-1] == 0
     assert track.notes == ()
