@@ -24,7 +24,7 @@ from scipy.special import log_softmax
 from threadpoolctl import threadpool_limits
 
 from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of, part_progress
-from models.training.simulated_people import MODES
+from models.training.sine_people import MODES
 from models.training.synthetic_windows import (
     SIMULATED,
     TURNED,
@@ -156,20 +156,25 @@ PLANS: tuple[CarryingPlan, ...] = (
 
 
 def train_carrying(
-    paths: Sequence[Path], out_dir: Path, progress: Progress = silent, n_simulated: int = N_SIMULATED
+    paths: Sequence[Path],
+    out_dir: Path,
+    progress: Progress = silent,
+    n_simulated: int = N_SIMULATED,
+    plans: Sequence[CarryingPlan] = PLANS,
 ) -> list[dict[str, Any]]:
-    """Train the carrying-mode models of `PLANS`, save them to `out_dir`, and return their model cards.
+    """Train carrying-mode models, save them to `out_dir`, and return their model cards.
 
     A model card describes data, purpose and scores. `n_simulated` is the number of simulated people in each mode.
     Recordings of data sets that a plan does not list are ignored.
     """
     cards: list[dict[str, Any]] = []
-    for i, plan in enumerate(PLANS):
-        share = 1 / len(PLANS)
+    for i, plan in enumerate(plans):
+        share = 1 / len(plans)
         windows = carrying_windows(plan, paths, n_simulated, part_progress(progress, i * share, 0.7 * share))
         model = train_one(plan, windows, part_progress(progress, (i + 0.7) * share, 0.3 * share))
         model.save(out_dir)
         cards.append(dict(model.card))
+        progress(f"{plan.name}: saved", (i + 1) * share)
     return cards
 
 

@@ -85,6 +85,14 @@ class ContextPlan(ShippedPlan):
     recording_weight: Mapping[str, float] = field(default_factory=dict[str, float])
     parts: Mapping[str, int] = field(default_factory=dict[str, int])
 
+    @property
+    def model_names(self) -> tuple[str, ...]:
+        """Names of the model and of the models of its parts."""
+        return (self.name, *map(self._part_name, self.parts))
+
+    def _part_name(self, part: str) -> str:
+        return self.name.replace("context", f"context_{part}", 1)
+
     def weight(self, windows: LabelledWindows) -> FloatArray:
         """Return the weight of each window, (W,): the weight of a word in the name of its recording, otherwise one."""
         result = np.ones(len(windows.recording))
@@ -175,7 +183,7 @@ class ContextPlan(ShippedPlan):
 
     def fits_of_part(self, fits: Fits, part: str) -> tuple[ContextPlan, Fits]:
         """Return the plan and the fits of a model that consists of one part of the mixture."""
-        name = self.name.replace("context", f"context_{part}", 1)
+        name = self._part_name(part)
 
         def of(model: ContextModel) -> ContextModel:
             assert isinstance(model.machine, Mixture)

@@ -20,7 +20,7 @@ import numpy as np
 from sklearn.ensemble import RandomForestClassifier
 
 from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of, part_progress, recordings_of
-from models.training.simulated_people import MODES
+from models.training.sine_people import MODES
 from models.training.synthetic_windows import (
     SIMULATED,
     TURNED,
