@@ -119,12 +119,15 @@ class Stopwatch:
 def table_rows(out_dir: Path, seconds: Mapping[str, float], shipped: Path = MODELS) -> list[Sequence[object]]:
     """Return the rows of the table: model, seconds, equal bytes or not, and the versions on the new card."""
     rows: list[Sequence[object]] = []
+    trained = model_names(out_dir)
     for name in model_names(shipped):
-        card_file = out_dir / f"{name}.json"
-        versions = json.loads(card_file.read_text(encoding="utf-8"))["card"]["versions"] if card_file.is_file() else {}
-        versions_text = ", ".join(f"{package} {version}" for package, version in versions.items())
+        if name not in trained:
+            rows.append([f"`{name}`", "", "not trained", ""])
+            continue
+        card = json.loads((out_dir / f"{name}.json").read_text(encoding="utf-8"))["card"]
+        versions = ", ".join(f"{package} {version}" for package, version in card["versions"].items())
         equal = "yes" if are_equal(name, out_dir, shipped) else "**no**"
-        rows.append([f"`{name}`", f"{seconds[name]:.0f}" if name in seconds else "", equal, versions_text])
+        rows.append([f"`{name}`", f"{seconds[name]:.0f}" if name in seconds else "", equal, versions])
     return rows
 
 
