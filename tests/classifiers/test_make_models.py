@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -165,3 +168,37 @@ def test_simulated_people_of_the_training_are_those_of_the_shipped_models() -> N
     np.testing.assert_allclose(
         walk.gyroscope.values[1000], [0.2671205135674249, -0.3980202074669996, -0.5555255302079513], rtol=1e-9
     )
+
+
+TRAINING = """
+import sys
+from pathlib import Path
+
+from models.training import carrying_training, guo2018_training, make_models, train_all
+
+folder, out_dir = map(Path, sys.argv[1:])
+paths = sorted(folder.glob("*.zip"))
+guo2018_training.train_guo(paths, out_dir, n_simulated=1)
+carrying_training.train_carrying(paths, out_dir, n_simulated=1)
+names = set(make_models.model_names(make_models.MODELS))
+train_all.train_models(paths, out_dir, without=names - {"context_martinelli_forest"})
+"""
+
+
+def test_the_same_recordings_give_the_same_bytes_with_another_hash_seed_and_in_another_folder(tmp_path: Path) -> None:
+    people = [("motionsense", "a", "pocket"), ("motionsense", "b", "pocket"), ("tyrex", "t", "swinging")]
+    people += [("humolire", "h", "texting"), ("oxford", "o", "texting")]
+    for number, (dataset, subject, mode) in enumerate(people):
+        walk = simulated_person(mode, 500 + number)
+        meta: dict[str, Any] = {**walk.meta, "dataset": dataset, "subject": {"id": subject}}
+        replace(walk, name=f"{dataset}_{subject}", meta=meta).save(tmp_path / "walks" / f"{dataset}_{subject}.zip")
+    made_bytes: list[dict[str, bytes]] = []
+    for seed in ("1", "2"):
+        here = tmp_path / seed
+        here.mkdir()
+        env = {**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(make_models.MODELS.parent)}
+        walks = os.path.relpath(tmp_path / "walks", here)
+        subprocess.run([sys.executable, "-c", TRAINING, walks, "new"], cwd=here, env=env, check=True)
+        made_bytes.append({path.name: path.read_bytes() for path in (here / "new").iterdir()})
+    assert len(made_bytes[0]) == 8  # two files of each of the four models
+    assert made_bytes[0] == made_bytes[1]
