@@ -16,6 +16,8 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
+from joblib import cpu_count
+
 from models.training import context_training as contexts
 from models.training.data_sets import DUPLICATES
 from models.training.guo2018_training import DATASETS as POSE_DATASETS
@@ -27,7 +29,7 @@ from tests.benchmarks.common import FOLDER, Tables
 MODELS = Path(__file__).resolve().parents[1]
 CHECKSUMS = Path(__file__).with_name("recordings.sha256")
 NAMES = tuple(sorted({*POSE_DATASETS, *(name for plan in contexts.PLANS for name in plan.datasets)}))
-SECONDS = "seconds.json"  # elapsed time of each model, in the folder of the new models
+SECONDS = "seconds.json"  # time of each model, in the folder of the new models
 
 
 def gathered(mirror: Path | None, folder: Path | None = None) -> list[Path]:
@@ -94,22 +96,28 @@ def are_equal(name: str, out_dir: Path, shipped: Path = MODELS) -> bool:
 
 
 class Stopwatch:
-    """Progress of a training that also measures the elapsed time of each model.
+    """Progress of a training that also measures the time of each model.
 
-    The time of a model begins when the model before it is written. It is kept in the file `SECONDS`.
+    The time of a model begins when the model before it is written. It is kept in the file `SECONDS`. With a single
+    process it is processor time, which does not depend on other programs, otherwise elapsed time.
     """
 
     def __init__(self, out_dir: Path) -> None:
         self._out_dir, self._file = out_dir, out_dir / SECONDS
         self.seconds: dict[str, float] = json.loads(self._file.read_text()) if self._file.is_file() else {}
-        self._known, self._start_s = set(model_names(out_dir)), time.monotonic()
+        self._clock, self.unit = (
+            (time.process_time, "processor time of one process")
+            if cpu_count() == 1
+            else (time.monotonic, f"elapsed time with {cpu_count()} processes")
+        )
+        self._known, self._start_s = set(model_names(out_dir)), self._clock()
 
     def __call__(self, what: str, done: float) -> None:
         """Print the progress, and note the time of the models that are new since the last call."""
         print(f"{100 * done:5.1f} %  {what}", flush=True)
         if new := set(model_names(self._out_dir)) - self._known:
             self._known |= new
-            now_s = time.monotonic()
+            now_s = self._clock()
             # models of one fit, such as the parts of a mixture, share its time
             self.seconds |= dict.fromkeys(new, round((now_s - self._start_s) / len(new), 1))
             self._start_s = now_s
@@ -149,8 +157,8 @@ def main(out_dir: Path, mirror: Path | None = None, tables: Path = FOLDER) -> No
         "models_made",
         "model | seconds | equal bytes | versions",
         table_rows(out_dir, stopwatch.seconds),
-        "Training of the shipped models from public recordings, and comparison with the shipped files. Seconds are "
-        "elapsed time.",
+        f"Training of the shipped models from public recordings, and comparison with the shipped files. Seconds are "
+        f"{stopwatch.unit}.",
     )
 
 
