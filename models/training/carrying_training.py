@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 from threadpoolctl import threadpool_limits
 
-from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of, part_progress
+from models.training.data_sets import OTHER_STOREYS, SCORED_DATASET, ShippedPlan, label_of, part_progress
 from models.training.sine_people import MODES
 from models.training.synthetic_windows import (
     SIMULATED,
@@ -133,6 +133,7 @@ PLANS: tuple[CarryingPlan, ...] = (
         name="carrying",
         feature_names=carrying.NAMES,
         datasets=("motionsense", "tyrex", "humolire", "ms_indoor"),
+        excluded=OTHER_STOREYS,
         machine_fit=_FIT,
         description="Logistic regression on attitude, force and turning of the phone; trained on real recordings, on "
         "recordings rotated to the ear or made weaker, and on simulated people.",
@@ -144,6 +145,7 @@ PLANS: tuple[CarryingPlan, ...] = (
         name="carrying_accelerometer",
         feature_names=(*_SHAKING_NAMES, *carrying.ATTITUDE),
         datasets=("motionsense", "tyrex", "humolire", "ms_indoor", "oxford"),
+        excluded=OTHER_STOREYS,
         machine_fit=_FIT,
         description="Logistic regression on the accelerometer's features of force and attitude; trained on real "
         "recordings without their angular rate and on simulated people.",
@@ -224,10 +226,10 @@ class _Signals(Columns):
 def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: str) -> list[LabelledWindows]:
     """Return the windows of one recording or simulated person, and synthetic windows made from a recording.
 
-    There is one item for each carrying mode and kind of windows. The list is empty for a data set that the training
+    There is one item for each carrying mode and kind of windows. The list is empty for a recording that the training
     plan does not use.
     """
-    if dataset not in (*plan.datasets, SIMULATED):
+    if dataset != SIMULATED and not plan.uses(dataset, recording.name):
         return []
     found: list[tuple[str, _Signals]] = []
     for signals in _signals(plan, recording):

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of
+from models.training.data_sets import OTHER_STOREYS, SCORED_DATASET, ShippedPlan, label_of
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.blend import Mixture
 from pdr_filter.classifiers.context_model import ContextModel, blend_stairs_with_prior
@@ -105,7 +105,8 @@ class ContextPlan(ShippedPlan):
 
         If the plan uses the gyroscope, windows without an angular rate are left out.
         """
-        return self.is_real(windows) & (windows.has_gyroscope | (not self.has_gyroscope)) & (windows.context != "")
+        used = np.array([self.uses(*source) for source in zip(windows.dataset, windows.recording, strict=True)])
+        return used & (windows.has_gyroscope | (not self.has_gyroscope)) & (windows.context != "")
 
     def features(self, windows: LabelledWindows) -> FloatArray:
         """Return the model's features (W, F) from windows with all features of the set."""
@@ -306,6 +307,7 @@ PLANS: tuple[ContextPlan, ...] = (
         feature_set="martinelli",
         feature_names=martinelli.WITHOUT_MAGNETOMETER,
         datasets=("motionsense", "difronzo", "tyrex", "humolire", "ms_indoor"),
+        excluded=OTHER_STOREYS,
         machine_fit=partial(fit_relevance_vectors, kernel_width=3.0, window_weight=1.0, max_rows=4000, max_samples=500),
         description="Relevance vector machine, one-against-all, RBF kernel, on the 23 features of accelerometer and "
         "gyroscope of Martinelli et al. 2018; the martinelli2018 recipe.",
@@ -319,6 +321,7 @@ PLANS: tuple[ContextPlan, ...] = (
         # Without difronzo: with sixteen features, its stairs reduce the recall of the others' walking by more than they
         # gain.
         datasets=("motionsense", "tyrex", "humolire", "ms_indoor", "oxford"),
+        excluded=OTHER_STOREYS,
         machine_fit=fit_forest,
         description="Random forest on the 16 accelerometer features of Martinelli et al. 2018.",
         use="The martinelli2018 recipe without a gyroscope.",
