@@ -307,7 +307,6 @@ PLANS: tuple[ContextPlan, ...] = (
         feature_set="martinelli",
         feature_names=martinelli.WITHOUT_MAGNETOMETER,
         datasets=("motionsense", "difronzo", "tyrex", "humolire", "ms_indoor"),
-        excluded=OTHER_STOREYS,
         machine_fit=partial(fit_relevance_vectors, kernel_width=3.0, window_weight=1.0, max_rows=4000, max_samples=500),
         description="Relevance vector machine, one-against-all, RBF kernel, on the 23 features of accelerometer and "
         "gyroscope of Martinelli et al. 2018; the martinelli2018 recipe.",
