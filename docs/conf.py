@@ -85,7 +85,7 @@ def model_card(description: dict[str, Any]) -> str:
             f"{site}: {shares(of_site.get('recall') or {'walking': of_site.get('walking_recall')})}"
             for site, of_site in sites
         ),
-        "trained": f"{card.get('date')}, scikit-learn {card.get('versions', {}).get('scikit-learn')}",
+        "trained": f"`{card.get('command')}`, scikit-learn {card.get('versions', {}).get('scikit-learn')}",
     }
     lines = [f"| {key} | {value} |" for key, value in rows.items() if value not in (None, "")]
     return "\n".join([f"## {description['name']}", "", card.get("description", ""), "", "| | |", "|---|---|", *lines])

@@ -259,7 +259,10 @@ def source_of_benchmarks() -> str:
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_says_the_command_that_wrote_it_and_the_day(name: str) -> None:
     *_, caption = TABLES[name].strip().splitlines()
-    found = re.search(r"`python -m (tests\.(?:benchmarks|studies)(?:\.\w+)+)(?: --[^`]+)?`, \d{4}-\d\d-\d\d", caption)
+    found = re.search(
+        r"`python -m ((?:tests\.(?:benchmarks|studies)|models\.training)(?:\.\w+)+)(?: [^`]+)?`, \d{4}-\d\d-\d\d",
+        caption,
+    )
     assert found, caption
     script = ROOT / found[1].replace(".", "/")
     # the command for the peers runs that of another table, too

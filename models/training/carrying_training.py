@@ -23,8 +23,8 @@ from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax
 from threadpoolctl import threadpool_limits
 
-from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of, part_progress
-from models.training.simulated_people import MODES
+from models.training.data_sets import OTHER_STOREYS, SCORED_DATASET, ShippedPlan, label_of, part_progress
+from models.training.sine_people import MODES
 from models.training.synthetic_windows import (
     SIMULATED,
     TURNED,
@@ -133,6 +133,7 @@ PLANS: tuple[CarryingPlan, ...] = (
         name="carrying",
         feature_names=carrying.NAMES,
         datasets=("motionsense", "tyrex", "humolire", "ms_indoor"),
+        excluded=OTHER_STOREYS,
         machine_fit=_FIT,
         description="Logistic regression on attitude, force and turning of the phone; trained on real recordings, on "
         "recordings rotated to the ear or made weaker, and on simulated people.",
@@ -144,6 +145,7 @@ PLANS: tuple[CarryingPlan, ...] = (
         name="carrying_accelerometer",
         feature_names=(*_SHAKING_NAMES, *carrying.ATTITUDE),
         datasets=("motionsense", "tyrex", "humolire", "ms_indoor", "oxford"),
+        excluded=OTHER_STOREYS,
         machine_fit=_FIT,
         description="Logistic regression on the accelerometer's features of force and attitude; trained on real "
         "recordings without their angular rate and on simulated people.",
@@ -156,20 +158,25 @@ PLANS: tuple[CarryingPlan, ...] = (
 
 
 def train_carrying(
-    paths: Sequence[Path], out_dir: Path, progress: Progress = silent, n_simulated: int = N_SIMULATED
+    paths: Sequence[Path],
+    out_dir: Path,
+    progress: Progress = silent,
+    n_simulated: int = N_SIMULATED,
+    plans: Sequence[CarryingPlan] = PLANS,
 ) -> list[dict[str, Any]]:
-    """Train the carrying-mode models of `PLANS`, save them to `out_dir`, and return their model cards.
+    """Train carrying-mode models, save them to `out_dir`, and return their model cards.
 
     A model card describes data, purpose and scores. `n_simulated` is the number of simulated people in each mode.
     Recordings of data sets that a plan does not list are ignored.
     """
     cards: list[dict[str, Any]] = []
-    for i, plan in enumerate(PLANS):
-        share = 1 / len(PLANS)
+    for i, plan in enumerate(plans):
+        share = 1 / len(plans)
         windows = carrying_windows(plan, paths, n_simulated, part_progress(progress, i * share, 0.7 * share))
         model = train_one(plan, windows, part_progress(progress, (i + 0.7) * share, 0.3 * share))
         model.save(out_dir)
         cards.append(dict(model.card))
+        progress(f"{plan.name}: saved", (i + 1) * share)
     return cards
 
 
@@ -219,10 +226,10 @@ class _Signals(Columns):
 def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: str) -> list[LabelledWindows]:
     """Return the windows of one recording or simulated person, and synthetic windows made from a recording.
 
-    There is one item for each carrying mode and kind of windows. The list is empty for a data set that the training
+    There is one item for each carrying mode and kind of windows. The list is empty for a recording that the training
     plan does not use.
     """
-    if dataset not in (*plan.datasets, SIMULATED):
+    if dataset != SIMULATED and not plan.uses(dataset, recording.name):
         return []
     found: list[tuple[str, _Signals]] = []
     for signals in _signals(plan, recording):

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of
+from models.training.data_sets import OTHER_STOREYS, SCORED_DATASET, ShippedPlan, label_of
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.blend import Mixture
 from pdr_filter.classifiers.context_model import ContextModel, blend_stairs_with_prior
@@ -85,6 +85,14 @@ class ContextPlan(ShippedPlan):
     recording_weight: Mapping[str, float] = field(default_factory=dict[str, float])
     parts: Mapping[str, int] = field(default_factory=dict[str, int])
 
+    @property
+    def model_names(self) -> tuple[str, ...]:
+        """Names of the model and of the models of its parts."""
+        return (self.name, *map(self._part_name, self.parts))
+
+    def _part_name(self, part: str) -> str:
+        return self.name.replace("context", f"context_{part}", 1)
+
     def weight(self, windows: LabelledWindows) -> FloatArray:
         """Return the weight of each window, (W,): the weight of a word in the name of its recording, otherwise one."""
         result = np.ones(len(windows.recording))
@@ -97,7 +105,8 @@ class ContextPlan(ShippedPlan):
 
         If the plan uses the gyroscope, windows without an angular rate are left out.
         """
-        return self.is_real(windows) & (windows.has_gyroscope | (not self.has_gyroscope)) & (windows.context != "")
+        used = np.array([self.uses(*source) for source in zip(windows.dataset, windows.recording, strict=True)])
+        return used & (windows.has_gyroscope | (not self.has_gyroscope)) & (windows.context != "")
 
     def features(self, windows: LabelledWindows) -> FloatArray:
         """Return the model's features (W, F) from windows with all features of the set."""
@@ -175,7 +184,7 @@ class ContextPlan(ShippedPlan):
 
     def fits_of_part(self, fits: Fits, part: str) -> tuple[ContextPlan, Fits]:
         """Return the plan and the fits of a model that consists of one part of the mixture."""
-        name = self.name.replace("context", f"context_{part}", 1)
+        name = self._part_name(part)
 
         def of(model: ContextModel) -> ContextModel:
             assert isinstance(model.machine, Mixture)
@@ -311,6 +320,7 @@ PLANS: tuple[ContextPlan, ...] = (
         # Without difronzo: with sixteen features, its stairs reduce the recall of the others' walking by more than they
         # gain.
         datasets=("motionsense", "tyrex", "humolire", "ms_indoor", "oxford"),
+        excluded=OTHER_STOREYS,
         machine_fit=fit_forest,
         description="Random forest on the 16 accelerometer features of Martinelli et al. 2018.",
         use="The martinelli2018 recipe without a gyroscope.",

@@ -27,6 +27,10 @@ DOUBTFUL: dict[str, float] = {
     "motionsense_s09_ups_3": 0.0,
     "difronzo_user03_exp07": 428.0,
 }
+# Storeys of ms_indoor whose recordings some models do not use. These models were trained on storey F1 alone. Sixty more
+# recordings of the same way of carrying do not improve them: on held-out people, the log loss of `carrying` on tyrex is
+# 0.178 instead of 0.172, and the macro recall of `context_martinelli_forest` is 0.70 instead of 0.71.
+OTHER_STOREYS = ("_site1_b1_", "_site1_f2_", "_site1_f3_", "_site1_f4_")
 DUPLICATES = ("motionsense_s01_sit_13",)  # published twice: the samples are identical to motionsense_s01_sit_5
 
 
@@ -34,11 +38,17 @@ DUPLICATES = ("motionsense_s01_sit_13",)  # published twice: the samples are ide
 class ShippedPlan(TrainingPlan):
     """Plan of a shipped model.
 
-    `datasets` are the data sets for training. Windows of any other source are synthetic and are never scored.
+    `datasets` are the data sets for training, without recordings whose names contain a word of `excluded`. Windows of
+    any other source are synthetic and are never scored.
     """
 
     datasets: tuple[str, ...]
+    excluded: tuple[str, ...] = ()
     command: str = "make models"
+
+    def uses(self, dataset: str, recording: str) -> bool:
+        """Return True if the plan uses a recording, by its data set and name."""
+        return dataset in self.datasets and not any(word in recording for word in self.excluded)
 
     def is_real(self, windows: LabelledWindows) -> BoolArray:
         """Return a mask (W,) of the windows that are recorded, not synthetic."""
@@ -52,6 +62,8 @@ class ShippedPlan(TrainingPlan):
         real = windows.part(self.is_real(windows))
         n_scored = len(np.unique(real.person[real.dataset == SCORED_DATASET]))
         card = super().card(real, {"people": f"{SCORED_DATASET}, {n_scored} people", **scores}, sites)
+        if self.excluded:
+            card["excluded_recordings"] = list(self.excluded)
         return {key: value for key, value in card.items() if key != "date"}
 
 

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from sklearn.ensemble import RandomForestClassifier
 
-from models.training.data_sets import SCORED_DATASET, ShippedPlan, label_of, part_progress, recordings_of
-from models.training.simulated_people import MODES
+from models.training.data_sets import OTHER_STOREYS, SCORED_DATASET, ShippedPlan, label_of, part_progress, recordings_of
+from models.training.sine_people import MODES
 from models.training.synthetic_windows import (
     SIMULATED,
     TURNED,
@@ -167,6 +167,7 @@ PLAN = PosePlan(
     feature_set="guo",
     feature_names=WITHOUT_LIGHT_AND_PROXIMITY,
     datasets=DATASETS,
+    excluded=OTHER_STOREYS,
     machine_fit=fit_pose_forest,
     description="Random forest on the 12 statistics of pitch and roll of Guo et al. 2018, Table 1; trained on real "
     "recordings, on the same mirrored, turned over in the pocket and rotated to the ear, and on simulated people.",
@@ -257,9 +258,9 @@ def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[L
 
     The windows have the 12 features of pitch and roll and are of moving people in the carrying modes `MODES`. Those of
     a recording include synthetic ones made from it. The levels are of all labelled windows of the recording, also at
-    rest. A simulated person has none. Both lists are empty for a data set that is not used.
+    rest. A simulated person has none. Both lists are empty for a recording that is not used.
     """
-    ups = _up_directions(recording) if dataset in (*DATASETS, SIMULATED) else None
+    ups = _up_directions(recording) if dataset == SIMULATED or PLAN.uses(dataset, recording.name) else None
     if ups is None:
         return [], []
     walks: list[WalkWindows] = []

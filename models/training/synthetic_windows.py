@@ -15,7 +15,7 @@ from zlib import crc32
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from models.training.simulated_people import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
+from models.training.sine_people import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
 from pdr_filter.data.io.formats import read
 from pdr_filter.offline.training.cross_validation import LabelledWindows, Progress, TextArray, in_parallel, source_of
 from pdr_filter.values import BoolArray, FloatArray

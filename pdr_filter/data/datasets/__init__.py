@@ -144,6 +144,32 @@ DATASETS: dict[str, Dataset] = {
         tuple(f"{floor}/path_data_files/{name}.txt" for floor, names in WALKS.items() for name in names.split()),
         recordings=from_raw.ms_indoor,
     ),
+    "oxford": Dataset(
+        "Oxford step counter data set: walks of one person with the phone in seven places, accelerometer alone",
+        "CC BY 4.0",
+        "D. Salvi, C. Velardo, J. Brynes, L. Tarassenko, An optimised algorithm for accurate steps counting from "
+        "smart-phone accelerometry, EMBC 2018, 4423-4427, doi:10.1109/EMBC.2018.8513319",
+        f"{_GITHUB}/Oxford-step-counter/DataSet/c4121c5aa8d830a9f12de8f599043c234a4e192c/optimisation/data",
+        tuple(
+            f"Pixel_Jamie_Hard_{walk}/{file}.csv"
+            for walk in from_raw.OXFORD
+            for file in ("accelerometer", "stepcounter")
+        ),
+        recordings=from_raw.oxford,
+    ),
+    "tyrex": Dataset(
+        "On Attitude Estimation with Smartphones: motions of one person with the phone in hands and pockets",
+        "CeCILL 2.1",
+        "T. Michel, H. Fourati, P. Geneves, N. Layaida, On Attitude Estimation with Smartphones, Tyrex team (LIG, "
+        "Inria) and NeCS team (Gipsa-Lab, Inria), France, 2016",
+        f"{_GITHUB}/tyrex-team/benchmarks-attitude-smartphones/7b070df5231ac78910ab076eeb026d2d8152a246/datasets/android",
+        tuple(
+            f"Thibaud_Nexus5_{trial}/{sensor}.txt"
+            for trial in from_raw.TYREX
+            for sensor in ("accelerometer", "gyroscope-calibrated")
+        ),
+        recordings=from_raw.tyrex,
+    ),
 }
 
 

@@ -18,7 +18,7 @@ from pdr_filter.data.io.files.archive import json_object
 from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.data.io.formats import read
 from pdr_filter.data.io.tables.any_table import read_any_table
-from pdr_filter.values import FloatArray, Table, limits, table
+from pdr_filter.values import BoolArray, FloatArray, Table, limits, table
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording, Truth
 from pdr_filter.values.safe_files import read_small
@@ -45,6 +45,47 @@ _ACTIVITIES = {
 DIFRONZO = ("exp01_user01", "exp03_user01", "exp05_user03", "exp07_user03", "exp09_user05", "exp11_user07")
 _DIFRONZO_HZ = 50.0  # no times are published
 _DIFRONZO_CONTEXTS = {"1": "walking", "2": "upstairs", "3": "downstairs", "4": "stationary", "5": "stationary"}
+
+# Places of the phone in the Oxford step counter data set, as carrying mode and placement.
+_OXFORD_PLACES = {
+    "InHand": ("texting", "in the hand in front of the body"),
+    "SwingingArm": ("swinging", "in the hand of the swinging arm"),
+    "FrontPocket": ("pocket", "front trouser pocket"),
+    "BackPocket": ("pocket", "back trouser pocket"),
+    "NeckPouch": ("chest", "pouch hanging from the neck"),
+    "Purse": ("bag", "purse"),
+    "Armband": ("", "arm band on the upper arm"),
+}
+OXFORD = tuple(f"{place}_{n}" for place in _OXFORD_PLACES for n in (range(1, 5) if place == "InHand" else (1, 2)))
+_SWITCH_BOUNCE_S = 0.45  # the same foot takes at least twice as long between two contacts
+# Motions of the smartphone benchmark of the Tyrex team, as context, carrying mode and placement.
+_TYREX_MOTIONS = {
+    "AR": ("", "texting", "held upright in front of the face and pointed around (augmented reality)"),
+    "BackPocket": ("walking", "pocket", "back trouser pocket"),
+    "FrontPocket": ("walking", "pocket", "front trouser pocket"),
+    "Phoning": ("walking", "calling", "at the ear"),
+    "RunningHand": ("running", "swinging", "in the hand while running"),
+    "RunningPocket": ("running", "pocket", "trouser pocket while running"),
+    "Swinging": ("walking", "swinging", "in the hand of the swinging arm"),
+    "Texting": ("walking", "texting", "in the hand in front of the body, reading"),
+}
+# Times in s of the first and the last sustained motion, from the motion capture of each recording.
+TYREX = {
+    "Dist_AR": (2.839858, 122.823191),
+    "Dist_BackPocket": (2.280052, 121.530052),
+    "Dist_FrontPocket": (3.610940, 121.444274),
+    "Dist_Phoning": (3.504714, 122.621381),
+    "Dist_Swinging": (3.063257, 123.046590),
+    "Dist_Texting": (2.290473, 122.273807),
+    "NoDist_AR": (0.015119, 119.065119),
+    "NoDist_BackPocket": (0.645638, 119.462304),
+    "NoDist_FrontPocket": (6.727744, 119.261078),
+    "NoDist_Phoning": (0.472173, 119.255506),
+    "NoDist_RunningHand": (2.663565, 122.646898),
+    "NoDist_RunningPocket": (3.071485, 123.054818),
+    "NoDist_Swinging": (0.488520, 119.188520),
+    "NoDist_Texting": (0.000903, 118.867569),
+}
 
 
 def as_found(raw: Path) -> Iterator[Recording]:
@@ -168,6 +209,65 @@ def ms_indoor(raw: Path) -> Iterator[Recording]:
         truth = replace(recording.truth, labels=_label(begin_s, end_s, "walking", "texting"))
         floor = path.parent.parent.name.lower()
         yield _named(recording, f"ms_indoor_anon_site1_{floor}_{path.stem}", truth, meta)
+
+
+def oxford(raw: Path) -> Iterator[Recording]:
+    """Yield the walks of the Oxford step counter data set with the Pixel phone, with the steps of foot switches."""
+    for walk in OXFORD:
+        folder = raw / f"Pixel_Jamie_Hard_{walk}"
+        force, feet = (
+            np.loadtxt(read_small(folder / f"{name}.csv", limits.MAX_MEMBER_BYTES).decode().splitlines(), delimiter=",")
+            for name in ("accelerometer", "stepcounter")
+        )
+        steps_s = _switch_closings((feet[:, 0] - force[0, 0]) / 1e9, feet[:, 1:] > 0)
+        carrying_mode, placement = _OXFORD_PLACES[walk.partition("_")[0]]
+        yield Recording(
+            accelerometer=Samples((force[:, 0] - force[0, 0]) / 1e9, force[:, 2:]),
+            name=f"oxford_jamie_pixel_hard_{walk.lower()}",
+            truth=Truth(
+                steps=table({"time_s": steps_s}), labels=_label(steps_s[0], steps_s[-1], "walking", carrying_mode)
+            ),
+            meta={
+                "subject": {"id": "jamie"},
+                "device": "Google Pixel",
+                "placement": placement,
+                "truth": "switches under both feet, read about every 0.1 s",
+            },
+        )
+
+
+def _switch_closings(time_s: FloatArray, is_closed: BoolArray) -> FloatArray:
+    """Return the times in s at which one of two foot switches closes.
+
+    `is_closed` (N, 2) are the switches at N times. A switch that closes again soon, before the other one does, bounces
+    and is left out.
+    """
+    found: list[tuple[float, int]] = []
+    for row, foot in np.argwhere(is_closed[1:] & ~is_closed[:-1]).tolist():
+        at_s = float(time_s[row + 1])
+        if not (found and found[-1][1] == foot and at_s - found[-1][0] < _SWITCH_BOUNCE_S):
+            found.append((at_s, foot))
+    return np.array([at_s for at_s, _ in found])
+
+
+def tyrex(raw: Path) -> Iterator[Recording]:
+    """Yield the recordings of one person with a Nexus 5 from the smartphone benchmark of the Tyrex team.
+
+    The labels span the motion. The positions of the motion capture are not converted.
+    """
+    for trial, (begin_s, end_s) in TYREX.items():
+        folder = raw / f"Thibaud_Nexus5_{trial}"
+        force, rate = (
+            np.array(list(_rows(folder / f"{sensor}.txt"))) for sensor in ("accelerometer", "gyroscope-calibrated")
+        )
+        context, carrying_mode, placement = _TYREX_MOTIONS[trial.partition("_")[2]]
+        yield Recording(
+            accelerometer=Samples(force[:, 0] - force[0, 0], force[:, 1:]),
+            gyroscope=Samples(rate[:, 0] - force[0, 0], rate[:, 1:]),
+            name=f"tyrex_thibaud_nexus5_{trial.lower()}",
+            truth=Truth(labels=_label(begin_s, end_s, context, carrying_mode)),
+            meta={"subject": {"id": "thibaud"}, "device": "LG Nexus 5", "placement": placement},
+        )
 
 
 def humolire_plan(raw: Path) -> dict[str, Any]:

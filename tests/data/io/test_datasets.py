@@ -20,6 +20,7 @@ import pytest
 from app_files import core_motion_text, indoor_location_text, on_one_clock, write_folder
 
 import pdr_filter as pdr
+from models.training import make_models
 from pdr_filter import datasets
 from pdr_filter.data.datasets import DATASETS, Dataset, from_raw
 
@@ -336,6 +337,108 @@ def test_difronzo_has_the_values_and_labels_with_which_the_models_are_trained(
         np.testing.assert_array_equal(getattr(found, name).values, getattr(expected, name).values)
     for name in truth.dtype.names:
         np.testing.assert_array_equal(found.truth.labels[name], truth[name])
+
+
+def test_oxford_has_the_times_steps_and_labels_of_the_published_files(
+    fetched: Fetched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(from_raw, "OXFORD", ("InHand_1", "Armband_1"))
+    # the first rows as published, and two readings of a switch that bounces
+    force = (
+        "583718602288785,3,-1.829795,2.5267458,9.544153\n583718622014098,3,-1.223855,3.1973512,7.077283\n"
+        "583718641739411,3,-1.465752,3.2189064,7.8197393\n"
+    ) + "".join(f"{583718650000000 + 2465664 * i},3,0.0,3.0,9.0\n" for i in range(10))
+    feet = (
+        "583718802379394,1,0\n583718891990445,1,0\n583719342055854,0,0\n583719432788676,0,1\n583719523575924,0,1\n"
+        "583719657460208,0,0\n583719747170009,0,1\n583719838125435,0,0\n583720197726929,1,0\n583720290337615,1,0\n"
+    )
+    files = {
+        f"Pixel_Jamie_Hard_{walk}/{name}.csv": text
+        for walk in ("InHand_1", "Armband_1")
+        for name, text in (("accelerometer", force), ("stepcounter", feet))
+    }
+    armband, hand = map(pdr.read, fetched("oxford", files))
+    assert (hand.name, armband.name) == ("oxford_jamie_pixel_hard_inhand_1", "oxford_jamie_pixel_hard_armband_1")
+    np.testing.assert_array_equal(hand.accelerometer.time_s[:3], [0.0, 0.019725, 0.039451])
+    np.testing.assert_array_equal(hand.accelerometer.values[0], [-1.829795, 2.526746, 9.544153])
+    assert hand.gyroscope is None
+    # the switch that is closed in the first row is no step
+    np.testing.assert_array_equal(hand.truth.steps["time_s"], [0.8305, 1.595438])
+    (label,) = hand.truth.labels.tolist()
+    assert label == (0.8305, 1.595438, "walking", "texting")
+    assert armband.truth.labels["carrying_mode"].tolist() == [""]
+
+
+def test_tyrex_has_both_sensors_on_the_clock_of_the_accelerometer_and_spans_of_motion(
+    fetched: Fetched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spans = {trial: from_raw.TYREX[trial] for trial in ("NoDist_Texting", "NoDist_RunningHand", "Dist_AR")}
+    monkeypatch.setattr(from_raw, "TYREX", spans)
+    # the first rows as published
+    force = "0.153586954 -0.74057007 1.3436584 9.141418\n0.158622354 -0.7410126 1.2962494 9.170898\n"
+    force += "".join(f"{0.17 + 0.005 * i:.9f} 0.0 1.0 9.0\n" for i in range(10))
+    rate = "0.430533975 0.27468872 -0.035339355 0.22795105\n0.435569375 6.2561035E-4 -0.043121338 0.22518921\n"
+    rate += "".join(f"{0.44 + 0.005 * i:.9f} 0.0 0.1 0.2\n" for i in range(10))
+    files = {
+        f"Thibaud_Nexus5_{trial}/{sensor}.txt": text
+        for trial in spans
+        for sensor, text in (("accelerometer", force), ("gyroscope-calibrated", rate))
+    }
+    found = {path.stem: pdr.read(path) for path in fetched("tyrex", files)}
+    walk = found["tyrex_thibaud_nexus5_nodist_texting"]
+    np.testing.assert_array_equal(walk.accelerometer.time_s[:2], [0.0, 0.005035])
+    np.testing.assert_array_equal(walk.accelerometer.values[0], [-0.7405701, 1.343658, 9.141418])
+    np.testing.assert_array_equal(walk.gyroscope.time_s[:2], [0.276947, 0.281982])
+    np.testing.assert_array_equal(walk.gyroscope.values[:2, 0], [0.2746887, 0.0006256103])
+    labels = {name.rpartition("_")[2]: each.truth.labels.tolist() for name, each in found.items()}
+    assert labels == {
+        "ar": [(2.839858, 122.823191, "", "texting")],
+        "runninghand": [(2.663565, 122.646898, "running", "swinging")],
+        "texting": [(0.000903, 118.867569, "walking", "texting")],
+    }
+
+
+@pytest.mark.parametrize(("name", "form"), [("oxford", "Pixel_Jamie_Hard_{}/"), ("tyrex", "Thibaud_Nexus5_{}/")])
+def test_the_training_data_of_a_mirror_come_out_of_the_published_layout(
+    name: str, form: str, data_dir: Path, fetched: Fetched, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    trials: Any = getattr(from_raw, name.upper())
+    trial = next(iter(trials))
+    (path,) = (data_dir / name).glob(f"*_{trial.lower()}.zip") if (data_dir / name).is_dir() else [None]
+    if path is None:
+        pytest.skip(f"needs {data_dir / name}")
+    monkeypatch.setattr(from_raw, name.upper(), {trial: trials[trial]} if isinstance(trials, dict) else (trial,))
+    expected = pdr.read(path)
+    folder = form.format(trial)
+    if name == "oxford":
+        at_ns = np.rint(1e9 * expected.truth.steps["time_s"]).astype(int)
+        # the feet take turns, and each step is closed for 20 ms
+        feet = [
+            (0, 0, 0),
+            *((t + k, i % 2 * (k == 0), (i + 1) % 2 * (k == 0)) for i, t in enumerate(at_ns) for k in (0, 20_000_000)),
+        ]
+        rows = zip(
+            np.rint(1e9 * expected.accelerometer.time_s).astype(int),
+            expected.accelerometer.values.tolist(),
+            strict=True,
+        )
+        files = {
+            f"{folder}accelerometer.csv": "".join(f"{t},3,{x},{y},{z}\n" for t, (x, y, z) in rows),
+            f"{folder}stepcounter.csv": "".join(f"{t},{left},{right}\n" for t, left, right in feet),
+        }
+    else:
+        files = {
+            f"{folder}{sensor}.txt": "".join(
+                f"{t + 0.153586954:.9f} {x} {y} {z}\n"
+                for t, (x, y, z) in zip(samples.time_s, samples.values.tolist(), strict=True)
+            )
+            for sensor, samples in (
+                ("accelerometer", expected.accelerometer),
+                ("gyroscope-calibrated", expected.gyroscope),
+            )
+        }
+    (found,) = map(pdr.read, fetched(name, files))
+    assert make_models.checksum(found) == make_models.known_checksums()[expected.name]
 
 
 def text_of(values: np.ndarray) -> str:

@@ -11,7 +11,7 @@ import pytest
 from joblib import parallel_config
 
 from models.training.carrying_training import FEATURE_NAMES, PLANS, balanced_weight, carrying_windows, train_carrying
-from models.training.simulated_people import MODES, simulated_person
+from models.training.sine_people import MODES, simulated_person
 from pdr_filter.classifiers.context_model import load_model
 from pdr_filter.data.io.files.own_format import write_recording
 from pdr_filter.sensing.features import carrying

@@ -12,7 +12,7 @@ from joblib import parallel_config
 
 from models.training.data_sets import recordings_of
 from models.training.guo2018_training import DATASETS, kappa, train_guo, walk_threshold
-from models.training.simulated_people import MODES, simulated_person
+from models.training.sine_people import MODES, simulated_person
 from pdr_filter.classifiers.base_classifier import Machine
 from pdr_filter.classifiers.context_model import ContextModel, load_model
 from pdr_filter.data.io.files.own_format import write_recording
