@@ -85,7 +85,7 @@ _CONTACT_MARGIN_S = 0.1
 class Detected(NamedTuple):
     """Results of the stages before the walking direction, for one uniform block."""
 
-    state: SensingState  # state after the block, with the states of these stages
+    state: SensingState  # state after the block, with the states of these stages and that of the gate
     part: UniformBlock
     attitude: AttitudeBlock
     contexts: ContextBlock
@@ -356,11 +356,15 @@ class Sensing:
         )
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
         step_state, steps = self.steps.update(state.steps, part, attitude, contexts)
+        of_gate = dict[str, object]()
+        if self.gate is not None:
+            of_gate["gate"], steps = self.gate.update(state.of_steps["gate"], part, attitude, contexts, steps)
         after = replace_unchecked(
             state,
             attitude=attitude_state,
             contexts=context_state,
             steps=step_state,
+            of_steps=of_gate,
             n_samples=n_before + n,
             context=int(context[-1]),
             carrying_mode=int(carrying_mode[-1]),
@@ -369,10 +373,10 @@ class Sensing:
         return Detected(after, part, attitude, contexts, windows, steps)
 
     def _after_steps(self, before: SensingState, detected: Detected) -> tuple[SensingState, KnownEvents]:
-        """Return the new state and the events of a uniform block whose steps are detected."""
+        """Return the new state and the events of a uniform block whose steps have passed the gate."""
         state, part, attitude, contexts, windows, steps = detected
-        of_steps = dict[str, object]()
-        for name, stage in self._step_stages.items():
+        of_steps = {**state.of_steps}
+        for name, stage in [item for item in self._step_stages.items() if item[0] != "gate"]:
             of_steps[name], steps = stage.update(before.of_steps[name], part, attitude, contexts, steps)
         vibration, moved = self._vibration.update(before.vibration, part, steps)
         # A window comes before a step revealed by the same sample, because its evidence also applies to that step.
