@@ -1,6 +1,6 @@
 """How fast the whole pipeline is: recordings of all sets, pieces of a minute, parts of the filter, and many hours.
 
-usage: python -m tests.benchmarks.throughput [recordings] [calls] [costs] [long] [limits] [--before TREE]
+usage: python -m tests.benchmarks.throughput [recordings] [calls] [costs] [stages] [long] [limits] [--before TREE]
        [--every 4] [--batch 1000] [--days 7] [--hours 1]
 
 Costs are those of one real walk, a part of the filter left out or put in. `--before` is another checkout of the
@@ -30,12 +30,28 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import pytest
 
 import pdr_filter as pdr
+from pdr_filter.filter.chain.two_hypotheses import TwoHypotheses
+from pdr_filter.filter.chain.with_height import WithHeight
 from pdr_filter.filter.imm.transition_probabilities import context_transitions
 from pdr_filter.filter.step_length.models import bounce_fit
+from pdr_filter.offline.smoothing import dead_reckoning
+from pdr_filter.offline.smoothing import smooth as smooth_module
 from pdr_filter.recipes import default
 from pdr_filter.recipes.modes import context_modes
+from pdr_filter.sensing.attitude import AttitudeEstimator
+from pdr_filter.sensing.conditioning import Conditioner
+from pdr_filter.sensing.contexts.context_stage import ContextModels
+from pdr_filter.sensing.features.feature_windows import FeatureWindows
+from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.gyroscope_bias import GyroBias
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.sensing.step_foresight import StepForesight
+from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
+from pdr_filter.sensing.steps.step_gate import StepGate
+from pdr_filter.tracking import filtering, whole_recording
 from pdr_filter.values import PositionFix, Samples
 from tests.apps.maps.made_up import box, feature, line, write
 from tests.benchmarks.common import ROOT, Tables, part_of, paths, push, run
@@ -298,6 +314,77 @@ def costs(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("throughput_parts", ["what", "ms a second", "ms a step more", "times real time"], rows, about)
 
 
+# Stages by their name in the table, and the functions that are the stage.
+_STAGES: dict[str, tuple[tuple[object, str], ...]] = {
+    "conditioning": ((Conditioner, "update"),),
+    "attitude": ((AttitudeEstimator, "update"),),
+    "gyroscope bias": ((GyroBias, "update"),),
+    "windows and their features": ((FeatureWindows, "update"),),
+    "classifiers": ((ContextModels, "update_all"),),
+    "step detector": ((AdaptiveStepDetector, "update"),),
+    "foresight of steps": ((StepForesight, "after"),),
+    "gate": ((StepGate, "update"),),
+    "walking direction": ((WalkingHeading, "update"),),
+    "rest of the front end": ((Sensing, "update"), (Sensing, "finish")),
+    "trackers and height": ((TwoHypotheses, "on"), (WithHeight, "on")),
+    "events and rows": tuple(
+        [(filtering, "_process"), (whole_recording, "track_of_outputs"), (dead_reckoning, "track_of_outputs")]
+    ),
+    "smoothing": ((smooth_module, "smooth"),),
+    "calls of `push`": ((pdr.OnlineFilter, "push"),),
+}
+
+
+def of_stages(work: Callable[[], object]) -> dict[str, float]:
+    """Processor time of each stage without the stages that it calls, s."""
+    taken, inner = dict.fromkeys(_STAGES, 0.0), list[float]()
+
+    def timed(stage: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def run_timed(*given: Any, **named: Any) -> Any:
+            inner.append(0.0)
+            start = time.process_time()
+            result = function(*given, **named)
+            used_s = time.process_time() - start
+            taken[stage] += used_s - inner.pop()
+            if inner:
+                inner[-1] += used_s
+            return result
+
+        return run_timed
+
+    with pytest.MonkeyPatch.context() as patch:
+        for stage, functions in _STAGES.items():
+            for owner, name in functions:
+                patch.setattr(owner, name, timed(stage, getattr(owner, name)))
+        work()
+    return taken
+
+
+def stages(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Where the time of a walk, of pushed blocks, of a rest and of smoothing goes."""
+    block = pdr.merge_streams(pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
+    walk, rest = long_walk(0.1), mostly_resting(0.25, 1 / 500)
+
+    def pushed(samples: int) -> None:
+        online = pdr.OnlineFilter()
+        for part in block.parts(samples):
+            push(online, part)
+
+    runs: dict[str, tuple[Callable[[], object], float]] = {
+        "`track` of a walk": (lambda: pdr.track(walk), walk.duration_s),
+        "of a rest": (lambda: pdr.track(rest), rest.duration_s),
+        "`smooth` of a walk": (lambda: smooth_module.smooth(walk), walk.duration_s),
+        "pushed in blocks of 0.1 s": (lambda: pushed(10), float(np.ptp(block.time_s))),
+    }
+    turns = [[of_stages(work) for work, _ in runs.values()] for _ in range(4)]
+    best = [min((turn[i] for turn in turns[1:]), key=lambda of: sum(of.values())) for i in range(len(runs))]
+    scales = [1e3 / duration_s for _, duration_s in runs.values()]
+    rows = [[name, *(f"{k * of[name]:.3f}" for k, of in zip(scales, best, strict=True))] for name in _STAGES]
+    rows.append(["all", *(f"{k * sum(of.values()):.2f}" for k, of in zip(scales, best, strict=True))])
+    about = f"Processor time, ms for a second of data; the least of three runs in turns, {load()}."
+    tables.write("throughput_stages", ["stage", *runs], rows, about)
+
+
 def calls(tables: Tables, arguments: argparse.Namespace) -> None:
     """A minute of a real walk, pushed in larger and smaller pieces, merged and as its sensors come."""
     block = pdr.merge_streams(pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
@@ -358,4 +445,4 @@ def long(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, recordings, calls, costs, long, limits, before=None, every=4, batch=1000, days=7.0, hours=1.0)
+    run(__doc__, recordings, calls, costs, stages, long, limits, before=None, every=4, batch=1000, days=7.0, hours=1.0)

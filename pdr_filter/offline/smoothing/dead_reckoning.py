@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -24,6 +25,8 @@ from pdr_filter.tracking.whole_recording import outputs, run_sensing, track_of_o
 from pdr_filter.values import Fix, Measurement, Standstill, Step, has_position, read_only, step_table
 from pdr_filter.values.recording import Recording
 
+# Sensing without the stages after the walking direction.
+_WITHOUT_LATER_STAGES: dict[str, Any] = {"north": None, "contact_smoothing": None}
 # Callbacks for the progress of the first and the second pass.
 Passes = tuple[Callable[[float], None] | None, Callable[[float], None] | None]
 # Configuration, dead-reckoned track, and state at its end. The sensing is None if the axes of a building determine the
@@ -83,7 +86,8 @@ def with_first_pass(
         return config, None
     sensing = SensingForTwoPasses.keeping(config.sensing)
     config = replace(config, sensing=sensing)
-    state, events = run_sensing(config.sensing, recording, progress)
+    # the stages after the walking direction do not change it
+    state, events = run_sensing(replace(sensing, **_WITHOUT_LATER_STAGES), recording, progress)
     steps = [event for event in events if isinstance(event, Step)]
     if not steps:
         return config, None
@@ -91,7 +95,7 @@ def with_first_pass(
     if config.sensing.attitude.bias.device is None and steps[-1].on_axes:
         config, known_device = config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
         config = replace(config, sensing=replace(sensing, attitude=config.sensing.attitude, detected={}))
-        _, events = run_sensing(config.sensing, recording)
+        _, events = run_sensing(replace(config.sensing, **_WITHOUT_LATER_STAGES), recording)
         steps = [event for event in events if isinstance(event, Step)]
     heading = after_first_pass(config.sensing.heading, step_table(steps))
     return replace(config, sensing=replace(config.sensing, heading=heading)), known_device
