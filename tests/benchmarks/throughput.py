@@ -48,7 +48,6 @@ from pdr_filter.sensing.features.feature_windows import FeatureWindows
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.gyroscope_bias import GyroBias
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
-from pdr_filter.sensing.step_foresight import StepForesight
 from pdr_filter.sensing.steps.adaptive_detector import AdaptiveStepDetector
 from pdr_filter.sensing.steps.step_gate import StepGate
 from pdr_filter.tracking import filtering, whole_recording
@@ -322,7 +321,6 @@ _STAGES: dict[str, tuple[tuple[object, str], ...]] = {
     "windows and their features": ((FeatureWindows, "update"),),
     "classifiers": ((ContextModels, "update_all"),),
     "step detector": ((AdaptiveStepDetector, "update"),),
-    "foresight of steps": ((StepForesight, "after"),),
     "gate": ((StepGate, "update"),),
     "walking direction": ((WalkingHeading, "update"),),
     "rest of the front end": ((Sensing, "update"), (Sensing, "finish")),
