@@ -167,6 +167,14 @@ class Cluster:
         """Processor time of scheduler and nanny, without the workers."""
         return sum(sum(process.cpu_times()[:2]) for process in (self.scheduler, self.nanny))
 
+    def idle_share(self, seconds: float = 20.0) -> float:
+        """Processor time of all processes in a second without recordings."""
+        workers = self.nanny.children(recursive=True)
+        start, start_s = time.perf_counter(), self.used_s() + sum(sum(w.cpu_times()[:2]) for w in workers)
+        time.sleep(seconds)
+        used_s = self.used_s() + sum(sum(w.cpu_times()[:2]) for w in workers) - start_s
+        return used_s / (time.perf_counter() - start)
+
 
 @contextmanager
 def cluster(n_workers: int, settings: dict[str, str]) -> Generator[Cluster]:
@@ -271,24 +279,23 @@ def scaling(tables: Tables, arguments: argparse.Namespace) -> None:
             files.append(f"{folder}/walk {i}.zip")
             os.link(first, files[-1])
 
-        def add(what: str, n_workers: int, of: Cost) -> None:
+        def add(what: str, n_workers: int, of: Cost, idle: str = "") -> None:
             more_ms = 1e3 * (of.rest_s + of.served_s)
             cores = (of.work_s + of.rest_s + of.served_s) / of.elapsed_s
             times = [f"{60 / of.elapsed_s:.1f}", f"{cores:.2f}", f"{of.work_s:.2f} s"]
-            rest = [f"{1e3 * of.rest_s:.1f} ms", f"{1e3 * of.served_s:.1f} ms", f"{more_ms:.1f} ms"]
+            rest = [f"{1e3 * of.rest_s:.1f} ms", f"{1e3 * of.served_s:.1f} ms", f"{more_ms:.1f} ms", idle]
             rows.append([what, str(n_workers), *times, *rest, f"{of.peak_mb:.0f} MB"])
 
         add("processes", 2, cost(files, jobs=2))
-        for n in arguments.workers:
-            with cluster(n, QUIET_DASK) as running:
+        own = ("Dask with its own settings", 2, {})
+        for what, n, settings in (*(("Dask", n, QUIET_DASK) for n in arguments.workers), own):
+            with cluster(n, settings) as running:
                 cost(files[:1], running)  # the scheduler imports the package
-                add("Dask", n, cost(files, running))
-        with cluster(2, {}) as running:
-            cost(files[:1], running)
-            add("Dask with its own settings", 2, cost(files, running))
+                idle = f"{1e3 * running.idle_share():.0f} ms"
+                add(what, n, cost(files, running), idle)
     columns = (
         "on | workers | recordings a minute | cores in use | tracking | other threads of the worker | scheduler, nanny "
-        "and client | more than tracking | memory of a worker"
+        "and client | more than tracking | idle, each second | memory of a worker"
     )
     about = (
         f"{arguments.batch} recordings of {arguments.minutes:g} minutes; processor time for each recording, on "
