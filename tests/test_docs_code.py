@@ -28,7 +28,7 @@ from pdr_filter.simulate.sensors import BAROMETER, SensorErrors
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Truth
 from tests.benchmarks.common import FOLDER, Tables, readme_with_tables
-from tests.benchmarks.throughput_cohort import QUIET_DASK
+from tests.benchmarks.throughput import QUIET_DASK
 
 pytestmark = pytest.mark.usefixtures("sensing_once")
 

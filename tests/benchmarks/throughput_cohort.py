@@ -38,7 +38,7 @@ from pdr_filter.apps.batch.result_table import Task
 from pdr_filter.apps.batch.run import track_one
 from pdr_filter.values import FloatArray
 from tests.benchmarks.common import FOLDER, ROOT, Tables, paths, run
-from tests.benchmarks.throughput import in_tree, load, long_walk
+from tests.benchmarks.throughput import QUIET_DASK, in_tree, load, long_walk
 from tests.benchmarks.walk_map_scale import N_STOREYS, given, walked
 
 HZ = 50
@@ -145,14 +145,6 @@ def weeks(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 # --- clusters --------------------------------------------------------------------------------------------------------
-
-# The lines of docs/methods/batch.md: without them each process of Dask wakes up some hundred times a second.
-QUIET_DASK = {
-    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
-    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
-    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "5s",
-    "DASK_DISTRIBUTED__WORKER__MEMORY__MONITOR_INTERVAL": "1s",
-}
 
 
 @dataclass(frozen=True)
@@ -269,15 +261,29 @@ def cost(files: list[str], running: Cluster | None = None, jobs: int = 1) -> Cos
     return Cost(n, elapsed_s / n, work_s / n, (whole_s - work_s) / n, served_s / n, peak)
 
 
+def copies(folder: str, minutes: float, n: int) -> list[str]:
+    """Paths of a walk under many names."""
+    files = [f"{folder}/walk {i}.zip" for i in range(n)]
+    long_walk(minutes / 60.0).save(files[0])
+    for file in files[1:]:
+        os.link(files[0], file)
+    return files
+
+
+def more_on_dask_s(minutes: float, n: int) -> float:
+    """Processor time beyond that of tracking, for each recording on Dask, less that on processes."""
+    with TemporaryDirectory() as folder, cluster(2, QUIET_DASK) as running:
+        files = copies(folder, minutes, n)
+        cost(files[:1], running)  # the scheduler imports the package
+        on_dask, on_processes = cost(files, running), cost(files, jobs=2)
+    return on_dask.rest_s + on_dask.served_s - on_processes.rest_s - on_processes.served_s
+
+
 def scaling(tables: Tables, arguments: argparse.Namespace) -> None:
     """Recordings on 2 processes and on clusters of more and more workers."""
     rows = list[list[str]]()
     with TemporaryDirectory() as folder:
-        first = long_walk(arguments.minutes / 60.0).save(Path(folder) / "walk 0.zip")
-        files = [str(first)]
-        for i in range(1, arguments.batch):
-            files.append(f"{folder}/walk {i}.zip")
-            os.link(first, files[-1])
+        files = copies(folder, arguments.minutes, arguments.batch)
 
         def add(what: str, n_workers: int, of: Cost, idle: str = "") -> None:
             more_ms = 1e3 * (of.rest_s + of.served_s)
@@ -368,9 +374,9 @@ def calibrated(files: list[str], cache: str, scheduler: str | None) -> object:
     return {name: person.k0 for name, person in found.subjects.items()}
 
 
-def _used_s(work: Callable[[list[str], str, str | None], object], *given: Any) -> tuple[float, object]:
+def _used_s(work: Callable[[list[str], str, str | None], object], *arguments: Any) -> tuple[float, object]:
     start_s = time.process_time()
-    result = work(*given)
+    result = work(*arguments)
     return time.process_time() - start_s, result
 
 
