@@ -28,6 +28,7 @@ from pdr_filter.simulate.sensors import BAROMETER, SensorErrors
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Truth
 from tests.benchmarks.common import FOLDER, Tables, readme_with_tables
+from tests.benchmarks.throughput import QUIET_DASK
 
 pytestmark = pytest.mark.usefixtures("sensing_once")
 
@@ -39,7 +40,7 @@ PAGES = {
 }
 TABLES = {path.stem: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.md"))}
 # They need a cluster, the arrays of a study, and a walk of six minutes.
-NOT_RUN = {"docs/methods/batch.md", "docs/methods/rvm.md", "docs/methods/smoothing.md"}
+NOT_RUN = {f"docs/methods/{name}.md" for name in ("batch", "cohort", "rvm", "smoothing")}
 CODE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 WITH_CODE = [name for name, text in PAGES.items() if CODE.search(text) and name not in NOT_RUN | {"docs/index.md"}]
 
@@ -268,6 +269,11 @@ def test_a_table_says_the_command_that_wrote_it_and_the_day(name: str) -> None:
     # the command for the peers runs that of another table, too
     files = [*script.glob("*.py"), script.parent / "rvm_speed.py"] if script.is_dir() else [script.with_suffix(".py")]
     assert any(f'"{name}"' in path.read_text("utf-8") for path in files)
+
+
+def test_the_settings_of_the_page_on_clusters_are_those_of_its_table() -> None:
+    lines = PAGES["docs/methods/batch.md"].splitlines()
+    assert [line for line in lines if line.startswith("export ")] == [f"export {n}={v}" for n, v in QUIET_DASK.items()]
 
 
 def test_the_tables_of_the_first_page_are_those_of_their_files() -> None:

@@ -1,7 +1,7 @@
 """How fast the whole pipeline is: recordings of all sets, pieces of a minute, parts of the filter, and many hours.
 
 usage: python -m tests.benchmarks.throughput [recordings] [calls] [costs] [stages] [long] [limits] [--before TREE]
-       [--every 4] [--batch 1000] [--days 7] [--hours 1]
+       [--every 4] [--batch 1000] [--days 7] [--hours 1] [--on-dask 60]
 
 Costs are those of one real walk, a part of the filter left out or put in. `--before` is another checkout of the
 project: its recordings are timed in turns with ours, ours twice, so that the two figures of one tree show what the
@@ -56,6 +56,13 @@ from tests.apps.maps.made_up import box, feature, line, write
 from tests.benchmarks.common import ROOT, Tables, part_of, paths, push, run
 
 SITES = ("humolire", "ms_indoor", "oxiod", "ubicomp13", "tyrex", "oxford", "ipol", "motionsense", "ipin2023")
+# The lines of docs/methods/batch.md: without them each process of Dask wakes up some hundred times a second.
+QUIET_DASK = {
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__ADMIN__SYSTEM_MONITOR__INTERVAL": "5s",
+    "DASK_DISTRIBUTED__WORKER__MEMORY__MONITOR_INTERVAL": "1s",
+}
 # In another process, so that trees can be compared: reads nothing but the package and the recordings.
 _OF_RECORDINGS = """
 import json, sys, time
@@ -133,7 +140,7 @@ def load() -> str:
 
 def in_tree(tree: Path, code: str, *arguments: str) -> Any:
     """What code prints, as JSON, in a fresh interpreter that imports the package of a checkout."""
-    environment = {**os.environ, "PYTHONPATH": str(tree)}
+    environment = {**os.environ, **QUIET_DASK, "PYTHONPATH": str(tree)}
     command = [sys.executable, "-c", code, *arguments]
     done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, check=True)
     return json.loads(done.stdout)
@@ -219,6 +226,8 @@ def mostly_resting(hours: float, walking_share: float) -> pdr.Recording:
 
 def limits(tables: Tables, arguments: argparse.Namespace) -> None:
     """Measured speed and memory beside their limits."""
+    from tests.benchmarks.throughput_cohort import more_on_dask_s  # which imports this module
+
     block = pdr.merge_streams(pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
     minute = part_of(block, slice(0, int(np.searchsorted(block.time_s, block.time_s[0] + 60.0))))
 
@@ -242,11 +251,13 @@ def limits(tables: Tables, arguments: argparse.Namespace) -> None:
     with TemporaryDirectory() as folder:
         path = write_long_walk(24.0 * arguments.days, Path(folder) / "long.zip")
         used_s, peak_mb = in_tree(ROOT, _OF_PARTS, str(path), str(Path(folder) / "track.parquet"))
+    dask_s = more_on_dask_s(10.0, arguments.on_dask)
     rows = [
         ["push that completes no hop", f"{1e6 * np.median(quiet):.0f} us", "15 us"],
         ["blocks of 0.1 s against the whole recording", f"{tenths_s / whole_s:.1f}", "3"],
         ["a day with an hour of walking against a day of walking", f"{day_s / track_s:.2f}", "0.33"],
         ["`smooth` against `track`", f"{smooth_s / track_s:.2f}", "1.21"],
+        ["a recording of ten minutes on Dask, more than on processes", f"{1e3 * dask_s:.0f} ms", "20 ms"],
         [f"`batch.track_file`, {arguments.days:g} days in {used_s:.0f} s", f"{peak_mb:.0f} MB", "400 MB"],
     ]
     about = f"Processor time; {arguments.hours:g} hours of a simulated walk repeated, {load()}."
@@ -443,4 +454,18 @@ def long(tables: Tables, arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(__doc__, recordings, calls, costs, stages, long, limits, before=None, every=4, batch=1000, days=7.0, hours=1.0)
+    run(
+        __doc__,
+        recordings,
+        calls,
+        costs,
+        stages,
+        long,
+        limits,
+        before=None,
+        every=4,
+        batch=1000,
+        days=7.0,
+        hours=1.0,
+        on_dask=60,
+    )

@@ -88,6 +88,17 @@ def saved(seed: int, folder: str) -> None:
         walked(seed)[0].save(path)
 
 
+def given(recording: pdr.Recording, seed: int) -> list[tuple[str, pdr.PositionFix | pdr.HeadingFix]]:
+    """Start and direction of a walk, if it is the one of its storey that is given."""
+    if seed >= N_STOREYS:
+        return []
+    w = recording.truth.waypoints
+    points_m = np.column_stack([w.east_m, w.north_m])
+    along_rad = np.arctan2(*(points_m[2] - points_m[1]))
+    start = pdr.PositionFix(1.0, points_m[0], np.eye(2), floor=seed % N_STOREYS)
+    return [(recording.name, start), (recording.name, pdr.HeadingFix(6.0, along_rad, 0.1))]
+
+
 def mapped(folder: Path, n_walks: int, workers: int, cluster: bool) -> dict[str, float]:
     """Figures of one map, and of a second run that finds the tracked walks."""
     paths, known, truth = [], [], dict[str, tuple[np.ndarray, int]]()
@@ -97,10 +108,7 @@ def mapped(folder: Path, n_walks: int, workers: int, cluster: bool) -> dict[str,
         w = recording.truth.waypoints
         points = np.column_stack([w.time_s, w.east_m, w.north_m])
         truth[recording.name] = points, storey
-        if seed < N_STOREYS:
-            known.append((recording.name, pdr.PositionFix(1.0, points[0, 1:], np.eye(2), floor=storey)))
-            along = np.arctan2(*(points[2, 1:] - points[1, 1:]))
-            known.append((recording.name, pdr.HeadingFix(6.0, along, 0.1)))
+        known += given(recording, seed)
     scheduler = None
     if cluster:
         from dask.distributed import LocalCluster

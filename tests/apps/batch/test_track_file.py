@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -171,6 +177,42 @@ def test_an_interrupted_run_leaves_no_file(
     with pytest.raises(KeyboardInterrupt):
         pdr.batch.track_file(path, tmp_path / "out" / f"parts.{kind}", progress=stop)
     assert [*(tmp_path / "out").iterdir()] == []
+
+
+TRACKS_OF_MANY = """
+import functools, sys, jobs
+from pdr_filter import batch
+for _, written in batch.each(functools.partial(jobs.track_into, sys.argv[1]), sys.argv[2:], jobs=2):
+    print(written, flush=True)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills a process group")
+@pytest.mark.parametrize("done", [0, 1, 2])
+def test_a_killed_batch_of_tracks_in_parts_has_whole_files_alone_and_goes_on(
+    walk: pdr.Recording, done: int, tmp_path: Path
+) -> None:
+    first, out = own(walk, tmp_path), tmp_path / "out"
+    whole = pdr.track(read(first)).to_csv(tmp_path / "whole.csv").read_bytes()
+    walks = [shutil.copy(first, tmp_path / f"walk_{i}.zip") for i in range(4)]
+    command = [sys.executable, "-c", TRACKS_OF_MANY, str(out), *map(str, walks)]
+    options: Any = {"cwd": Path(__file__).parent, "stdout": subprocess.PIPE, "text": True}
+    running = subprocess.Popen(command, start_new_session=True, **options)
+    for _ in range(done):
+        assert running.stdout.readline() == "1\n"
+    if not done:
+        while not [*out.glob(".*.part")]:  # a track has begun
+            assert running.poll() is None
+            time.sleep(0.01)
+    os.killpg(running.pid, signal.SIGKILL)  # its own session: the process and its workers, nothing else
+    running.wait(timeout=30)
+    running.stdout.close()
+    before = [*out.glob("walk_*.csv")]
+    assert len(before) >= done
+    assert all(path.read_bytes() == whole for path in before)
+    again = subprocess.run(command, check=True, **options)
+    assert again.stdout.count("1") == len(walks) - len(before)
+    assert [path.read_bytes() for path in out.glob("walk_*.csv")] == [whole] * len(walks)
 
 
 def test_rows_that_fixes_move_are_written_in_the_last_frame(
