@@ -49,7 +49,8 @@ def test_without_fixes_the_smoothed_end_is_close_to_that_of_a_filter_with_the_sa
     tempered = config.in_hindsight()
     forward, smoothed = pdr.track(walk, tempered), pdr.smooth(walk, config=config).track
     assert not np.allclose(forward.mode_prob, pdr.track(walk, config).mode_prob)
-    assert np.linalg.norm(smoothed.position_m[-1] - forward.position_m[-1]) < 0.25 * forward.position_std_m[-1]  # axes and bias of the whole walk
+    # The smoother knows the axes and the bias of the whole walk from its first step on.
+    assert np.linalg.norm(smoothed.position_m[-1] - forward.position_m[-1]) < 0.25 * forward.position_std_m[-1]
     np.testing.assert_allclose(smoothed.mode_prob[-1], forward.mode_prob[-1], atol=1e-12)
     assert smoothed.n_steps == forward.n_steps
 
