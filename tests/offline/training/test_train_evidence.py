@@ -433,7 +433,7 @@ def small_training(monkeypatch: pytest.MonkeyPatch) -> None:
     plan = replace(PLANS[0], machine_fit=fit_softmax, parts={}, datasets=("motionsense",))
     monkeypatch.setattr(training, "PLANS", (plan,))
 
-    monkeypatch.setattr(train_carrying, "train_carrying", lambda *_: [{"name": "carrying"}])
+    monkeypatch.setattr(train_carrying, "train_carrying", lambda *_, **__: [{"name": "carrying"}])
     monkeypatch.setattr(train_guo, "train_guo", lambda *_: {"name": "guo_pose"})
 
 
