@@ -88,6 +88,7 @@ a_fit = partial(StepLengthFit, FrequencyVarianceStepLength(), theta=np.ones(3), 
 a_jump_model = partial(
     JumpMarkovModel, F=np.ones((2, 1, 1)), Q=np.ones((2, 1, 1)), H=[[1.0]], R=[[1.0]], transition_prob=EYE
 )
+an_imm_filter = partial(a_jump_model().filter, z=np.zeros((5, 1)), mean=[0.0], cov=[[1.0]])
 a_familiarity = partial(Familiarity, axes=EYE, variance=np.ones(2), limit=1.0)
 a_regression = partial(SoftmaxRegression, weights=np.zeros((2, 3)), intercept=ZEROS)
 nees = partial(consistency.nees, np.zeros((3, 2)))
@@ -248,7 +249,18 @@ FILTER: list[Refusal] = [
     (a_jump_model, {"Q": np.ones((1, 1, 1))}, r"Q must have the shape \(2, 1, 1\).*a matrix for each mode"),
     (a_jump_model, {"R": [[NAN]]}, "R must contain finite numbers"),
     (a_jump_model, {"transition_prob": [[0.5, 0.2], [0.1, 0.9]]}, "must sum to 1"),
-    (a_jump_model().filter, {"z": np.zeros(5), "mean": [0.0], "cov": [[1.0]]}, r"z must have the shape \(T, ..., 1\)"),
+    (a_jump_model, {"F": [np.eye(2), np.eye(1)]}, "F must have matrices of one size.*rows and columns of zeros"),
+    (a_jump_model, {"R": 0.01}, r"R must have the shape \(2, 1, 1\).* or \(1, 1\) for all modes, got \(\)"),
+    (a_jump_model, {"Q": -np.ones((2, 1, 1))}, "Q must have no negative eigenvalue"),
+    (an_imm_filter, {"z": np.zeros(5)}, r"z must have the shape \(T, ..., 1\).*z\[:, None\]"),
+    (an_imm_filter, {"z": np.zeros((5, 2))}, "put the values last"),
+    (an_imm_filter, {"mean": [[0.0], [1.0]]}, r"mean must have the shape \(1,\), got \(2, 1\): give one state"),
+    (an_imm_filter, {"cov": 1.0}, r"cov must have the shape \(1, 1\), got \(\)"),
+    (an_imm_filter, {"cov": [[-1.0]]}, "cov must have no negative eigenvalue"),
+    (an_imm_filter, {"mode_prob": [0.5, 0.3, 0.2]}, "mode_prob must be 2 probabilities that sum to one"),
+    (an_imm_filter, {"mode_prob": [1.5, -0.5]}, "mode_prob must be 2 probabilities that sum to one"),
+    (an_imm_filter, {"mode_prob": [0.9, 0.3]}, "divide by the sum"),
+    (a_jump_model().smooth, {"filtered": np.zeros((5, 1))}, r"smooth takes the result of filter, got ndarray"),
     (a_fit, {"theta": ZEROS}, "theta"),
     (a_fit, {"theta": np.array([1.0, NAN, 0.0])}, r"theta must be \(3,\), finite"),
     (a_fit, {"theta_cov": -np.eye(3)}, "theta_cov must have no negative eigenvalue"),

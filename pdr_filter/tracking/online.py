@@ -515,8 +515,9 @@ class OnlineFilter:
         Raises
         ------
         ValueError
-            If the filter is finished, or if the time of the fix (the end of a standstill) is before the first sample,
-            more than a minute before the last sample, or more than a minute after it. The filter does not change then.
+            If the filter is finished, or if the time of the fix (the end of a standstill) is more than a second before
+            the first sample, more than a minute before the last sample, or more than a minute after it. The filter does
+            not change then.
         """
         check_unfinished(self.state, "fixes")
         check_fix(fix, self.config.on_plan is not None)

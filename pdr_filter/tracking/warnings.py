@@ -213,10 +213,13 @@ def conflict_notes(conflict: FixConflict) -> Iterator[Note]:
         n = conflict.n_used + conflict.n_rejected
         words = (
             f"{conflict.n_rejected} of {n} position fixes contradict the walk, so that its place and direction are "
-            "doubtful. Their axes are probably mirrored or exchanged, they are of another walk, or less accurate than "
-            "stated: "
+            "doubtful. Their axes are probably mirrored, exchanged or rotated, they are of another walk, or less "
+            "accurate than stated: "
         )
-        words += "check that positions are (east, north) in m, latitude before longitude, and their accuracy"
+        words += (
+            "check that positions are (east, north) in m, latitude before longitude, and their accuracy; for positions "
+            "on a map, use a configuration of in_world_frame()"
+        )
         yield Note("fixes", words)
 
 

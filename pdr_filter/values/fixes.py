@@ -79,7 +79,7 @@ class PositionFix:
         if not (self.cov_m2.shape == (2, 2) and _is_cov(self.cov_m2)):
             raise ValueError(
                 "cov_m2 must be a symmetric positive definite (2, 2) array in m2, of standard deviations from "
-                f"{_MIN_STD:g} to {_MAX_STD:g} m, got {self.cov_m2}"
+                f"{_MIN_STD:g} to {_MAX_STD:g} m, got {self.cov_m2}: give std_m**2 * np.eye(2)"
             )
         _check_correlation_and_floor(self)
         if (self.altitude_m is None) != (self.altitude_std_m is None):

@@ -65,18 +65,20 @@ class Subject:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """Ground truth of a recording: tables with the columns given in docs/formats.md, or None.
+    """Ground truth of a recording: tables, or None.
 
     Attributes
     ----------
     position : Table, optional
-        Measured positions over time.
+        Measured positions over time: time_s, east_m, north_m, up_m.
     waypoints : Table, optional
-        Known points with the times at which the pedestrian passed them. The path between them is unknown.
+        Known points with the times at which the pedestrian passed them: time_s, east_m, north_m, floor. The path
+        between them is unknown.
     steps, strides : Table, optional
-        Contacts of the true steps, and strides of known length.
+        Contacts of the true steps (time_s), and strides of known length (start_s, end_s, length_m).
     segments, labels : Table, optional
-        Stretches of known distance or number of steps, and of known context and carrying mode.
+        Stretches of known distance or number of steps (start_s, end_s, distance_m, n_steps), and of known context and
+        carrying mode (start_s, end_s, context, carrying_mode).
 
     Examples
     --------

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.filter.imm.imm import mix, predict, update
 from pdr_filter.values import FloatArray, check_transition_prob
+from pdr_filter.values.arrays import check_cov
 from pdr_filter.values.mixtures import combine, posterior_prob, reweighted_prob
 
 
@@ -71,7 +72,8 @@ class JumpMarkovModel:
     Raises
     ------
     ValueError
-        If the shapes do not match, a number is not finite, or rows of `transition_prob` do not sum to one.
+        If the shapes do not match, a number is not finite, Q or R is no covariance, or rows of `transition_prob` do not
+        sum to one.
 
     Notes
     -----
@@ -107,7 +109,7 @@ class JumpMarkovModel:
 
     def __init__(self, F: ArrayLike, Q: ArrayLike, H: ArrayLike, R: ArrayLike, transition_prob: ArrayLike) -> None:
         given = {"F": F, "Q": Q, "H": H, "R": R, "transition_prob": transition_prob}
-        arrays = {name: np.array(value, dtype=float) for name, value in given.items()}
+        arrays = {name: _matrices(name, value) for name, value in given.items()}
         if arrays["F"].ndim != 3 or arrays["H"].ndim not in (2, 3):
             raise ValueError(
                 f"F must be (M, n, n) and H (M, d, n) or (d, n), got shapes {arrays['F'].shape} and "
@@ -119,12 +121,15 @@ class JumpMarkovModel:
         for name, shape in shapes.items():
             is_shared = name in ("H", "R") and arrays[name].shape == shape
             if not is_shared and arrays[name].shape != (n_modes, *shape):
+                shared = f", or {shape} for all modes" if name in ("H", "R") else ""
                 raise ValueError(
-                    f"{name} must have the shape {(n_modes, *shape)} for the {n_modes} modes of F, got "
+                    f"{name} must have the shape {(n_modes, *shape)} for the {n_modes} modes of F{shared}, got "
                     f"{arrays[name].shape}: give a matrix for each mode"
                 )
             if not np.isfinite(arrays[name]).all():
                 raise ValueError(f"{name} must contain finite numbers, got {arrays[name].tolist()}: replace NaN")
+            if name in ("Q", "R"):
+                check_cov(arrays[name], name)
             object.__setattr__(self, name, np.broadcast_to(arrays[name], (n_modes, *shape)))
         check_transition_prob(arrays["transition_prob"], n_modes)
         object.__setattr__(self, "transition_prob", arrays["transition_prob"])
@@ -151,7 +156,8 @@ class JumpMarkovModel:
         Raises
         ------
         ValueError
-            If the measurements do not have the dimension of the model.
+            If the measurements or the first state do not have the dimension of the model, or `mode_prob` does not sum
+            to one.
 
         Examples
         --------
@@ -166,14 +172,20 @@ class JumpMarkovModel:
         measured = np.asarray(z, dtype=float)
         n_modes, d, n = self.H.shape
         if measured.ndim < 2 or measured.shape[-1] != d:
+            remedy = "add the axis of the values with z[:, None]" if measured.ndim == d == 1 else "put the values last"
             raise ValueError(
-                f"z must have the shape (T, ..., {d}) for {d} measured values, got {measured.shape}: add the axis of "
-                "the values with z[:, None]"
+                f"z must have the shape (T, ..., {d}) for {d} measured values, got {measured.shape}: {remedy}"
             )
         batch = measured.shape[1:-1]
-        x = np.broadcast_to(np.asarray(mean, dtype=float)[..., None, :], (*batch, n_modes, n))
-        cov = np.broadcast_to(np.asarray(cov, dtype=float)[..., None, :, :], (*batch, n_modes, n, n))
+        x = _first("mean", mean, (n,), batch)[..., None, :]
+        x, cov = np.broadcast_to(x, (*batch, n_modes, n)), _first("cov", cov, (n, n), batch)[..., None, :, :]
+        check_cov(cov, "cov")
+        cov = np.broadcast_to(cov, (*batch, n_modes, n, n))
         prior = np.full(n_modes, 1 / n_modes) if mode_prob is None else np.asarray(mode_prob, dtype=float)
+        if prior.shape != (n_modes,) or not (prior >= 0).all() or abs(prior.sum() - 1) > 1e-6:
+            raise ValueError(
+                f"mode_prob must be {n_modes} probabilities that sum to one, got {prior.tolist()}: divide by the sum"
+            )
         prob = np.broadcast_to(prior, (*batch, n_modes))
         shape = (len(measured), *batch, n_modes)
         means, covs, probs, evidence = np.empty((*shape, n)), np.empty((*shape, n, n)), np.empty(shape), np.zeros(shape)
@@ -213,6 +225,11 @@ class JumpMarkovModel:
         ImmEstimates
             Smoothed estimates. `log_likelihood` is that of the filter.
 
+        Raises
+        ------
+        ValueError
+            If the argument is not a result of `filter`.
+
         Notes
         -----
         Backward pass over pairs of a mode j at time k and a mode i at time k + 1, as in Kim's smoother. The later
@@ -232,12 +249,36 @@ class JumpMarkovModel:
         >>> bool((model.smooth(filtered).cov[0] < filtered.cov[0]).all())
         True
         """
+        if not isinstance(filtered, ImmEstimates):
+            raise ValueError(
+                f"smooth takes the result of filter, got {type(filtered).__name__}: call smooth(filter(z, mean, cov))"
+            )
         prob, mean, cov = (a.copy() for a in (filtered.mode_prob, filtered.mode_mean, filtered.mode_cov))
         no_shift = np.zeros(self.F.shape[:2])
         for k in range(len(prob) - 2, -1, -1):
             here, later = (prob[k], mean[k], cov[k]), (prob[k + 1], mean[k + 1], cov[k + 1])
             prob[k], mean[k], cov[k] = one_step_back(here, later, self.F, no_shift, self.Q, self.transition_prob)
         return _estimates(prob, mean, cov, filtered.log_likelihood)
+
+
+def _matrices(name: str, value: ArrayLike) -> FloatArray:
+    try:
+        return np.array(value, dtype=float)
+    except ValueError:
+        raise ValueError(
+            f"{name} must have matrices of one size for all modes: give modes with smaller states rows and columns of "
+            "zeros"
+        ) from None
+
+
+def _first(name: str, value: ArrayLike, shape: tuple[int, ...], batch: tuple[int, ...]) -> FloatArray:
+    given = np.asarray(value, dtype=float)
+    if given.shape not in (shape, (*batch, *shape)):
+        or_each = f", or {(*batch, *shape)} for independent filters" if batch else ""
+        raise ValueError(
+            f"{name} must have the shape {shape}{or_each}, got {given.shape}: give one state for all modes"
+        )
+    return given
 
 
 _Modes = tuple[FloatArray, FloatArray, FloatArray]  # probabilities (..., M), means and covariances of the modes

@@ -46,16 +46,30 @@ def _std(cov: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class CalibratedPerson:
-    """Calibrated step-length parameters of one person."""
+    """Calibrated step-length parameters of one person.
 
-    id: str  # name of the person
-    height_m: float | None  # height of the person, which the step-length models use with the parameters
-    # (p,) Parameters of each context. Contexts without segments have the parameters of the population.
+    Attributes
+    ----------
+    id : str
+        Name of the person.
+    height_m : float or None
+        Height of the person, which the step-length models use with the parameters.
+    k : mapping of str to ndarray of shape (p,)
+        Parameters of each context. Contexts without segments have the parameters of the population.
+    k_cov : mapping of str to ndarray of shape (p, p)
+        Covariance of the parameters. Contexts without segments have the covariance between persons.
+    n_segments : int
+        Number of segments of the person.
+    main_context : str
+        Main context of the calibration.
+    """
+
+    id: str
+    height_m: float | None
     k: Mapping[str, FloatArray]
-    # (p, p) Covariance of the parameters. Contexts without segments have the covariance between persons.
     k_cov: Mapping[str, FloatArray]
-    n_segments: int  # number of segments of the person
-    main_context: str = "walking"  # main context of the calibration
+    n_segments: int
+    main_context: str = "walking"
 
     @property
     def k0(self) -> float:
@@ -147,7 +161,7 @@ class CalibrationResult:
 
     @property
     def subjects(self) -> dict[str, CalibratedPerson]:
-        """Calibrated persons by name."""
+        """Calibrated persons by name, with personal `k` and `k_std`. Those of the calibration are of the population."""
         return {
             name: CalibratedPerson(
                 name,
