@@ -78,8 +78,10 @@ class SensingState:
         return self.of_steps.get("heading")
 
 
-# Time by which a contact may be earlier than the latency of its detector says, s: it lies between samples.
+# Margin of the earliest contact, s. A contact lies between samples, so that it can be slightly earlier than `latency_s`
+# states.
 _CONTACT_MARGIN_S = 0.1
+_KNOWN_GATES = (type(None), StepGate)
 
 
 class Detected(NamedTuple):
@@ -329,13 +331,14 @@ class Sensing:
         SensingState
             State from which the filter continues with the same bits.
         """
-        if state.n_samples == 0 or not isinstance(self.steps, BaseStepDetector):
+        # The samples that a stage of a user needs, subclasses included, are not known.
+        if state.n_samples == 0 or not isinstance(self.steps, BaseStepDetector) or type(self.gate) not in _KNOWN_GATES:
             return state
         contact_s = state.processed_s - self.steps.latency_s - _CONTACT_MARGIN_S
         of_steps: dict[str, Any] = dict(state.of_steps)
         if self.gate is not None:
             of_steps["gate"], contact_s = self.gate.trimmed(of_steps["gate"], contact_s)
-        if isinstance(self.heading, WalkingHeading):
+        if type(self.heading) is WalkingHeading:
             of_steps["heading"] = self.heading.trimmed(of_steps["heading"], contact_s)
         return replace_unchecked(state, of_steps=of_steps)
 

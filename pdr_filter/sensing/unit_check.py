@@ -16,7 +16,7 @@ from pdr_filter.values.plausibility import wrong_angular_rate, wrong_specific_fo
 
 # A window is complete when it has both this duration and this number of rows.
 _WINDOW_S, _WINDOW_ROWS = 2.0, 100
-# Of the rows within each such time, in s, only the first is used. More would only make saved filters larger.
+# Interval in s of which only the first row is used, because more rows only make saved filters larger.
 _ROW_S = 0.015
 # Smallest number and share of windows with an implausible angular rate that cause a warning. Shaking a phone gives
 # single windows above 12 rad/s. A walk in deg/s exceeds the limit in nearly all windows.

@@ -6,7 +6,7 @@ take nearly no space.
 
 The last bits of measured numbers are random and cannot be compressed. Successive values of a signal differ little, so
 that the first bytes of the differences of their bit patterns are nearly all zero. Small arrays, such as covariances,
-rather repeat numbers.
+often repeat numbers.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ def decompressed(blob: bytes, max_bytes: int) -> tuple[bytes, bytes]:
     if not rest:
         text, _, arrays = config.partition(b"\n")
         return text, arrays
-    state, rest = _inflated(rest, max_bytes, of_state)
-    arrays, rest = _inflated(rest, max_bytes)
-    signals, rest = _inflated(rest, max_bytes)
+    state, rest = _inflated(rest, max_bytes - len(config), of_state)
+    arrays, rest = _inflated(rest, max_bytes - len(config) - len(state))
+    signals, rest = _inflated(rest, max_bytes - len(config) - len(state) - len(arrays))
     if rest:
         raise ValueError("followed by other data")
     return config + state, arrays + _from_differences(signals)
@@ -73,9 +73,9 @@ def decompressed(blob: bytes, max_bytes: int) -> tuple[bytes, bytes]:
 def _inflated(blob: bytes, max_bytes: int, dictionary: bytes = b"") -> tuple[bytes, bytes]:
     """Return the content of the first stream, and the bytes after this stream."""
     inflater = zlib.decompressobj(zdict=dictionary)
-    content = inflater.decompress(blob, max_bytes)
+    content = inflater.decompress(blob, max(max_bytes, 1))  # 0 is no limit
     if inflater.unconsumed_tail or not inflater.eof:
-        raise ValueError(f"incomplete, or more than {max_bytes >> 20} MiB")
+        raise ValueError("incomplete, or too large")
     return content, inflater.unused_data
 
 
@@ -84,13 +84,14 @@ def _by_differences(signals: bytes) -> bytes:
 
     The sign of a difference is its last bit (zigzag code), so that small ones of either sign begin with zeros.
     """
-    numbers = np.frombuffer(signals, "<i8")
+    numbers = np.frombuffer(signals, "<i8").astype(np.int64, copy=False)
     differences = np.diff(numbers, prepend=0)
     unsigned = (differences << 1) ^ (differences >> 63)
-    return unsigned.view(np.uint8).reshape(-1, _N).T.tobytes()
+    return unsigned.astype("<i8", copy=False).view(np.uint8).reshape(-1, _N).T.tobytes()
 
 
 def _from_differences(columns: bytes) -> bytes:
-    unsigned = np.frombuffer(columns, np.uint8).reshape(_N, -1).T.copy().view("<u8")[:, 0]
-    differences = (unsigned >> np.uint64(1)).view("<i8") ^ -(unsigned & np.uint64(1)).view("<i8")
-    return np.cumsum(differences).tobytes()
+    stored = np.frombuffer(columns, np.uint8).reshape(_N, -1).T.copy().view("<u8")[:, 0]
+    unsigned = stored.astype(np.uint64, copy=False)
+    differences = (unsigned >> np.uint64(1)).view(np.int64) ^ -(unsigned & np.uint64(1)).view(np.int64)
+    return np.cumsum(differences).astype("<i8", copy=False).tobytes()

@@ -2,7 +2,8 @@
 
 Version 0.2.0 saved format 6; formats 1 to 5 were never released. There is one function for each format: it takes a
 dataclass of this format, as its name and the nodes of its fields, and returns the node of the next format.
-`serialisation` describes the nodes. Filters of formats 7 to 9 continue as in the version that saved them. In filters of
+`serialisation` describes the nodes. Filters of formats 7 to 10 continue as in the version that saved them,
+but for the counts of the unit check, which may differ by one before format 11. In filters of
 format 6, the detections of repeated fixes, of stuck sensors and of motion without steps begin again.
 """
 
@@ -10,7 +11,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any, cast
 
@@ -20,6 +21,9 @@ from numpy.typing import ArrayLike
 from pdr_filter.values.arrays import FloatArray
 
 _Fields = dict[str, Any]
+# Axes of an array, and their lengths, as in NumPy and in the largest file.
+_MAX_AXES, _MAX_LENGTH = 32, 64 << 20
+_MAX_KEPT = 256  # rows that the clock keeps
 # Names in the next format, of classes or of fields. A field whose next name is empty is omitted.
 _Names = Mapping[str, str]
 
@@ -57,12 +61,19 @@ def _array(values: ArrayLike) -> dict[str, Any]:
     return {"array": base64.b64encode(array.tobytes()).decode(), "dtype": "<f8", "shape": list(array.shape)}
 
 
+def n_values(shape: Sequence[Any]) -> int:
+    """Return the number of values of an array. ValueError for large shapes, whose product would take hours."""
+    if len(shape) > _MAX_AXES or not all(type(n) is int and 0 <= n <= _MAX_LENGTH for n in shape):
+        raise ValueError(f"an array has the shape {str(shape)[:60]}")
+    return math.prod(shape)
+
+
 def _values(node: Mapping[str, Any], arrays: bytes = b"") -> FloatArray:
     """Return the values of an array, whose bytes are text before format 10."""
     position, shape = node["array"], node["shape"]
     if isinstance(position, str):
         arrays, position = base64.b64decode(position, validate=True), 0
-    return np.frombuffer(arrays, "<f8", math.prod(shape), position).reshape(shape)
+    return np.frombuffer(arrays, "<f8", n_values(shape), position).reshape(shape)
 
 
 def _next_name(name: str, classes: _Names) -> str:
@@ -253,6 +264,8 @@ def _from_9(name: str, fields: _Fields) -> Any:
 
 def _from_10(arrays: bytes, name: str, fields: _Fields) -> Any:
     if name.endswith(":ClockState") and "kept" in fields:  # not in filters of earlier formats
+        if n_values(fields["kept"]["shape"]) > 4 * _MAX_KEPT:  # copies of one large array would fill the memory
+            raise ValueError("the clock keeps more rows than a filter does")
         time_s, x, y, z = _values(fields["kept"], arrays).T
         # as `sensing.clock.fingerprint`
         fields["kept"] = _array(np.column_stack([time_s, x + math.sqrt(2.0) * y + math.sqrt(3.0) * z]))

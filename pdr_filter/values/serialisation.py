@@ -13,7 +13,6 @@ import base64
 import hashlib
 import importlib
 import json
-import math
 import sys
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -24,7 +23,7 @@ import numpy as np
 
 from pdr_filter.values import check_declared
 from pdr_filter.values.saved_bytes import compressed, decompressed
-from pdr_filter.values.saved_formats import EARLIER_FORMATS, in_present_format
+from pdr_filter.values.saved_formats import EARLIER_FORMATS, in_present_format, n_values
 
 _PACKAGE = "pdr_filter"
 _FORMAT = 11  # `saved_formats` describes the earlier ones
@@ -34,6 +33,7 @@ _MAX_BYTES = 64 << 20
 _MAX_VALUES = 2_000_000
 # Rows of arrays with at least this many numbers are signals, which other arrays may contain as well.
 _MIN_SIGNAL = 32
+_MAX_COMPARED = 16
 # Packages with the classes of a filter. Classes of other packages are loaded only if their module is imported already.
 _PACKAGES = ("values.", "classifiers.", "sensing.", "filter.", "recipes.", "tracking.", "apps.maps.")
 
@@ -225,8 +225,9 @@ class _Encoder:
         for node, signals in sorted(self._signals, key=lambda each: -each[1].shape[1]):
             node["array"] = starts = list[int]()
             for signal in map(np.ndarray.tobytes, signals):
-                longer = ends.setdefault(signal[-_MIN_SIGNAL:], [])
-                end = next((end for other, end in longer if other.endswith(signal)), 0)
+                # signals that end in the same way, such as in zeros, are compared with the first few of them only
+                longer = ends.setdefault(signal[-_MIN_SIGNAL * signals.itemsize :], [])
+                end = next((end for other, end in longer[:_MAX_COMPARED] if other.endswith(signal)), 0)
                 if not end:
                     stored.append(signal)
                     n_bytes += len(signal)
@@ -284,7 +285,7 @@ class _Decoder:
         shape = _of_type(node["shape"], list, "the shape of an array")
         if dtype.kind not in "biuf":
             raise ValueError(f"the array has type {dtype}, but saved arrays contain only numbers or truth values")
-        position, n_bytes = node["array"], math.prod(shape) * dtype.itemsize
+        position, n_bytes = node["array"], n_values(shape) * dtype.itemsize
         if isinstance(position, str):  # before format 10
             return np.frombuffer(base64.b64decode(position, validate=True), dtype=dtype).reshape(shape).copy()
         self._n_left -= n_bytes
@@ -294,7 +295,7 @@ class _Decoder:
             )
         if not isinstance(position, list):
             return np.frombuffer(self._bytes(position, n_bytes), dtype=dtype).reshape(shape).copy()
-        array = np.empty(shape, dtype)
+        array = np.zeros(shape, dtype)
         signals, starts = _signals(array), cast(list[Any], position)
         if len(signals) != len(starts):
             raise ValueError(f"an array of shape {str(shape)[:60]} cannot have {len(starts)} signals")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -53,3 +54,25 @@ def test_a_filter_saved_with_a_handled_phone_and_while_walking_continues_with_th
         assert is_same
         np.testing.assert_array_equal(resumed.path().position_m, whole.path().position_m)
     assert n_steps > 15 and n_held > 1 and n_left_out > 100
+
+
+class OwnGate:
+    """Gate of a user, which keeps nothing and releases each step at once."""
+
+    latency_s = 0.0
+
+    def init(self) -> tuple[()]:
+        return ()
+
+    def update(self, state: tuple[()], block: Any, attitude: Any, contexts: Any, steps: Any) -> Any:
+        return state, steps
+
+
+def test_a_filter_with_a_gate_of_a_user_keeps_its_samples_when_it_is_saved() -> None:
+    config = pdr.recipes.default()
+    config = replace(config, sensing=replace(config.sensing, gate=cast(Any, OwnGate())))
+    online = pdr.OnlineFilter(config)
+    for part in parts_of(pdr.merge_streams(simulate([Leg("walking", distance_m=20.0)])), 12.0):
+        online.push(*part)
+    sensing: Any = online.state.sensing
+    assert config.sensing.trimmed(sensing) is sensing

@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 
 from pdr_filter.filter.imm.motion_model import MotionNoise
 from pdr_filter.filter.step_length.models import known_length
-from pdr_filter.values import PositionFix, saved_bytes, serialisation
+from pdr_filter.values import PositionFix, saved_bytes, saved_formats, serialisation
 from pdr_filter.values.serialisation import _packed, from_bytes, to_bytes
 
 NUMBERS = st.floats(allow_nan=True) | st.integers(-(2**63), 2**63) | st.booleans()
@@ -180,6 +180,36 @@ def test_an_array_whose_bytes_are_not_there_is_refused(position: Any) -> None:
     node = {"array": position, "dtype": "<f8", "shape": [2, 2]}
     with pytest.raises(ValueError, match="cannot be loaded as a saved value"):
         from_bytes(_packed(node, bytes(32)))
+
+
+@pytest.mark.parametrize("shape", [[10**400] * 30, [1] * 33, [-1, 2], [2.0], ["2"], [True]])
+def test_an_array_of_a_shape_that_no_array_has_is_refused(shape: list[Any]) -> None:
+    with pytest.raises(ValueError, match="cannot be loaded"):
+        from_bytes(_packed({"array": 0, "dtype": "<f8", "shape": shape}, bytes(32)))
+
+
+def test_many_kept_rows_of_a_clock_of_format_10_are_refused() -> None:
+    kept = {"array": 0, "dtype": "<f8", "shape": [257, 4]}
+    node = {"dataclass": "pdr_filter.sensing.clock:ClockState", "fields": {"kept": kept}}
+    with pytest.raises(ValueError, match="more rows than a filter does"):
+        saved_formats.in_present_format(node, 10, bytes(257 * 32))
+
+
+def test_compressed_content_above_the_limit_is_refused_in_any_part() -> None:
+    for part in range(3):
+        content = [b"{}", b"", b""]
+        content[part] += bytes(2000)
+        blob = saved_bytes.compressed(*content)
+        assert saved_bytes.decompressed(blob, 2010)[1][:1] in (b"", b"\x00")
+        with pytest.raises(ValueError, match="too large"):
+            saved_bytes.decompressed(blob, 1990)
+
+
+def test_signals_with_equal_ends_are_restored(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(serialisation, "_MAX_COMPARED", 2)
+    rows = np.random.default_rng(0).normal(size=(20, 64))
+    rows[:, 14:] = 0.0
+    assert np.array_equal(from_bytes(to_bytes(rows)), rows)
 
 
 def test_signals_that_several_arrays_contain_are_stored_once_with_their_bits() -> None:

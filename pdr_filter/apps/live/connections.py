@@ -43,7 +43,7 @@ class LimitedConnection(H11Protocol):
     def connection_made(self, transport: Any) -> None:
         """Count a new connection, and close another one if there are too many.
 
-        With TLS, this method is called at the begin of the handshake and again at its end.
+        With TLS, this method is called at the start of the handshake and again at its end.
         """
         super().connection_made(transport)
         self._wait()
@@ -114,8 +114,9 @@ class LimitedConnection(H11Protocol):
 
 
 class TlsConnection(SSLProtocol):
-    """TLS of a `LimitedConnection`, which the handshake is a part of: it counts, and the first head waits for it.
+    """TLS layer of a `LimitedConnection`, which counts from the start of its handshake.
 
+    Handshake and first head have one timeout together.
     With the `ssl` of `uvicorn.Config`, connections would count after the handshake, which may take a minute.
     """
 

@@ -39,7 +39,7 @@ CONFIGS = "configurations"
 # In the folder of a session while it is loaded: a byte for each try. It stays if the process does not survive this.
 TRIES = ".tries"
 # From the second try on, a message of the session loads it alone. A server that is killed for another reason may meet
-# the same session twice, and one that ends whatever is tried serves no other phone.
+# the same session twice. A server that ends at every try serves no other phone.
 _MAX_TRIES = 4
 _APPENDED = (STEPS, FIXES, RANGES, *(f"{name}.csv" for name in STREAM_COLUMNS))
 _ZIP_BLOCK_BYTES = 2**20

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import json
-import socket
 import urllib.request
 import uuid
 from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
@@ -215,6 +214,14 @@ def _joined(bodies: list[bytes]) -> dict[str, SensorRows]:
 _MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 
+def _client_identifier(folder: Path, where: str) -> str:
+    """Return the name of the server of a folder at a broker. It is the same in the next container on this folder."""
+    path = folder / ".mqtt"
+    if not path.exists():
+        path.write_text(uuid.uuid4().hex)
+    return f"pdr{hashlib.sha256(f'{path.read_text()} {where}'.encode()).hexdigest()[:20]}"
+
+
 class Mqtt:
     """Subscription to a topic, mqtt://USER:PASSWORD@HOST:PORT/TOPIC, or mqtts with encryption.
 
@@ -230,8 +237,8 @@ class Mqtt:
             )
         self._topic = unquote(self._address.path.lstrip("/")) or "sensor-logger"
         # another topic is another session, because the broker would continue to send the messages of the earlier topic
-        owner = f"{socket.gethostname()} {'' if folder is None else folder.resolve()} {self._topic}"
-        self._identifier = None if folder is None else f"pdr{hashlib.sha256(owner.encode()).hexdigest()[:20]}"
+        where = f"{self._address.hostname} {self._address.port} {self._address.username} {self._topic}"
+        self._identifier = None if folder is None else _client_identifier(folder, where)
 
     async def run(self) -> None:
         """Receive messages of the topic and pass them to `take`, until an error of the connection ends the method."""

@@ -178,15 +178,23 @@ class _Worker:
         """
         wait_s, begun = _TICK_S, time.monotonic()
         while True:
+            starting = asyncio.create_task(asyncio.wait_for(self._start(), _START_S))
             try:
-                return await asyncio.wait_for(self._start(), _START_S)
+                while not starting.done():
+                    await asyncio.wait([starting], timeout=_TICK_S)
+                    self._refuse_after_patience(begun)
+                return starting.result()
             except (LostError, TimeoutError, ValueError) as error:
                 _LOG.warning("no worker yet: %s", error)
-            is_long = time.monotonic() - begun > _PATIENCE_S
-            for waiting in list(self._waiting) if is_long else ():
-                self._answered(waiting, Answer(503, {"error": "no worker at present; send it again later"}))
+            finally:
+                starting.cancel()  # if this is cancelled itself
             await asyncio.sleep(wait_s)
             wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
+
+    def _refuse_after_patience(self, begun: float) -> None:
+        is_long = time.monotonic() - begun > _PATIENCE_S
+        for waiting in list(self._waiting) if is_long else ():
+            self._answered(waiting, Answer(503, {"error": "no worker at present; send it again later"}))
 
 
 # Starts the share with this number, of so many.
