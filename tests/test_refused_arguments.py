@@ -260,7 +260,6 @@ FILTER: list[Refusal] = [
     (an_imm_filter, {"mode_prob": [0.5, 0.3, 0.2]}, "mode_prob must be 2 probabilities that sum to one"),
     (an_imm_filter, {"mode_prob": [1.5, -0.5]}, "mode_prob must be 2 probabilities that sum to one"),
     (an_imm_filter, {"mode_prob": [0.9, 0.3]}, "divide by the sum"),
-    (a_jump_model().smooth, {"filtered": np.zeros((5, 1))}, r"smooth takes the result of filter, got ndarray"),
     (a_fit, {"theta": ZEROS}, "theta"),
     (a_fit, {"theta": np.array([1.0, NAN, 0.0])}, r"theta must be \(3,\), finite"),
     (a_fit, {"theta_cov": -np.eye(3)}, "theta_cov must have no negative eigenvalue"),

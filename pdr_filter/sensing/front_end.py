@@ -359,9 +359,9 @@ class Sensing:
         )
         contexts = ContextBlock.of(context, carrying_mode, self.context_set)
         step_state, steps = self.steps.update(state.steps, part, attitude, contexts)
-        of_gate = dict[str, object]()
-        if self.gate is not None:
-            of_gate["gate"], steps = self.gate.update(state.of_steps["gate"], part, attitude, contexts, steps)
+        of_gate, gate = dict[str, object](), self._step_stages.get("gate")
+        if gate is not None:
+            of_gate["gate"], steps = gate.update(state.of_steps["gate"], part, attitude, contexts, steps)
         after = replace_unchecked(
             state,
             attitude=attitude_state,

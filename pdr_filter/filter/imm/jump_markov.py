@@ -225,11 +225,6 @@ class JumpMarkovModel:
         ImmEstimates
             Smoothed estimates. `log_likelihood` is that of the filter.
 
-        Raises
-        ------
-        ValueError
-            If the argument is not a result of `filter`.
-
         Notes
         -----
         Backward pass over pairs of a mode j at time k and a mode i at time k + 1, as in Kim's smoother. The later
@@ -249,10 +244,6 @@ class JumpMarkovModel:
         >>> bool((model.smooth(filtered).cov[0] < filtered.cov[0]).all())
         True
         """
-        if not isinstance(filtered, ImmEstimates):
-            raise ValueError(
-                f"smooth takes the result of filter, got {type(filtered).__name__}: call smooth(filter(z, mean, cov))"
-            )
         prob, mean, cov = (a.copy() for a in (filtered.mode_prob, filtered.mode_mean, filtered.mode_cov))
         no_shift = np.zeros(self.F.shape[:2])
         for k in range(len(prob) - 2, -1, -1):
