@@ -70,8 +70,8 @@ def test_more_than_half_of_the_windows_far_from_the_training_data_cause_a_note(
 
 def test_fixes_that_arrive_after_the_last_sample_are_late_and_not_on_another_clock() -> None:
     walk = pdr.simulate.demo_walk()
-    late = [pdr.PositionFix(t, np.zeros(2), 1e4 * np.eye(2), received_time_s=t + 20.0) for t in (50.0, 100.0)]
-    ahead = pdr.PositionFix(130.0, np.zeros(2), np.eye(2))
+    late = [pdr.PositionFix(t, np.zeros(2), 1e4 * np.eye(2), received_time_s=t + 25.0) for t in (50.0, 100.0)]
+    ahead = pdr.PositionFix(135.0, np.zeros(2), np.eye(2))
     notes = pdr.track(walk, fixes=[*late, ahead]).notes
     (arrived,) = (note for note in notes if "arrived after the last sample" in note)
     assert arrived.startswith("1 fix not used") and "clock" not in arrived

@@ -20,10 +20,10 @@ from typing import Any
 
 import httpx
 import numpy as np
+from average_walk import average_walk
 
 from pdr_filter.apps.live.messages import N_VALUES, Message, MessageBatch, SensorRows, parse, to_json
 from pdr_filter.apps.live.sessions import Sessions
-from pdr_filter.simulate import demo_walk
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording
 
@@ -172,7 +172,7 @@ def until(condition: Any, timeout_s: float = 20.0) -> Any:
 
 def short_walk(seconds: float) -> Recording:
     """The first seconds of the walk that the package comes with."""
-    whole = demo_walk()
+    whole = average_walk()
     cut = {name: stream.time_s < seconds for name, stream in whole.streams.items()}
     return replace(whole, **{n: Samples(s.time_s[cut[n]], s.values[cut[n]]) for n, s in whole.streams.items()})
 

@@ -161,7 +161,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         )
         browser.until("!!document.querySelector('#list li.done polyline')", 60)
         assert "notes.zip not added: notes.zip: not recognised as a recording" in browser.words("#drops")
-        assert re.search(r"file of .*1:54 · \d+ steps · 1\d\d m", browser.value("byId('list').textContent"))
+        assert re.search(r"file of .*2:00 · \d+ steps · 1\d\d m", browser.value("byId('list').textContent"))
         browser.shot(pictures / "workbench_list.png", is_whole=False)
         # draw
         browser.value("document.getElementById('plan-name').value = 'House'")

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from average_walk import average_walk
 from helpers import nees_of, streamed, true_position_m
 from scipy.stats import chi2
 
@@ -164,7 +165,7 @@ def test_after_a_gyroscope_failure_behind_the_fixes_the_walk_stays_inside_the_el
 
 def turned_in_gap(end_s: float = 75.0) -> Recording:
     """Return a walk without samples from 30 s on, during which it turns."""
-    return without(pdr.simulate.demo_walk(), lambda time_s: (time_s > 30.0) & (time_s < end_s))
+    return without(average_walk(), lambda time_s: (time_s > 30.0) & (time_s < end_s))
 
 
 @pytest.mark.parametrize("weighting", ["imm", "hc"])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from average_walk import average_walk
 from own_parts import HeadingRule
 from true_positions import position_fixes, true_m
 
@@ -145,7 +146,7 @@ def test_recordings_of_one_name_are_different_people_and_the_progress_reaches_th
 
 
 def test_contexts_of_one_walk_have_a_joint_covariance() -> None:
-    walk = pdr.simulate.demo_walk()
+    walk = average_walk()
     found = pdr.calibrate(replace(walk, truth=Truth(waypoints=walk.truth.waypoints)), smooth=True)
     part = slices_of(found.models)[0]
     walking, running = part["walking"].start, part["running"].start
