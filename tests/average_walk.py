@@ -1,6 +1,10 @@
-"""The demonstration walk of an average person, for tests that need a phone with usual errors."""
+"""The demonstration walk of an average person along right angles, for tests that need a phone with usual errors."""
 
 from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
 
 from pdr_filter.simulate import Gait, simulate
 from pdr_filter.simulate.walk import demo_legs
@@ -8,4 +12,6 @@ from pdr_filter.values.recording import Recording
 
 
 def average_walk() -> Recording:
-    return simulate(demo_legs(0), Gait(height_m=1.86), "pocket", seed=0, name="demo_walk")
+    right = np.pi / 2
+    legs = [replace(leg, turn_rad=right * round(leg.turn_rad / right)) for leg in demo_legs(0)]
+    return simulate(legs, Gait(height_m=1.86), "pocket", seed=0, name="demo_walk")

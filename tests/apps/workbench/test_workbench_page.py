@@ -22,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from average_walk import average_walk
 from benches import short_walk
 from browser import BROWSER, Browser
 from PIL import Image, ImageDraw
@@ -30,7 +31,6 @@ from typer.testing import CliRunner
 import pdr_filter as pdr
 from pdr_filter.apps.cli.app import app
 from pdr_filter.apps.maps.marks import read_marks
-from pdr_filter.simulate import demo_walk
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
 READY = "document.getElementById('said').textContent.includes('up to date')"
@@ -147,7 +147,7 @@ def draw_house(folder: Path) -> Path:
 
 def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
     pictures = Path(os.environ.get("PDR_FILTER_PICTURES") or tmp_path)
-    walk = demo_walk().save(tmp_path / "my walk.zip")
+    walk = average_walk().save(tmp_path / "my walk.zip")
     bad = tmp_path / "notes.zip"
     bad.write_text("no recording")
     folder = tmp_path / "walks"
@@ -161,7 +161,7 @@ def test_from_a_recording_to_a_path_on_a_floor_plan(tmp_path: Path) -> None:
         )
         browser.until("!!document.querySelector('#list li.done polyline')", 60)
         assert "notes.zip not added: notes.zip: not recognised as a recording" in browser.words("#drops")
-        assert re.search(r"file of .*2:00 · \d+ steps · 1\d\d m", browser.value("byId('list').textContent"))
+        assert re.search(r"file of .*1:54 · \d+ steps · 1\d\d m", browser.value("byId('list').textContent"))
         browser.shot(pictures / "workbench_list.png", is_whole=False)
         # draw
         browser.value("document.getElementById('plan-name').value = 'House'")
