@@ -73,7 +73,7 @@ def decompressed(blob: bytes, max_bytes: int) -> tuple[bytes, bytes]:
 def _inflated(blob: bytes, max_bytes: int, dictionary: bytes = b"") -> tuple[bytes, bytes]:
     """Return the content of the first stream, and the bytes after this stream."""
     inflater = zlib.decompressobj(zdict=dictionary)
-    content = inflater.decompress(blob, max(max_bytes, 1))  # 0 is no limit
+    content = inflater.decompress(blob, max(max_bytes, 1))  # zlib takes 0 for no limit
     if inflater.unconsumed_tail or not inflater.eof:
         raise ValueError("incomplete, or too large")
     return content, inflater.unused_data
