@@ -139,7 +139,7 @@ def load() -> str:
 
 
 def in_tree(tree: Path, code: str, *arguments: str) -> Any:
-    """What code prints, as JSON, in a fresh interpreter that imports the package of a checkout."""
+    """Return what code prints, as JSON, in a fresh interpreter that imports the package of a checkout."""
     environment = {**os.environ, **QUIET_DASK, "PYTHONPATH": str(tree)}
     command = [sys.executable, "-c", code, *arguments]
     done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, check=True)
@@ -370,7 +370,7 @@ def of_stages(work: Callable[[], object]) -> dict[str, float]:
 
 
 def stages(tables: Tables, arguments: argparse.Namespace) -> None:
-    """Where the time of a walk, of pushed blocks, of a rest and of smoothing goes."""
+    """Write the table of the time that each stage takes in a walk, pushed blocks, a rest and smoothing."""
     block = pdr.merge_streams(pdr.read(arguments.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
     walk, rest = long_walk(0.1), mostly_resting(0.25, 1 / 500)
 

@@ -89,7 +89,7 @@ def _of_length(seconds: Iterator[tuple[str, str]], length_s: int) -> list[tuple[
 
 
 def _seconds(recording: pdr.Recording) -> list[tuple[str, str]]:
-    """Whole seconds of a recording at 50 Hz."""
+    """Return the whole seconds of a recording at 50 Hz, as lines of its accelerometer and its gyroscope."""
     assert recording.gyroscope is not None
     streams = [_lines(s.values) for s in (recording.accelerometer, recording.gyroscope)]
     return list(zip(*streams, strict=True))
@@ -208,9 +208,9 @@ class Timed:
     """Processor times of a worker around one recording."""
 
     pid: int
-    begin_s: float  # of the process
+    begin_s: float  # processor time of the process before the recording
     end_s: float
-    used_s: float  # of the thread that tracked the recording
+    used_s: float  # processor time of the thread that tracked the recording
     peak_mb: float
 
 
@@ -235,9 +235,9 @@ class Cost:
 
     n: int
     elapsed_s: float
-    work_s: float  # of the thread that tracks
+    work_s: float  # processor time of the thread that tracks
     rest_s: float  # other processor time of the workers
-    served_s: float  # of this process, and of scheduler and nanny
+    served_s: float  # processor time of this process, of the scheduler and of the nanny
     peak_mb: float
 
 

@@ -57,7 +57,9 @@ _OXFORD_PLACES = {
     "Armband": ("", "arm band on the upper arm"),
 }
 OXFORD = tuple(f"{place}_{n}" for place in _OXFORD_PLACES for n in (range(1, 5) if place == "InHand" else (1, 2)))
-_SWITCH_BOUNCE_S = 0.45  # the same foot takes at least twice as long between two contacts
+# The same foot takes at least twice as long between two contacts.
+_SWITCH_BOUNCE_S = 0.45
+
 # Motions of the smartphone benchmark of the Tyrex team, as context, carrying mode and placement.
 _TYREX_MOTIONS = {
     "AR": ("", "texting", "held upright in front of the face and pointed around (augmented reality)"),
