@@ -195,14 +195,14 @@ def test_many_kept_rows_of_a_clock_of_format_10_are_refused() -> None:
         saved_formats.in_present_format(node, 10, bytes(257 * 32))
 
 
-def test_compressed_content_above_the_limit_is_refused_in_any_part() -> None:
-    for part in range(3):
-        content = [b"{}", b"", b""]
-        content[part] += bytes(2000)
-        blob = saved_bytes.compressed(*content)
-        assert saved_bytes.decompressed(blob, 2010)[1][:1] in (b"", b"\x00")
+def test_compressed_content_above_the_limit_is_refused_whichever_part_exceeds_it() -> None:
+    parts = [b"{}" + bytes(1000), b'"state": ' + bytes(1000), bytes(1000), bytes(1000)]
+    for n in range(1, 5):
+        config, state, arrays, signals = (*parts[:n], *[b""] * (4 - n))
+        size, blob = len(config + state + arrays + signals), saved_bytes.compressed(config + state, arrays, signals)
+        assert saved_bytes.decompressed(blob, size + 1)[0] == config + state
         with pytest.raises(ValueError, match="too large"):
-            saved_bytes.decompressed(blob, 1990)
+            saved_bytes.decompressed(blob, size - 1)
 
 
 def test_signals_with_equal_ends_are_restored(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -90,6 +90,30 @@ def test_who_asks_more_than_a_worker_can_take_is_told_so() -> None:
     assert statuses == [200] * 1000 + [503] * 500
 
 
+def test_phones_are_refused_after_a_while_although_a_start_takes_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live_workers, "_PATIENCE_S", 0.1)
+    monkeypatch.setattr(live_workers, "_TICK_S", 0.05)
+    starts, ready = list[int](), asyncio.Event()
+
+    async def run() -> list[int]:
+        async def start(part: int, n_parts: int) -> Mortal:
+            starts.append(part)
+            if len(starts) > 1:
+                await ready.wait()
+            return Mortal([], [])
+
+        workers = Workers(start, 1, lambda _: None)
+        await workers.start()
+        answers = await asyncio.wait_for(asyncio.gather(*(workers.take(taken_of(b)) for b in (b"deadly", b"1"))), 20.0)
+        ready.set()
+        await asyncio.sleep(0.5)
+        answers.append(await asyncio.wait_for(workers.take(taken_of(b"2")), 20.0))
+        await workers.close()
+        return [answer.status for answer in answers]
+
+    assert asyncio.run(run()) == [503, 503, 200]
+
+
 class Died(BaseException):
     """The process has ended, as that of a part does at a segmentation fault."""
 
