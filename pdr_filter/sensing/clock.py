@@ -116,10 +116,13 @@ def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Cl
     """
     rows = rows.copy()
     rows[:, 0] += clock.offset_s
-    steps_s = rows[:, 0] - np.concatenate([[clock.last_s], rows[:-1, 0]])
+    steps_s = rows[:, 0].copy()
+    steps_s[0] -= clock.last_s
+    steps_s[1:] -= rows[:-1, 0]
+    is_next = (steps_s > 0) & (steps_s <= max_gap_s)
     # The first sample of all has no predecessor: its step is infinite and is accepted.
-    (stops,) = (~((steps_s > 0) & ((steps_s <= max_gap_s) | np.isinf(steps_s)))).nonzero()
-    rows = rows[: stops[0]] if len(stops) else rows
+    is_next[0] |= steps_s[0] == np.inf
+    rows = rows if is_next.all() else rows[: int(is_next.argmin())]
     return (replace_unchecked(clock, last_s=float(rows[-1, 0]), n_rejected_times=0) if len(rows) else clock), rows
 
 

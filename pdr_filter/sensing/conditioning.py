@@ -487,8 +487,10 @@ class Conditioner:
         at = np.minimum(np.searchsorted(rows[:, 0], grid[1:]), len(rows) - 1)
         rate_known = rows[at, _RATE_AGE] <= self.max_gap_s
         field_known = rows[at, _FIELD_AGE] <= self.max_gap_s
-        range_mps2 = np.ptp(means[:, 0:3].reshape(-1, hop_samples, 3), axis=1).max(axis=1)
-        turn_known = rate_known | np.repeat((range_mps2 > 0) & (range_mps2 < _REST_MPS2), hop_samples)
+        turn_known = rate_known
+        if not rate_known.all():
+            range_mps2 = np.ptp(means[:, 0:3].reshape(-1, hop_samples, 3), axis=1).max(axis=1)
+            turn_known = rate_known | np.repeat((range_mps2 > 0) & (range_mps2 < _REST_MPS2), hop_samples)
         output = UniformBlock(
             time_s=grid[1:] - 0.5 / self.rate_hz,
             specific_force_mps2=np.ascontiguousarray(means[:, 0:3]),
@@ -503,8 +505,8 @@ class Conditioner:
         report = replace_unchecked(
             state.report,
             n_emitted=state.report.n_emitted + len(rate_known),
-            n_without_rate=state.report.n_without_rate + int((~rate_known).sum()),
-            n_without_turn=state.report.n_without_turn + int((~turn_known).sum()),
+            n_without_rate=state.report.n_without_rate + len(rate_known) - int(np.count_nonzero(rate_known)),
+            n_without_turn=state.report.n_without_turn + len(turn_known) - int(np.count_nonzero(turn_known)),
         )
         new = replace_unchecked(state, rows=rows[first_needed:], n_emitted=n_complete, report=report)
         return new, [output]

@@ -40,6 +40,7 @@ _NONE: _Flags = (False, False, False)
 # Columns of specific force, angular rate and magnetic field, and of the sensor that shows motion for each.
 _AXES, _OTHER_AXES = (slice(0, 3), slice(3, 6), slice(6, 9)), (slice(3, 6), slice(0, 3), slice(3, 6))
 _N_COLUMNS, _FIELD = 9, 2
+_NO_LOW, _NO_HIGH = read_only(np.full(_N_COLUMNS, np.inf)), read_only(np.full(_N_COLUMNS, -np.inf))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,10 +65,7 @@ class WatchdogState:
 
 def init_watchdog() -> WatchdogState:
     """Return the state of the detection of stuck sensors before the first row."""
-    nothing = np.full(_N_COLUMNS, np.nan)
-    return WatchdogState(
-        0, np.full(_N_COLUMNS, np.inf), np.full(_N_COLUMNS, -np.inf), nothing, np.full(2, np.inf), _NO_TURN_RAD
-    )
+    return WatchdogState(0, _NO_LOW, _NO_HIGH, np.full(_N_COLUMNS, np.nan), np.full(2, np.inf), _NO_TURN_RAD)
 
 
 def remove_stuck_values(
@@ -88,7 +86,7 @@ def remove_stuck_values(
     resolution = _resolutions(state, values, begins)
     n_whole, n_rows = divmod(state.n_rows + len(values), _WINDOW_ROWS)
     result, ends = values, [*begins[1:].tolist(), len(values)]
-    is_constant = np.asarray((high - low <= _CONSTANT).any(axis=1))
+    is_constant = np.logical_or.reduce(high - low <= _CONSTANT, axis=1).tolist()
     judged, start_s = state, state.start_s
     for k, begin in enumerate(begins.tolist()):
         for axes, is_dead in zip(_AXES, judged.dead, strict=True):
@@ -100,17 +98,18 @@ def remove_stuck_values(
             judged = _state_after_window(judged, low[k], high[k], resolution[k], start_s, float(time_s[ends[k] - 1]))
         elif k < n_whole:
             judged = replace_unchecked(judged, still_since_s=_NEVER_S, moved=_NONE, turned_rad=_NO_TURN_RAD, dead=_NONE)
-    fresh = init_watchdog()
-    open_low, open_high, start_s = (low[-1], high[-1], start_s) if n_rows else (fresh.low, fresh.high, np.nan)
+    open_low, open_high, start_s = (low[-1], high[-1], start_s) if n_rows else (_NO_LOW, _NO_HIGH, np.nan)
     kept = {"last": values[-1].copy(), "resolution": resolution[-1], "start_s": start_s}
     return replace_unchecked(judged, n_rows=n_rows, low=open_low, high=open_high, **kept), result
 
 
 def _resolutions(state: WatchdogState, values: FloatArray, begins: IntArray) -> FloatArray:
     """Return the resolution (W, 2) of accelerometer and gyroscope at the end of each window."""
-    change = np.abs(np.diff(values[:, :6], axis=0, prepend=state.last[None, :6]))
-    change[~(change > _CONSTANT)] = np.inf
-    smallest = np.minimum.reduceat(change, begins).reshape(-1, 2, 3).min(axis=2)
+    change = np.empty((len(values), 6))
+    change[0], change[1:] = values[0, :6] - state.last[:6], values[1:, :6] - values[:-1, :6]
+    np.abs(change, out=change)
+    np.copyto(change, np.inf, where=~(change > _CONSTANT))
+    smallest = np.minimum.reduce(np.minimum.reduceat(change, begins).reshape(-1, 2, 3), axis=2)
     smallest[0] = np.minimum(smallest[0], state.resolution)
     return np.minimum.accumulate(smallest)
 

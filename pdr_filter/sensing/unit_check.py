@@ -77,8 +77,8 @@ def check_units(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> Un
     last_s = float(time_s[-1]) if len(time_s) else state.last_s
     new = np.empty((len(time_s), 4))
     new[:, 0], new[:, 2] = time_s, motion[:, 2]
-    for column, (x, y, z) in ((1, motion[:, :3].T), (3, motion[:, 3:].T)):
-        new[:, column] = np.sqrt(x * x + y * y + z * z)
+    squares = motion * motion
+    np.sqrt(squares[:, 0::3] + squares[:, 1::3] + squares[:, 2::3], out=new[:, 1::2])
     rows = np.concatenate([state.rows, new])
     times_s, start = rows[:, 0], 0
     while len(rows) - start >= _WINDOW_ROWS and times_s[-1] - times_s[start] >= _WINDOW_S:

@@ -254,17 +254,15 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         """
         place = np.interp(frequency_hz, _BANK_HZ, np.arange(len(_BANK_HZ), dtype=float))
         lower = np.minimum(place.astype(int), len(_BANK_HZ) - 2)
-        upper_share = place - lower
-        response: FloatArray = np.zeros(len(frequency_hz))
-        n_uses = np.bincount(lower, minlength=len(_BANK_HZ)) + np.bincount(lower + 1, minlength=len(_BANK_HZ))
-        for k in n_uses.nonzero()[0].tolist():
+        upper_share, used, n = place - lower, set(lower.tolist()), len(frequency_hz)
+        transforms = np.empty((len(_BANK_HZ), n))
+        for k in used | {k + 1 for k in used}:
             kernel = self._bank[k]
             half = len(kernel) // 2
             first = self._n_before - half
-            part = line[first : first + len(frequency_hz) + 2 * half]
-            share: FloatArray = np.where(lower == k, 1.0 - upper_share, np.where(lower == k - 1, upper_share, 0.0))
-            response = np.add(response, share * np.correlate(part, kernel[::-1]), dtype=float)
-        return response
+            transforms[k] = np.correlate(line[first : first + n + 2 * half], kernel[::-1])
+        at = lower * n + np.arange(n)
+        return (1.0 - upper_share) * transforms.take(at) + upper_share * transforms.take(at + n)
 
     def _state_if_step(
         self, state: AdaptiveDetectorState, peak: FloatArray, interval_s: float, new_bout: bool
