@@ -406,15 +406,11 @@ def _mean_up_and_vector(
     and `mean_vector` (3,) is the mean of the vectors.
     """
     pairs = (quat[:, :, None] * quat[:, None, :]).reshape(len(quat), 16)
-    of_pairs = (pairs.T @ vector_and_one / len(quat)).reshape(4, 4, 4).tolist()
-    w, x, y, z = range(4)
+    twice = (2 * (pairs.T @ vector_and_one / len(quat))).reshape(4, 4, 4).tolist()
+    (_, wx, wy, wz), (_, xx, xy, xz), (_, _, yy, yz), (_, _, _, zz) = twice
     a, b, c = mean_vector.tolist()
-
-    def twice(i: int, j: int, k: int) -> float:
-        return 2 * of_pairs[i][j][k]
-
-    east = a - twice(y, y, 0) - twice(z, z, 0) + twice(x, y, 1) - twice(w, z, 1) + twice(x, z, 2) + twice(w, y, 2)
-    north = twice(x, y, 0) + twice(w, z, 0) + b - twice(x, x, 1) - twice(z, z, 1) + twice(y, z, 2) - twice(w, x, 2)
-    up = twice(x, z, 0) - twice(w, y, 0) + twice(y, z, 1) + twice(w, x, 1) + c - twice(x, x, 2) - twice(y, y, 2)
-    up_sensor = [twice(x, z, 3) - twice(w, y, 3), twice(y, z, 3) + twice(w, x, 3), 1 - twice(x, x, 3) - twice(y, y, 3)]
+    east = a - yy[0] - zz[0] + xy[1] - wz[1] + xz[2] + wy[2]
+    north = xy[0] + wz[0] + b - xx[1] - zz[1] + yz[2] - wx[2]
+    up = xz[0] - wy[0] + yz[1] + wx[1] + c - xx[2] - yy[2]
+    up_sensor = [xz[3] - wy[3], yz[3] + wx[3], 1 - xx[3] - yy[3]]
     return np.array(up_sensor), np.array([east, north, up])

@@ -514,9 +514,7 @@ def _likely(prob: FloatArray) -> int:
 def _held_values(before: int, changes: list[tuple[int, int]], n: int) -> IntArray:
     """Return values (n,) of a quantity that changes at some samples and stays constant in between.
 
-    `before` is the value before the first change. `changes` are pairs of sample index and new value.
+    `before` is the value before the first change. `changes` are pairs of sample index and new value, in order.
     """
-    values = np.full(n, before)
-    for i, value in changes:
-        values[i:] = value
-    return values
+    values = [before, *(value for _, value in changes)]
+    return np.repeat(values, np.diff([0, *(i for i, _ in changes), n]))
