@@ -2,7 +2,7 @@
 # make test                                run the quick tests: three minutes on two cores
 # make test-all                            run every test
 # make check                               lint, format and types
-# make models [MIRROR=folder] [MODELS=dir] train the shipped models again and compare them: hours
+# make models [MIRROR=folder] [MODELS=dir] train the shipped models again and compare them: half an hour
 # make docs                                build the documentation and run its notebooks: some minutes the first time
 # make clean                               remove all files that these commands made
 #
