@@ -253,6 +253,7 @@ FILTER: list[Refusal] = [
     (a_jump_model, {"R": 0.01}, r"R must have the shape \(2, 1, 1\).* or \(1, 1\) for all modes, got \(\)"),
     (a_jump_model, {"Q": -np.ones((2, 1, 1))}, "Q must have no negative eigenvalue"),
     (an_imm_filter, {"z": np.zeros(5)}, r"z must have the shape \(T, ..., 1\).*z\[:, None\]"),
+    (an_imm_filter, {"z": [[0.0], [np.inf]]}, "z must contain finite numbers or NaN, got inf: replace inf by NaN"),
     (an_imm_filter, {"z": np.zeros((5, 2))}, "put the values last"),
     (an_imm_filter, {"mean": [[0.0], [1.0]]}, r"mean must have the shape \(1,\), got \(2, 1\): give one state"),
     (an_imm_filter, {"cov": 1.0}, r"cov must have the shape \(1, 1\), got \(\)"),

@@ -293,7 +293,7 @@ def scaling(tables: Tables, arguments: argparse.Namespace) -> None:
             rows.append([what, str(n_workers), *times, *rest, f"{of.peak_mb:.0f} MB"])
 
         add("processes", 2, cost(files, jobs=2))
-        own = ("Dask with its own settings", 2, {})
+        own = ("Dask's defaults", 2, {})
         for what, n, settings in (*(("Dask", n, QUIET_DASK) for n in arguments.workers), own):
             with cluster(n, settings) as running:
                 cost(files[:1], running)  # the scheduler imports the package

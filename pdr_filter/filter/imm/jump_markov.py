@@ -156,8 +156,8 @@ class JumpMarkovModel:
         Raises
         ------
         ValueError
-            If the measurements or the first state do not have the dimension of the model, or `mode_prob` does not sum
-            to one.
+            If the measurements or the first state do not have the dimension of the model, a measurement is infinite,
+            or `mode_prob` does not sum to one.
 
         Examples
         --------
@@ -176,6 +176,8 @@ class JumpMarkovModel:
             raise ValueError(
                 f"z must have the shape (T, ..., {d}) for {d} measured values, got {measured.shape}: {remedy}"
             )
+        if np.isinf(measured).any():
+            raise ValueError("z must contain finite numbers or NaN, got inf: replace inf by NaN, which is missing")
         batch = measured.shape[1:-1]
         x = _first("mean", mean, (n,), batch)[..., None, :]
         x, cov = np.broadcast_to(x, (*batch, n_modes, n)), _first("cov", cov, (n, n), batch)[..., None, :, :]
