@@ -159,13 +159,14 @@ def _table(path: Path) -> Generator[_Opened]:
     with open_members(path) as members:
         notes: list[str] = []
         sheets = list(sheets_of(members, notes=notes))
-        filled = filled_by_guess(members, path, None, [_first_rows(sheet) for sheet in sheets], notes)
+        first_rows = [_first_rows(sheet) for sheet in sheets]
+        fraction = members.read_in_parts(members.names)
+        filled = filled_by_guess(members, path, None, first_rows, notes)
         mapping = filled.guess.mapping
         if {s.stream for s in mapping.streams} & {LINEAR, GRAVITY, ANGLES}:
             raise WholeOnlyError("gravity or angles are computed from the whole recording")
         if not all(s.time and s.time_unit != "date" for s in mapping.streams) or any("summed" in n for n in notes):
             raise WholeOnlyError("rows have dates, or no times")
-        fraction = members.read_in_parts(members.names)
         head, zero_s = _head(filled.parsed)
         sources: list[Iterator[Block]] = []
         for sheet, first in zip(sheets, filled.sheets, strict=True):

@@ -60,6 +60,17 @@ def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "BLOCK_BYTES", 9_000)
 
 
+@pytest.mark.parametrize("write", [own, table])
+def test_files_that_are_too_long_to_be_held_in_memory_are_tracked_in_parts(
+    walk: pdr.Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Any
+) -> None:
+    path = write(walk, tmp_path)
+    monkeypatch.setattr(limits, "MAX_MEMBER_BYTES", 1000)
+    with pytest.raises(ValueError, match="more than 1000"):
+        pdr.track(pdr.read(path))
+    assert pdr.batch.track_file(path, tmp_path / "track.csv").n_steps > 20
+
+
 @pytest.mark.parametrize("write", [own, table, ronin])
 def test_the_file_of_a_track_in_parts_equals_that_of_the_whole_recording(
     walk: pdr.Recording, write: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

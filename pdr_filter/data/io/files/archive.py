@@ -119,7 +119,7 @@ class Members:
 
     def head(self, name: str, most: int = limits.HEAD_BYTES) -> bytes:
         """Return the first `most` bytes of a file."""
-        return next(self.parts(name, most), b"")
+        return next(self._parts(name, most, limits.MAX_PARTS_BYTES), b"")
 
     def small(self, name: str) -> bytes:
         """Return the bytes of a file that is small in every recording. RecordingError if it is large."""
@@ -181,14 +181,18 @@ class Members:
 
         RecordingError if the file is damaged, encrypted or too large.
         """
-        where, size = self.where(name), limits.BLOCK_BYTES if size is None else size
+        yield from self._parts(name, limits.BLOCK_BYTES if size is None else size, self._most_of_one)
+
+    def _parts(self, name: str, size: int, most: int) -> Iterator[bytes]:
+        """Yield the bytes of a file that has at most `most` bytes, in parts."""
+        where = self.where(name)
         try:
             if self._archive is None:
                 file = self._files[name]
-                _check_size(where, file.stat().st_size, self._most_of_one)
+                _check_size(where, file.stat().st_size, most)
                 opened = self._open(inside(file, self._folder) if self._folder else file)
             else:
-                _check_claims(where, self._infos[name], self._most_of_one)
+                _check_claims(where, self._infos[name], most)
                 opened = self._archive.open(self._infos[name])
             with opened as file:
                 part = file.read(size)
