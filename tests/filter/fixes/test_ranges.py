@@ -38,9 +38,9 @@ ANCHORS = ((-8.0, -6.0), (25.0, -5.0), (5.0, 25.0))
 
 @cache
 def walk(seed: int) -> pdr.Recording:
-    """Three rounds of a rectangle of 18 m by 12 m."""
+    """Two rounds of a rectangle of 18 m by 12 m."""
     right = np.pi / 2
-    legs = [Leg("walking", distance_m=18.0, turn_rad=right), Leg("walking", distance_m=12.0, turn_rad=right)] * 6
+    legs = [Leg("walking", distance_m=18.0, turn_rad=right), Leg("walking", distance_m=12.0, turn_rad=right)] * 4
     return simulate(legs, carrying_mode="texting" if seed % 2 else "pocket", seed=seed)
 
 
