@@ -31,6 +31,8 @@ from pdr_filter.data.io.folders import recordings_in
 from pdr_filter.values import CONTEXTS, table
 from pdr_filter.values.recording import Recording
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 N = 5
 
 
