@@ -7,14 +7,13 @@ from pathlib import Path
 
 import pytest
 from commands import short_walk
-from matplotlib.figure import Figure
+from examples import leave_pictures_blank
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _blank_pictures() -> Iterator[None]:
-    """Leave pictures blank: to draw one takes as long as to track a walk. Tests of plots look at them."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Figure, "draw", lambda *_: None)
+        leave_pictures_blank(patch)
         yield
 
 
