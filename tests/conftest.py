@@ -17,6 +17,7 @@ from pdr_filter.simulate.motion import Carrying, Motion, build_motion
 from tests.data_folder import DATA, DataSets
 from tests.sensed_once import sense_once
 
+gc.disable()  # until all tests are collected: it took a tenth of the collection, which each worker does
 _TESTS = Path(__file__).parent
 if not (_TESTS / "benchmarks").is_dir():  # in the sdist, which has no experiments
     collect_ignore = [
@@ -92,6 +93,7 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 20)
+    gc.enable()
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -7,6 +7,7 @@ from functools import cache, partial
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 import pdr_filter as pdr
 from pdr_filter.apps.maps import floor_plan
@@ -37,3 +38,8 @@ def use_few_particles(monkeypatch: pytest.MonkeyPatch) -> None:
     """Track and smooth on a floor plan with fewer particles, where no number is compared: it took 10 s of all pages."""
     few = partial(floor_plan.ParticleFilter, n_least=200, n_most=2_000)
     monkeypatch.setattr(floor_plan, "ParticleFilter", few)
+
+
+def leave_pictures_blank(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave pictures of commands blank: to draw one takes as long as to track a walk. Tests of plots look at them."""
+    monkeypatch.setattr(Figure, "draw", lambda *_: None)

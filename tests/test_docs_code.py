@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 import typer.main
-from examples import compute_once, use_few_particles
+from examples import compute_once, leave_pictures_blank, use_few_particles
 from heard import heard_along
 from true_positions import located, true_m
 from typer.testing import CliRunner
@@ -137,6 +137,7 @@ def test_the_commands_of_a_page_run_as_they_are_typed(
     (tmp_path / "building.geojson").write_text(BUILDING, "utf-8")
     monkeypatch.chdir(tmp_path)
     use_few_particles(monkeypatch)
+    leave_pictures_blank(monkeypatch)
     for block in BLOCK.findall(PAGES[page]):
         for line in block.splitlines():  # each names the one command: no shell and no process of its own is needed
             done = CliRunner().invoke(app, shlex.split(line, comments=True)[1:])

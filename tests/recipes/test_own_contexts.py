@@ -22,6 +22,8 @@ from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.simulate import BAROMETER, Gait, Leg, SensorErrors, simulate
 from pdr_filter.values import DEFAULT_CONTEXTS, FloatArray, Step
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 CLASSES = ("level", "resting", "treadmill")
 MODES = [
     pdr.Mode("resting", moves=False),

@@ -331,15 +331,20 @@ def demo() -> pdr.Recording:
     return pdr.simulate.demo_walk()
 
 
+def between(samples: Samples, begin_s: float, end_s: float) -> Samples:
+    rows = slice(*np.searchsorted(samples.time_s, [begin_s, end_s]))
+    return Samples(samples.time_s[rows], samples.values[rows])
+
+
 @pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope", "magnetometer"])
 @pytest.mark.parametrize("is_end", [True, False])
 def test_a_sensor_that_ends_or_begins_half_way_is_named_online_offline_and_in_info(
     demo: pdr.Recording, sensor: str, is_end: bool
 ) -> None:
-    stream = demo.streams[sensor]
-    kept = (stream.time_s < 60.0) == is_end
-    part = replace(stream, time_s=stream.time_s[kept], values=stream.values[kept])
-    recording = replace(demo, **{sensor: part})
+    end_s, half_s = 50, 25.0
+    streams = {name: between(stream, 0.0, end_s) for name, stream in demo.streams.items()}
+    streams[sensor] = part = between(streams[sensor], *((0.0, half_s) if is_end else (half_s, end_s)))
+    recording = replace(demo, **streams)
     at = f"since {part.time_s[-1]:.1f}" if is_end else f"before {part.time_s[0]:.1f}"
     lost = {
         "accelerometer": "the track has no steps there",
@@ -350,14 +355,9 @@ def test_a_sensor_that_ends_or_begins_half_way_is_named_online_offline_and_in_in
     assert note.startswith(f"{sensor}: no samples {at} s") and lost in note
     assert note in describe(recording).notes
     online = pdr.OnlineFilter()
-    for second in range(int(demo.duration_s) + 1):
-        streams: dict[Sensor, Samples] = {}
-        for name in SENSORS[:3]:
-            times_s, values = recording.streams[name].time_s, recording.streams[name].values
-            rows = slice(*np.searchsorted(times_s, [second, second + 1]))
-            if rows.stop > rows.start:
-                streams[name] = Samples(times_s[rows], values[rows])
-        online.push_streams(streams)
+    for second in range(end_s):
+        pushed = {name: between(recording.streams[name], second, second + 1) for name in SENSORS[:3]}
+        online.push_streams({name: samples for name, samples in pushed.items() if len(samples)})
     assert note in online.notes
     assert note in resumed(online).notes
     of_bias = [text for text in online.notes if "gyroscope bias" in text or "without gyroscope" in text]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 from pathlib import Path
 
@@ -22,3 +23,12 @@ def track_into(folder: str, path: str) -> int:
         return 0
     pdr.batch.track_file(path, out)
     return 1
+
+
+def square_or_die(n: int) -> int:
+    """Return the square of a positive number. A negative one kills the process."""
+    if n < 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if n == 0:
+        raise ValueError("nothing to square")
+    return n * n

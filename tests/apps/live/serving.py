@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import TracebackType
@@ -198,6 +199,11 @@ def parts(recording: Recording, part_s: float = 0.5) -> list[Part]:
 
 def own_messages(recording: Recording, device: str = "p", session: str = "s", part_s: float = 0.5) -> list[bytes]:
     """A recording as messages of our own layout."""
+    return list(_own_messages(recording, device, session, part_s))
+
+
+@lru_cache(8)  # most tests send the same walk
+def _own_messages(recording: Recording, device: str, session: str, part_s: float) -> list[bytes]:
     cut = parts(recording, part_s)
     return [
         to_json(

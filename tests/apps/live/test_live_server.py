@@ -332,8 +332,8 @@ def test_a_replay_of_a_file_that_cannot_be_read_ends_the_server(tmp_path: Path) 
         assert "page" not in done.stdout
 
 
-@pytest.mark.parametrize("name", ["walk", "Gänge \u2197 'zwei'"])
-def test_a_replay_ends_with_the_track_of_the_file(walk: Recording, tmp_path: Path, name: str) -> None:
+def test_a_replay_ends_with_the_track_of_the_file(walk: Recording, tmp_path: Path) -> None:
+    name = "Gänge \u2197 'zwei'"
     path = replace(walk, name=name).save(tmp_path / "walk.zip")
     with Server("--replay", str(path), "--speed", "100", "--workers", "2") as server:
 

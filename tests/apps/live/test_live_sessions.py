@@ -389,10 +389,10 @@ def test_the_gyroscope_bias_of_a_phone_is_used_in_its_next_session(walk: Recordi
 
 def test_a_gyroscope_bias_that_does_not_fit_the_session_is_noted_and_replaced(tmp_path: Path) -> None:
     still = simulate([Leg("stationary", duration_s=60.0), Leg("walking", distance_m=20.0)], seed=2)
-    taken(tmp_path, own_messages(with_bias(still, 0.05), session="first"))
+    taken(tmp_path, own_messages(with_bias(still, 0.05), session="first", part_s=2.0))
     events: list[Event] = []
     devices = sessions_in(tmp_path, events)
-    take_all(devices, own_messages(with_bias(still, -0.05), session="second"), time.time())
+    take_all(devices, own_messages(with_bias(still, -0.05), session="second", part_s=2.0), time.time())
     last = [e for e in events if e["event"] == "session"][-1]
     assert any("may be of another phone" in note for note in last["notes"])
     (file,) = (tmp_path / "devices").iterdir()
@@ -662,9 +662,9 @@ def test_a_session_with_a_long_journal_is_loaded_in_little_memory(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As after hours of a full disk, on which no state could be saved."""
-    monkeypatch.setattr(live_session, "_LOAD_MESSAGES", 20)
+    monkeypatch.setattr(live_session, "_LOAD_MESSAGES", 10)
     peaks_bytes: list[int] = []
-    for n in (60, 60, 240):  # the first one loads the filter
+    for n in (40, 40, 120):  # the first one loads the filter
         folder = tmp_path / str(len(peaks_bytes))
         session = DeviceSession("p", "s", Settings(platform="android"), folder)
         for number in range(n):

@@ -34,7 +34,8 @@ from pdr_filter.offline.smoothing.smooth import SmoothingMemory
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.recording import Recording, Truth
 
-pytestmark = pytest.mark.anyio  # runs the tests that are coroutines
+# the first runs the tests that are coroutines
+pytestmark = [pytest.mark.anyio, pytest.mark.usefixtures("sensing_once")]
 
 FIRST, SECOND = [2.0, 0.0, 0.0, 0.5, None, None, None], [35.0, 3.0, 20.0, 0.5, None, None, None]
 

@@ -37,10 +37,10 @@ ANCHORS = ((-8.0, -6.0), (25.0, -5.0), (5.0, 25.0))
 
 
 @cache
-def walk(seed: int) -> pdr.Recording:
-    """Three rounds of a rectangle of 18 m by 12 m."""
-    right = np.pi / 2
-    legs = [Leg("walking", distance_m=18.0, turn_rad=right), Leg("walking", distance_m=12.0, turn_rad=right)] * 6
+def walk(seed: int, n_rounds: int = 3) -> pdr.Recording:
+    """Rounds of a rectangle of 18 m by 12 m."""
+    sides = [Leg("walking", distance_m=distance_m, turn_rad=np.pi / 2) for distance_m in (18.0, 12.0)]
+    legs = 2 * n_rounds * sides
     return simulate(legs, carrying_mode="texting" if seed % 2 else "pocket", seed=seed)
 
 
@@ -115,7 +115,7 @@ def test_the_innovations_of_ranges_are_as_large_as_the_filter_expects() -> None:
 
 
 def test_ranges_to_two_anchors_leave_two_hypotheses_until_the_path_turns() -> None:
-    recording, seen = walk(7), list[tuple[float, float, float]]()
+    recording, seen = walk(7, 2), list[tuple[float, float, float]]()
     filter_ = pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
     samples = pdr.merge_streams(recording)
     fixes = ranges(recording, ANCHORS[:2], 7)
@@ -140,7 +140,7 @@ def test_ranges_to_two_anchors_leave_two_hypotheses_until_the_path_turns() -> No
 
 
 def test_saving_does_not_change_a_filter_with_two_hypotheses() -> None:
-    recording, samples = walk(7), pdr.merge_streams(walk(7))
+    recording, samples = walk(7, 2), pdr.merge_streams(walk(7, 2))
     first = pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
     n = int(np.searchsorted(samples.time_s, 16.0))
     for fix in ranges(recording, ANCHORS[:2], 7):
@@ -188,7 +188,7 @@ class FromAnchor:
 
 
 def test_a_measurement_of_a_foreign_class_is_used_online_and_smoothed_with_either_sign() -> None:
-    recording = walk(5)
+    recording = walk(5, 2)
     given = ranges(recording, ANCHORS, 5)
     tracks = [
         pdr.track(recording, fixes=[FromAnchor(f.time_s, f, sign) for f in given], weighting="wc")
@@ -203,7 +203,7 @@ def test_a_measurement_of_a_foreign_class_is_used_online_and_smoothed_with_eithe
 
 
 def test_a_measurement_of_the_heading_turns_a_track_like_a_heading_fix() -> None:
-    recording = walk(5)
+    recording = walk(5, 2)
     times_s = np.arange(5.0, 60.0, 5.0)
     first = pdr.HeadingFix(times_s[0], np.pi / 2, 0.05)  # it determines the north of the track
     own = pdr.track(recording, fixes=[first, pdr.HeadingFix(times_s[1], 0.1 + np.pi / 2, 0.05)])
@@ -228,7 +228,7 @@ def test_smoothing_with_ranges_has_small_errors_and_leaves_out_reflections(
 
 
 def test_anchors_at_coordinates_of_a_map_are_smoothed_as_well_as_those_near_the_origin() -> None:
-    recording, away_m = walk(4), np.array([4e5, 5.8e6])
+    recording, away_m = walk(4, 2), np.array([4e5, 5.8e6])
     near = ranges(recording, ANCHORS, 4)
     far = [replace(fix, anchor_m=fix.anchor_m + away_m) for fix in near]
     config = pdr.recipes.default().in_world_frame()

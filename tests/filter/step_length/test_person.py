@@ -277,7 +277,7 @@ def test_the_command_line_does_not_change_a_calibration_file(
     file, me = first.save(tmp_path / "walk.zip"), calibrated.save(tmp_path / "me.json")
     before = me.read_bytes()
     for option in ("--person", "--calibration"):
-        assert CliRunner().invoke(app, ["track", str(file), option, str(me)]).exit_code == 0
+        assert CliRunner().invoke(app, ["track", str(file), "--online", option, str(me)]).exit_code == 0
     assert me.read_bytes() == before
 
 

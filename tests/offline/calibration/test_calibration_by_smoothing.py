@@ -21,6 +21,8 @@ from pdr_filter.offline.smoothing.preintegration import increments
 from pdr_filter.values import Samples
 from pdr_filter.values.recording import Recording, Truth
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 TWO_FIXES = [pdr.PositionFix(t, np.array([0.0, t]), np.eye(2)) for t in (15.0, 25.0)]
 AT_ONCE = [TWO_FIXES[0], pdr.PositionFix(15.01, np.array([5.0, 15.0]), np.eye(2))]
 CONTRADICTED = [pdr.PositionFix(t, np.array([90.0 * t % 400.0, 70.0 * t % 300.0]), np.eye(2)) for t in range(10, 34, 3)]

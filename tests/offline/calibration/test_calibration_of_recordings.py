@@ -24,6 +24,8 @@ from pdr_filter.tracking.track import Track
 from pdr_filter.values import Samples, table
 from pdr_filter.values.recording import Recording, Subject, Truth
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:

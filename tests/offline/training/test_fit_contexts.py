@@ -27,6 +27,8 @@ from pdr_filter.sensing.features.feature_windows import N_SIGNALS
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import WINDOW_SIGNALS, Context, table
 
+pytestmark = pytest.mark.usefixtures("sensing_once")
+
 NAMES = {"stationary": "resting", "walking": "level", "running": "jog"}
 PEOPLE = ["anna", "ben", "carla"]
 MODES = [
