@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import PurePath
 
 import numpy as np
 
@@ -212,8 +211,8 @@ def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dia
 
 
 def _file_of(where: str) -> str:
-    """Return the name of the file that messages call `where`."""
-    return PurePath(where.partition(": ")[0]).name
+    """Return the path of the file that messages call `where`."""
+    return where.partition(": ")[0]
 
 
 def _stream(group: Group, sheet: Sheet, dialect: Dialect, rate_hz: float) -> _Stream:
