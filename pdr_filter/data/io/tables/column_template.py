@@ -152,8 +152,9 @@ def _best_force(
 ) -> tuple[tuple[int, ...], str, float] | None:
     """Return the columns of an accelerometer with gravity, their unit, and the counts for one unit, or None.
 
-    Axes have names with common words, of one length, that differ at their end. With another column in place of an axis, less of gravity is
-    constant, unless that axis has hardly any: then the columns behind one of `times` are taken.
+    Axes have names with common words, of one length, that differ at their end. With another column in place of an
+    axis, less of gravity is constant, unless that axis has hardly any: then the columns behind one of `times` are
+    taken.
     """
 
     def best_of(fitting: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
