@@ -114,15 +114,18 @@ def test_a_template_reads_its_file_when_it_is_filled_in(tmp_path: Path, case: st
         assert_same_streams(read(path), WALK, streams, time_s=3e-2, rtol=rtol)
 
 
-@pytest.mark.parametrize(("acceleration", "unit"), [("a_%_g", "g"), ("acc_%_g", "g"), ("acc_%", "m/s2")])
-def test_columns_whose_names_share_a_word_are_the_accelerometer(tmp_path: Path, acceleration: str, unit: str) -> None:
-    """Of the names, as many have one length with an axis of the gyroscope in place of the first one."""
-    scale = STANDARD_GRAVITY_MPS2 if unit == "g" else 1.0
+@pytest.mark.parametrize("names", ["a_%_u w_%", "acc_%_u ang_%"])
+@pytest.mark.parametrize(("unit", "scale"), [("g", STANDARD_GRAVITY_MPS2), ("m/s2", 1.0)])
+def test_columns_whose_names_share_a_word_are_the_accelerometer(
+    tmp_path: Path, names: str, unit: str, scale: float
+) -> None:
+    """More names have one length if an axis of the gyroscope takes the place of the first one."""
+    of_force, of_rate = names.split()
     sides = ("rechts", "vorn", "hoch")
-    force = {acceleration.replace("%", side): FORCE[:, i] / scale for i, side in enumerate(sides)}
-    rate = {f"ang_{side}": RATE[:, i] + 0.1 for i, side in enumerate(sides)}
+    force = {of_force.replace("%", side): FORCE[:, i] / scale for i, side in enumerate(sides)}
+    rate = {of_rate.replace("%", side): RATE[:, i] + 0.1 for i, side in enumerate(sides)}
     message = refusal(write_text(tmp_path / "walk.csv", table_text(MS | force | rate)))
-    assert f"accelerometer = {{ columns = {list(force)}, unit".replace("'", '"') in message
+    assert f"accelerometer = {{ columns = {list(force)}, unit = '{unit}'".replace("'", '"') in message
 
 
 @pytest.mark.parametrize("scale", [4096 / STANDARD_GRAVITY_MPS2, 1.0])
