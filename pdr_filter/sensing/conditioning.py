@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from typing import Any, cast
 
 import numpy as np
 
@@ -28,7 +29,8 @@ from pdr_filter.values import (
     replace_unchecked,
 )
 from pdr_filter.values.arrays import finite_only
-from pdr_filter.values.recording import Recording
+from pdr_filter.values.errors import RecordingError
+from pdr_filter.values.recording import READING_KEY, Recording
 
 # Columns of the buffered rows: time, specific force, angular rate, magnetic field, and the ages of the last finite
 # angular rate and magnetic field.
@@ -615,7 +617,7 @@ def merge_streams(recording: Recording, max_gap_s: float = MAX_GAP_S) -> ImuBloc
 
     Raises
     ------
-    ValueError
+    RecordingError
         If no time of the gyroscope or the magnetometer lies within the times of the accelerometer.
 
     Examples
@@ -646,7 +648,7 @@ def merged_parts(recording: Recording, n: int, max_gap_s: float = MAX_GAP_S) -> 
     force = recording.accelerometer
     others = recording.gyroscope, recording.magnetometer
     for sensor, stream in zip(("gyroscope", "magnetometer"), others, strict=True):
-        _check_clock(sensor, stream, force.time_s, max_gap_s)
+        _check_clock(recording, sensor, stream, max_gap_s)
     usable = [None if stream is None else _usable_samples(stream) for stream in others]
     for start in range(0, max(len(force), 1), n):
         part = slice(start, start + n)
@@ -656,16 +658,21 @@ def merged_parts(recording: Recording, n: int, max_gap_s: float = MAX_GAP_S) -> 
         yield ImuBlock(at_s, force.values[part], rate, field_ut)
 
 
-def _check_clock(sensor: str, stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> None:
-    """Raise a ValueError if no time of a stream lies within the times of the accelerometer: the clocks differ."""
-    own_s, at_s = finite_only(np.empty(0) if stream is None else stream.time_s), finite_only(at_s)
+def _check_clock(recording: Recording, sensor: str, stream: Samples | None, max_gap_s: float) -> None:
+    """Raise RecordingError if no time of a stream lies within the times of the accelerometer: the clocks differ."""
+    at_s = finite_only(recording.accelerometer.time_s)
+    own_s = finite_only(np.empty(0) if stream is None else stream.time_s)
     if len(own_s) < 2 or not len(at_s):
         return
     if own_s.min() > at_s.max() + max_gap_s or own_s.max() < at_s.min() - max_gap_s:
-        raise ValueError(
-            f"{sensor}: its times, {own_s.min():.1f} to {own_s.max():.1f} s, are outside those of the accelerometer, "
-            f"{at_s.min():.1f} to {at_s.max():.1f} s: the sensor is on another clock or its times have another unit; "
-            "add the offset of the clocks to its times, or remove the stream"
+        reading: Any = recording.meta.get(READING_KEY)  # of an untrusted file
+        clock = str(cast("dict[str, Any]", reading).get("clock", "")) if isinstance(reading, dict) else ""
+        clock = f" ({clock[:300]})" if clock else ""
+        raise RecordingError(
+            f"{recording.source or recording.name}: {sensor}: its times, {own_s.min():.1f} to {own_s.max():.1f} s, are "
+            f"outside those of the accelerometer, {at_s.min():.1f} to {at_s.max():.1f} s{clock}: the sensor is on "
+            "another clock or its times have another unit; add the offset of the clocks to its times, give it the time "
+            "column of the accelerometer in the mapping that pdr-filter convert writes, or remove the stream"
         )
 
 

@@ -14,6 +14,9 @@ from pdr_filter.values.arrays import reduction, table
 from pdr_filter.values.phone import counted_steps
 from pdr_filter.values.sanitise import printable
 
+# Key of the reading report in `Recording.meta`. It has plain values, so that it can be saved with the recording.
+READING_KEY = "reading"
+
 
 def check_height(height_m: float) -> None:
     """Raise ValueError unless a number is a plausible height of a person (adult or child), in metres.

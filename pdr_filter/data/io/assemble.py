@@ -9,15 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.data.io.checks import checked_streams, is_of_phone, up_cosine
-from pdr_filter.data.io.describe import READING_KEY
+from pdr_filter.data.io.checks import checked_streams, constant_axes, is_of_phone, up_cosine
 from pdr_filter.data.io.files.own_format_writer import RESTORED_GRAVITY_KEY, TIME_COLUMNS
 from pdr_filter.data.io.row_times import in_order, streams_with_own_times
 from pdr_filter.data.io.wifi_rows import wifi_of
 from pdr_filter.sensing.gravity import with_gravity
 from pdr_filter.values import FloatArray, Samples, limits, table
 from pdr_filter.values.errors import RecordingError
-from pdr_filter.values.recording import Recording, Truth
+from pdr_filter.values.recording import READING_KEY, Recording, Truth
 
 
 @dataclass
@@ -94,8 +93,12 @@ class Parsed:
     def _restore_gravity(self, where: str) -> None:
         """Add gravity to the stored acceleration, along the vertical of gyroscope and steps, with a note.
 
-        RecordingError if the samples do not show the vertical.
+        RecordingError if the samples do not show the vertical, or if an axis is constant.
         """
+        if still := constant_axes(self.streams["accelerometer"][1]):
+            raise RecordingError(
+                f"{where}: {self.linear}: {still}, and the other axes lack gravity; record all three axes"
+            )
         gyroscope = Samples(*self.streams["gyroscope"]) if "gyroscope" in self.streams else None
         try:
             restored = with_gravity(Samples(*self.streams["accelerometer"]), gyroscope)

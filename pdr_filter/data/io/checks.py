@@ -44,6 +44,8 @@ def checked_streams(
         samples = Samples(time_s[known] - zero_s, values if known.all() else values[known])
         if name == "accelerometer":
             _check_rows(samples, f"{where}: {label}")
+            if still := constant_axes(samples.values):
+                notes.append(f"{label}: {still}; record all three axes, because gravity and steps are wrong without it")
             _check_times(samples, f"{where}: {label}", is_unit_declared)
             _refuse(wrong_specific_force(median_norm(samples.values)), f"{where}: {label}")
         elif np.isnan(samples.values).all():  # also true of no rows
@@ -54,6 +56,14 @@ def checked_streams(
         _refuse(wrong_angular_rate(median_norm(streams["gyroscope"].values)), f"{where}: gyroscope{suffix}")
     notes += _time_notes(streams, suffix)
     return streams
+
+
+def constant_axes(values: FloatArray) -> str:
+    """Return words about the axes of an accelerometer with one value in all rows, "" if none or all have."""
+    low, high = np.fmin.reduce(values, axis=0, initial=np.inf), np.fmax.reduce(values, axis=0, initial=-np.inf)
+    still = np.flatnonzero(low == high)
+    axes = ", ".join(f"{'xyz'[i]} is {low[i]:g} in all rows" for i in still)
+    return axes if len(still) < len(low) else ""
 
 
 def is_of_phone(name: str, time_s: FloatArray, values: FloatArray, duration_s: float) -> bool:
@@ -157,6 +167,9 @@ def _check_times(samples: Samples, where: str, is_unit_declared: bool) -> None:
                 "the times may be rounded, as a spreadsheet does when it saves what it shows; take the file as the app "
                 "wrote it, or show all digits of the time before you save it"
             )
+            is_again = (np.diff(samples.time_s) == 0) & (samples.values[1:] == samples.values[:-1]).all(axis=1)
+            if is_again.sum() == found.n_duplicates:
+                remedy = "rows are repeated, with the same times and values; keep one of each"
         raise RecordingError(f"{where}: time_s does not increase in {n_still} of {len(samples) - 1} rows; {remedy}")
     _refuse(wrong_rate(found.rate_hz or math.inf, is_unit_declared), where)
 

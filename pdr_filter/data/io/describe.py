@@ -10,12 +10,10 @@ import numpy as np
 
 from pdr_filter.data.io.column_names import PHONE_HEADING, PHONE_STEPS
 from pdr_filter.values import FloatArray, Samples, as_plain, how_many, limits
-from pdr_filter.values.recording import Recording
+from pdr_filter.values.recording import READING_KEY, Recording
 
 # A stream is reported as slow if its mean rate is below this fraction of the requested rate. Phones often deliver half.
 DELIVERED_ENOUGH = 0.9
-# Key of the reading report in `Recording.meta`. It has plain values, so that it can be saved with the recording.
-READING_KEY = "reading"
 
 STREAM_UNITS = {
     "accelerometer": "m/s2",

@@ -152,7 +152,7 @@ def test_columns_with_a_g_behind_their_word_are_in_the_unit_that_their_size_show
 def test_a_mapping_given_as_a_recording_is_refused_with_the_command_that_takes_it(tmp_path: Path) -> None:
     for text in ('[accelerometer]\ncolumns = ["a", "b", "c"]\n', 'time = { column = "t", unit = "s" }\n'):
         message = refusal(write_text(tmp_path / "walk.toml", text))
-        assert "pdr-filter convert FILE --map walk.toml" in message
+        assert f"pdr-filter convert FILE --map {tmp_path / 'walk.toml'}" in message
         assert "JSON" not in message
 
 

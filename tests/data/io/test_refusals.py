@@ -30,12 +30,19 @@ from pdr_filter.data.io.formats import read
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 N = len(TIME_S)
+WITHOUT_Z = (FORCE - FORCE.mean(axis=0)) * [1.0, 1.0, 0.0]
 
 
 def walk_csv(folder: Path, *without: str, **changes: np.ndarray | list[str]) -> Path:
     columns: dict[str, np.ndarray | list[str]] = {"time": TIME_S} | axes("acc_%", FORCE) | axes("gyro_%", RATE)
     columns |= changes
     return write_text(folder / "walk.csv", table_text({k: v for k, v in columns.items() if k not in without}))
+
+
+def digits(change: Callable[[str], str]) -> Callable[[Path], Path]:
+    """Return a function that writes the walk with changed rows below its names."""
+    head, _, rows = table_text({"time": TIME_S} | axes("acc_%", FORCE) | axes("gyro_%", RATE)).partition("\n")
+    return lambda folder: write_text(folder / "walk.csv", f"{head}\n{change(rows)}")
 
 
 def scaled(factor: float, force: np.ndarray = FORCE) -> dict[str, np.ndarray]:
@@ -68,6 +75,26 @@ def rounded(folder: Path) -> Path:
 # File to read, and three parts of the message in their order: the file or column, the value, the remedy.
 REFUSALS: dict[str, tuple[Callable[[Path], Path], str]] = {
     "no file": (lambda f: f / "walk.zip", "walk.zip ... no such file ... check the path"),
+    "digits of another script": (
+        digits(
+            lambda rows: rows.translate(
+                str.maketrans("0123456789.", "\u06f0\u06f1\u06f2\u06f3\u06f4\u06f5\u06f6\u06f7\u06f8\u06f9\u066b")
+            )
+        ),
+        "walk.csv: line 2, column time: '\u06f0\u066b\u06f0' ... digits 0 to 9",
+    ),
+    "exponents of Fortran": (
+        digits(lambda rows: rows.replace(",", "D+00,").replace("\n", "D+00\n")),
+        "walk.csv: line 2, column time: '0.0D+00' ... e before an exponent",
+    ),
+    "an axis that is constant": (
+        lambda f: write_text(f / "walk.csv", table_text({"time": TIME_S} | axes("acc_% (m/s^2)", WITHOUT_Z))),
+        "walk.csv ... acc_z (m/s^2): z is 0 in all rows ... record all three axes",
+    ),
+    "an axis that is constant, without a unit": (
+        lambda f: walk_csv(f, **axes("acc_%", WITHOUT_Z)),
+        "walk.csv ... lacks gravity: z is 0 in all rows ... export the accelerometer itself",
+    ),
     "an empty file": (lambda f: write_text(f / "walk.csv", ""), "walk.csv ... 0 bytes ... export the recording again"),
     "a cut zip": (cut_zip, "walk.zip ... cut off ... copy or export it again"),
     "a cut gzip": (cut_gzip, "walk.csv.gz ... damaged ( ... export the recording again"),

@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import axes, physics_toolbox_text, refusal, table_text, wall_clock
+from app_files import axes, physics_toolbox_text, refusal, table_text, wall_clock, write_text
 from table_cases import FORCE, FORCE_G, RATE, TIME_S, WALK
 
 from pdr_filter.data.io.formats import read
+from pdr_filter.data.io.tables.any_table import read_guessed
+from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.values.errors import RecordingError
 
 
@@ -29,6 +31,31 @@ def test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened(tmp_pat
     times = [style.format(t=t // 1, m=int(t // 60), s=t // 0.1 / 10 % 60) for t in TIME_S]
     (tmp_path / "walk.csv").write_text(table_text({"time": times} | axes("gF%", FORCE_G) | axes("w%", RATE)))
     assert "the times may be rounded, as a spreadsheet does" in refusal(tmp_path / "walk.csv")
+
+
+def test_rows_that_are_there_twice_are_refused_as_repeated_rows(tmp_path: Path) -> None:
+    columns = {"time_s": TIME_S} | axes("acc_%", FORCE) | axes("gyro_%", RATE)
+    head, *rows = table_text(columns).splitlines(keepends=True)
+    (tmp_path / "walk.csv").write_text(head + "".join(2 * row for row in rows))
+    message = refusal(tmp_path / "walk.csv")
+    assert "rows are repeated, with the same times and values; keep one of each" in message
+    assert "rounded" not in message
+
+
+def test_a_gyroscope_on_another_clock_is_refused_with_its_file_and_column(tmp_path: Path) -> None:
+    """With the time column of the accelerometer in the mapping, the recording is usable."""
+    times = {"acc_time (s)": TIME_S}, {"gyro_time (ms)": 1e6 + 1000 * TIME_S}
+    text = table_text(times[0] | axes("acc_%", FORCE) | times[1] | axes("gyro_%", RATE))
+    path = write_text(tmp_path / "walk.csv", text)
+    with pytest.raises(RecordingError) as refused:
+        merge_streams(read(path))
+    assert str(refused.value).startswith(f"{path}: gyroscope: its times, 1000.0 to ")
+    assert "column 'gyro_time (ms)', in ms" in str(refused.value)
+    own, shared = ('time = "gyro_time (ms)", time_unit = "ms"', 'time = "acc_time (s)", time_unit = "s"')
+    mapping = read_guessed(path).guess.mapping.toml()
+    assert own in mapping
+    write_text(tmp_path / "walk.toml", mapping.replace(own, shared))
+    assert np.isfinite(merge_streams(read(path)).angular_rate_radps).all()
 
 
 @pytest.mark.parametrize("up_s", [5.0, 172.0, 1_500.0, 172_029.0])

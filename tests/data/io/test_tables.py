@@ -175,6 +175,29 @@ def test_acceleration_without_gravity_and_without_gyroscope_gives_steps_only(tmp
     assert words in recording.notes[0]
 
 
+def test_a_constant_axis_beside_gravity_is_in_the_notes(tmp_path: Path) -> None:
+    force = np.roll(FORCE, 1 - np.abs(FORCE.mean(axis=0)).argmax(), axis=1)  # gravity along y
+    columns = {"time": TIME_S} | axes("acc_%", force) | axes("gyro_%", RATE)
+    is_named = [
+        any("accelerometer: z is 0 in all rows; record" in note for note in read_columns(tmp_path, found).notes)
+        for found in (columns, columns | {"acc_z": 0 * TIME_S})
+    ]
+    assert is_named == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("names", "is_named"),
+    [("% #2", True), ("gyro_% of two", True), ("gyro_%", False), ("", False), ("mag_%", False), ("grav_%", False)],
+)
+def test_axes_that_give_no_gyroscope_are_in_the_notes(tmp_path: Path, names: str, is_named: bool) -> None:
+    others = axes(names.removesuffix(" of two"), RATE) if names else {"label": np.zeros(len(TIME_S))}
+    if "of two" in names:
+        del others["gyro_z"]
+    recording = read_columns(tmp_path, {"time": TIME_S} | axes("%", FORCE) | others)
+    assert (recording.gyroscope is None) == (names != "gyro_%")
+    assert any("columns not used" in note and next(iter(others)) in note for note in recording.notes) == is_named
+
+
 def test_a_location_that_is_repeated_in_every_row_is_one_fix(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_text(androsensor())
     found = read(tmp_path / "walk.csv").location

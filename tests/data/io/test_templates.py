@@ -97,17 +97,35 @@ def test_a_template_reads_its_file_when_it_is_filled_in(tmp_path: Path, case: st
     elif len(content) == 1:
         path = path / next(iter(content))
     message = refusal(path)
-    assert f"pdr-filter convert {path.name} --map MAP.toml:\n" in message
+    assert f"pdr-filter convert {path} --map MAP.toml:\n" in message
+    is_alone = path.suffix in (".csv", ".json")
+    assert ("save it as walk.toml beside the file" in message) == is_alone
     text = message.partition("MAP.toml:\n")[2].partition("\n(read as")[0]
+    assert 'sign = "?"' in text
+    text = text.replace('sign = "?"', "sign = 1")
     for old, new in changes.items():
         assert old in text
         text = text.replace(old, new)
     assert "?" not in text
     found = read_mapped(path, read_mapping(write_text(tmp_path / "map.toml", text)))
     assert_same_streams(found, WALK, streams, time_s=3e-2, rtol=rtol)
-    if path.suffix == ".csv":
+    if is_alone:
         write_text(path.with_suffix(".toml"), text)
         assert_same_streams(read(path), WALK, streams, time_s=3e-2, rtol=rtol)
+
+
+@pytest.mark.parametrize("names", ["a_%_u w_%", "acc_%_u ang_%"])
+@pytest.mark.parametrize(("unit", "scale"), [("g", STANDARD_GRAVITY_MPS2), ("m/s2", 1.0)])
+def test_columns_whose_names_share_a_word_are_the_accelerometer(
+    tmp_path: Path, names: str, unit: str, scale: float
+) -> None:
+    """More names have one length if an axis of the gyroscope takes the place of the first one."""
+    of_force, of_rate = names.split()
+    sides = ("rechts", "vorn", "hoch")
+    force = {of_force.replace("%", side): FORCE[:, i] / scale for i, side in enumerate(sides)}
+    rate = {of_rate.replace("%", side): RATE[:, i] + 0.1 for i, side in enumerate(sides)}
+    message = refusal(write_text(tmp_path / "walk.csv", table_text(MS | force | rate)))
+    assert f"accelerometer = {{ columns = {list(force)}, unit = '{unit}'".replace("'", '"') in message
 
 
 @pytest.mark.parametrize("scale", [4096 / STANDARD_GRAVITY_MPS2, 1.0])
@@ -121,7 +139,10 @@ def test_without_names_the_columns_behind_the_clock_are_the_accelerometer(tmp_pa
 
 def test_a_template_that_is_given_as_it_stands_is_refused_with_what_is_missing(tmp_path: Path) -> None:
     path = write_text(tmp_path / "walk.csv", counts())
-    write_text(tmp_path / "walk.toml", refusal(path).partition("MAP.toml:\n")[2])
+    template = refusal(path).partition("MAP.toml:\n")[2]
+    write_text(tmp_path / "walk.toml", template)
+    assert "[accelerometer] sign is '?'; write 1, or -1 if a phone lying face up reads negative on z" in refusal(path)
+    write_text(tmp_path / "walk.toml", template.replace('sign = "?"', "sign = 1"))
     assert "counts_per_unit is '?'; write the positive number" in refusal(path)
 
 
@@ -135,5 +156,5 @@ def test_the_scale_of_a_gyroscope_that_counts_is_the_one_by_which_gravity_turns(
     turns = np.column_stack([rate, 0 * rate, 0 * rate])
     text = table_text({"millis": 1000 * time_s} | force | axes("Gy%", np.round(131 * np.degrees(turns))))
     message = refusal(write_text(tmp_path / "walk.csv", text))
-    assert re.search(r'accelerometer = .*"Acz"\], unit = "g", counts_per_unit = 16384, sign = 1', message)
+    assert re.search(r'accelerometer = .*"Acz"\], unit = "g", counts_per_unit = 16384, sign = "\?"', message)
     assert re.search(r'gyroscope = .*"Gyz"\], unit = "deg/s", counts_per_unit = 131 ', message)

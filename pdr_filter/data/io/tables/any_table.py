@@ -13,8 +13,10 @@ from pdr_filter.data.io.assemble import Parsed
 from pdr_filter.data.io.column_names import (
     ACCELERATION,
     LINEAR,
+    RATE,
     SENSOR_CODES,
     VECTORS,
+    column_of,
     letters,
     quantity_of_file,
     trial_of,
@@ -27,6 +29,7 @@ from pdr_filter.data.io.tables.column_guess import Guess, NoAccelerometerError, 
 from pdr_filter.data.io.tables.column_mapping import Mapping, mapping_beside, read_mapping
 from pdr_filter.data.io.tables.column_template import asked_mapping
 from pdr_filter.data.io.tables.cut_files import with_cut_files_joined
+from pdr_filter.data.io.tables.dates import is_date
 from pdr_filter.data.io.tables.json_tables import SUFFIXES, is_json, json_fields, json_sheets
 from pdr_filter.data.io.tables.matlab import is_matlab, matlab_sheets
 from pdr_filter.data.io.tables.phyphox_experiment import read_experiment
@@ -34,7 +37,7 @@ from pdr_filter.data.io.tables.sheet import Sheet
 from pdr_filter.data.io.tables.spreadsheet import is_spreadsheet, spreadsheet_sheets
 from pdr_filter.data.io.tables.table_streams import Zero, fill_streams
 from pdr_filter.data.io.tables.text_sheets import TextRows, by_text, text_sheet, text_sheets
-from pdr_filter.data.io.text_table import UNKNOWN
+from pdr_filter.data.io.text_table import SEPARATORS, UNKNOWN, header_fields, to_number
 from pdr_filter.values import limits
 from pdr_filter.values.errors import RecordingError
 from pdr_filter.values.recording import Recording
@@ -44,6 +47,7 @@ TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
 _TYPES = ("type", "name", "sensor", "sensortype", "messagetype", "event", "eventtype", "kind")
 _LINES_LOOKED_AT = 40
 _NAMED_VALUE = re.compile(r"(?m)(?:^|[\s,;])([A-Za-z]+ ?[:=] ?[-+.]?\d)")
+_BEGINS_AS_NUMBER = re.compile(r"[+\u2212-]?\d")  # in the digits of any script
 _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename", "sensorid")  # that say whose a row is
 
 
@@ -121,6 +125,13 @@ def filled_by_guess(
     beside = [name for s in sheets if not used.isdisjoint(s.fields) for name in s.fields if name not in used]
     if beside:
         parsed.found.append(f"columns not used: {', '.join(dict.fromkeys(beside))[:300]}")
+    columns = [column_of(0, name) for name in dict.fromkeys(beside)]
+    axes = [column.name for column in columns if column.axis and column.quantity in ("", RATE)]
+    if axes and "gyroscope" not in parsed.streams:
+        parsed.notes.append(
+            f"columns not used: {', '.join(axes)[:300]}: they give no gyroscope, which needs three axes with names "
+            "such as gx, gy, gz; correct the names, or give a mapping with pdr-filter convert FILE --map MAP.toml"
+        )
     parsed.notes[:] = list(dict.fromkeys([*found.notes, *parsed.notes]))
     parsed.is_unit_of_time_declared = found.is_time_declared
     return Filled(parsed, found, sheets, zero)
@@ -132,7 +143,7 @@ def read_generic_csv(path: str | Path) -> Recording:
     if not (mapping := mapping_beside(path)).is_file():
         raise RecordingError(
             f"{path}: no {mapping.name} beside it that says which column is what; "
-            f"pdr-filter convert {path.name} shows a mapping to begin with"
+            f"pdr-filter convert {path} shows a mapping to begin with"
         )
     return read_mapped(path, read_mapping(mapping))
 
@@ -195,8 +206,9 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
         head = b"" if members.is_container else next(members.pieces(members.names[0]), b"")[:4096]
         no_table = "a table has a line of names, and below it a line of numbers for each sample, two or more"
         if members.path.suffix.lower() == ".toml":
-            no_table = f"this is a mapping; give it a recording: pdr-filter convert FILE --map {members.path.name}"
-        why = _named_values(head) or f"no table of samples in it (found: {listed or 'nothing'}); {no_table}"
+            no_table = f"this is a mapping; give it a recording: pdr-filter convert FILE --map {members.path}"
+        why = _named_values(head) or _unusual_number(head)
+        why = why or f"no table of samples in it (found: {listed or 'nothing'}); {no_table}"
         raise RecordingError(f"{members.path}: {why}")
     return found
 
@@ -212,6 +224,23 @@ def _named_values(head: bytes) -> str:
         f"its lines have names in front of their numbers ({found[1]!r}); write the names once, in a line above, and "
         "the sensor of each line in a column of its own, as in sensor,time,x,y,z"
     )
+
+
+def _unusual_number(head: bytes) -> str:
+    """Return why the first line of a table cannot be read: a number of it, such as `1.0D+00`. "" for other texts."""
+    names: list[str] = []
+    for n, line in enumerate(head.decode("utf-8", "replace").splitlines()[:_LINES_LOOKED_AT], 1):
+        fields = max((header_fields(line, separator) for separator in SEPARATORS), key=len)
+        numbers = [i for i, text in enumerate(fields) if _BEGINS_AS_NUMBER.match(text) and not is_date(text)]
+        unusual = next((i for i in numbers if to_number(fields[i].replace(",", ".")) is None), None)
+        if unusual is not None and len(numbers) >= 3 and 2 * len(numbers) > len(fields):
+            name = names[unusual] if len(names) == len(fields) else f"{unusual + 1}"
+            return (
+                f"line {n}, column {name[:60]}: {fields[unusual][:60]!r} is not a number; write numbers with the "
+                "digits 0 to 9, a decimal point, and e before an exponent, as in -1.5e-3"
+            )
+        names = fields
+    return ""
 
 
 def _check_one_device(sheet: Sheet) -> None:
@@ -287,9 +316,9 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
             numbers = (
                 f"its rows follow the time of the start and the rate of {sheet.rate_hz:g} Hz; a mapping gives a unit"
             )
-        return _named_values(head) or f"{numbers}. {asked_mapping(sheets, (), path.name)}"
+        return _named_values(head) or f"{numbers}. {asked_mapping(sheets, (), str(path))}"
     seen = ", ".join(dict.fromkeys(name for sheet in sheets for name in sheet.fields[:30]))[:300]
-    return f"no column that is known to be of a sensor. Columns seen: {seen}. {asked_mapping(sheets, (), path.name)}"
+    return f"no column that is known to be of a sensor. Columns seen: {seen}. {asked_mapping(sheets, (), str(path))}"
 
 
 def sensors_of(members: Members, name: str) -> set[str]:

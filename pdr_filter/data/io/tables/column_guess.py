@@ -10,11 +10,10 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import PurePath
 
 import numpy as np
 
-from pdr_filter.data.io.checks import is_of_phone, up_cosine
+from pdr_filter.data.io.checks import constant_axes, is_of_phone, up_cosine
 from pdr_filter.data.io.column_names import (
     ACCELERATION,
     ANGLES,
@@ -212,8 +211,8 @@ def _rate_of_rows(sheets: Sequence[Sheet], groups: Sequence[Group], dialect: Dia
 
 
 def _file_of(where: str) -> str:
-    """Return the name of the file that messages call `where`."""
-    return PurePath(where.partition(": ")[0]).name
+    """Return the path of the file that messages call `where`."""
+    return where.partition(": ")[0]
 
 
 def _stream(group: Group, sheet: Sheet, dialect: Dialect, rate_hz: float) -> _Stream:
@@ -303,8 +302,9 @@ def _forces(
     instead = dialect.instead if dialect.app else "the accelerometer itself"
     if not linear and seen.group.quantity == GRAVITY:
         raise NoAccelerometerError(f"{where}: {app} of gravity alone ({seen.group.name}); export {instead} instead")
+    still = f"{still}, " if (still := constant_axes(seen.values)) else ""
     raise NoAccelerometerError(
-        f"{where}: {app}, whose acceleration ({seen.group.name}) lacks gravity: the constant part of it is "
+        f"{where}: {app}, whose acceleration ({seen.group.name}) lacks gravity: {still}the constant part of it is "
         f"{seen.constant:.2g}, and gravity is 9.8 m/s2 or 1 g; export {instead} instead"
     )
 

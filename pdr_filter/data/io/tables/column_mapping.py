@@ -47,7 +47,7 @@ class StreamMap:
     stream: str  # one of `STREAMS`
     columns: tuple[str, ...]  # an empty name is a value that is not known
     unit: str
-    sign: int = 1
+    sign: float = 1  # NaN in a template, because values do not show it
     counts_per_unit: float = 1.0  # numbers of the sensor for one unit; NaN in a template, if not known
     bias: tuple[str, ...] = ()  # columns that are subtracted
     time: str = ""  # column; empty if rows come at a fixed rate
@@ -167,7 +167,9 @@ def _stream(path: Path, name: str, settings: dict[str, Any], time: dict[str, Any
         )
     sign: Any = settings.get("sign", 1)
     if sign not in (1, -1):
-        raise RecordingError(f"{path}: [{name}] sign is {sign!r}; write 1 or -1")
+        raise RecordingError(
+            f"{path}: [{name}] sign is {sign!r}; write 1, or -1 if a phone lying face up reads negative on z"
+        )
     time_column = str(settings.get("time", time.get("column", "")))
     time_unit = str(settings.get("time_unit", time.get("unit", "s")))
     if time_unit not in (*TIME_UNITS, "date"):

@@ -10,11 +10,20 @@ import re
 from collections.abc import Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import PurePath
 from typing import NamedTuple
 
 import numpy as np
 
-from pdr_filter.data.io.column_names import ACCELERATION, RATE, TIME_UNITS, UNITS, column_of, quantity_of_file
+from pdr_filter.data.io.column_names import (
+    ACCELERATION,
+    RATE,
+    TIME_UNITS,
+    UNITS,
+    column_of,
+    quantity_of_file,
+    words_of,
+)
 from pdr_filter.data.io.describe import median_norm
 from pdr_filter.data.io.tables.column_groups import Group
 from pdr_filter.data.io.tables.column_mapping import STREAMS, Mapping, StreamMap
@@ -34,8 +43,8 @@ NOT_SHOWN = 'columns = ["?", "?", "?"]'
 _AXIS = re.compile(r"[XYZxyz\d]\W*$")
 _ASK = (
     "with your columns, unit of time (s, ms, us, ns, 100ns, min, h, days, date; rate_hz = 50 in place of column and "
-    "unit, if rows have no time), unit (m/s2 or g), counts_per_unit if the sensor counts, sign (-1 if a phone lying "
-    "face up reads negative on z), and give it with pdr-filter convert"
+    "unit, if rows have no time), unit (m/s2 or g), counts_per_unit if the sensor counts, sign (1, or -1 if a phone "
+    "lying face up reads negative on z), and"
 )
 
 
@@ -49,7 +58,7 @@ class _Force(NamedTuple):
 def asked_mapping(sheets: Sequence[Sheet], groups: Sequence[Group], file: str) -> str:
     """Return a sentence that asks for a mapping of a file, and a template of it, on a line for each sensor.
 
-    `groups` are the columns that are known by their names.
+    `file` is the path of the file. `groups` are the columns that are known by their names.
     """
     streams: dict[str, StreamMap] = {}
     force: _Force | None = None
@@ -68,11 +77,12 @@ def asked_mapping(sheets: Sequence[Sheet], groups: Sequence[Group], file: str) -
         }
     if "accelerometer" not in streams:
         time, unit = _time_of(sheets[0], np.full((0, len(sheets[0].fields)), np.nan)) if sheets[1:] else ("?", "s")
-        streams = {"accelerometer": StreamMap("accelerometer", ("?",) * 3, "m/s2", time=time, time_unit=unit)}
+        streams = {"accelerometer": StreamMap("accelerometer", ("?",) * 3, "m/s2", math.nan, time=time, time_unit=unit)}
     template = Mapping(tuple(streams.values()), rate_hz).toml()
-    shown = "where ? stands for what the values do not show" if "?" in template else "filled in by the values"
-    ask = f"Say which is what in a file like this, {shown}, {_ASK}"
-    return f"{ask} {file} --map MAP.toml:\n{template}"
+    ask = f"Say which is what in a file like this, where ? stands for what the values do not show, {_ASK}"
+    if all(sheet.where == file for sheet in sheets):  # no table in a zip or folder
+        ask += f" save it as {PurePath(file).with_suffix('.toml').name} beside the file, where all commands find it, or"
+    return f"{ask} give it with pdr-filter convert {file} --map MAP.toml:\n{template}"
 
 
 def _streams(
@@ -101,7 +111,8 @@ def _streams(
 
     def add(stream: str, places: Sequence[int], unit: str, counts: float) -> None:
         names = tuple(sheet.fields[place] for place in places)
-        streams.append(StreamMap(stream, names, unit, 1, counts, (), *times))
+        sign = math.nan if stream == "accelerometer" else 1
+        streams.append(StreamMap(stream, names, unit, sign, counts, (), *times))
 
     of_force = [known[ACCELERATION]] if ACCELERATION in known else triples
     best = _best_force(sheet, at_s, values, of_force, {*clocks, *sheet.dates})
@@ -141,8 +152,9 @@ def _best_force(
 ) -> tuple[tuple[int, ...], str, float] | None:
     """Return the columns of an accelerometer with gravity, their unit, and the counts for one unit, or None.
 
-    Axes have names of one length that differ at their end. With another column in place of an axis, less of gravity is
-    constant, unless that axis has hardly any: then the columns behind one of `times` are taken.
+    Axes have names with common words, of one length, that differ at their end. With another column in place of an
+    axis, less of gravity is constant, unless that axis has hardly any: then the columns behind one of `times` are
+    taken.
     """
 
     def best_of(fitting: Sequence[tuple[int, ...]]) -> tuple[int, ...]:
@@ -157,7 +169,7 @@ def _best_force(
     for unit, gravity in (("m/s2", STANDARD_GRAVITY_MPS2), ("g", 1.0)):
         if fitting := [triple for triple in triples if low <= parts[triple] / gravity <= high]:
             return best_of(fitting), unit, 1.0
-    counting = [triple for triple in triples if parts[triple] > _LEAST_COUNTS and _likeness(sheet, triple)[0] == -1]
+    counting = [triple for triple in triples if parts[triple] > _LEAST_COUNTS and _likeness(sheet, triple)[1] == -1]
     if not counting:
         return None
     best = best_of(counting)
@@ -182,7 +194,11 @@ def _usual(counts: float, usual: Sequence[float]) -> float:
     return near if max(near / counts, counts / near) < _NEAR else float(f"{counts:.2g}")
 
 
-def _likeness(sheet: Sheet, triple: Sequence[int]) -> tuple[int, int]:
-    """Return the negative numbers of different lengths of the names of columns, and of names without their axis."""
+def _likeness(sheet: Sheet, triple: Sequence[int]) -> tuple[int, int, int]:
+    """Return the number of words that are in the names of all columns, and two negative numbers.
+
+    These count different lengths of the names, and different names without their axis.
+    """
     names = [sheet.fields[i] for i in triple]
-    return -len({len(name) for name in names}), -len({_AXIS.sub("", name) for name in names})
+    words = set[str].intersection(*(set(words_of(name)) for name in names))
+    return len(words), -len({len(name) for name in names}), -len({_AXIS.sub("", name) for name in names})
