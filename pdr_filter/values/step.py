@@ -102,6 +102,9 @@ class Step:
     stepless_s : float, default 0.0
         Time since the previous step in which the phone moved although no step explains it, s, so that steps may be
         missing.
+    ahead_s : float, default 0.0
+        Time by which the phone may turn ahead of the walking direction, s. A head leads into curves, and turns a phone
+        at the ear.
 
     Examples
     --------
@@ -144,6 +147,7 @@ class Step:
     north_rad: float = 0.0
     north_std_rad: float = np.inf
     stepless_s: float = 0.0
+    ahead_s: float = 0.0
 
     @classmethod
     def of(cls, time_s: float, *, duration_s: float = 0.54, **values: Any) -> Step:
@@ -208,8 +212,12 @@ class Step:
 
     @property
     def turned_rad(self) -> float:
-        """Absolute rotation of the phone during the step, rad, at most half a revolution."""
-        return min(self.turn_rate_radps * self.duration_s, math.pi)
+        """Range of possible walking directions in a curve, rad, at most half a revolution.
+
+        It is the absolute rotation of the phone during the step. A phone that turns ahead of the walking direction adds
+        a standard deviation of `turn_rate_radps` times `ahead_s`, which is that of a range sqrt(12) times as large.
+        """
+        return min(self.turn_rate_radps * (self.duration_s + math.sqrt(12.0) * self.ahead_s), math.pi)
 
     @property
     def unevenness(self) -> float:

@@ -1,7 +1,7 @@
 """Tracks on people, phones and placements that no model was trained on: recipes, axes, trust.
 
 usage: python -m tests.benchmarks.placements [expected] [recipes] [corridors] [trust] [phone]
-           [--data ../shared/data]
+           [ear] [--data ../shared/data]
 
 Three scalars were seen on oxiod: the step length's k is fitted to five sites of which it is one, and the limits of soft
 running and of a field that jumps were looked at there.
@@ -33,6 +33,12 @@ phone: the same positions and ellipses without and with the device of another wa
 device is from the online track of that walk, or from its smoothed track with a fix of 0.5 m every twenty seconds
 (humolire: every fourth waypoint). The last column also uses the person of the smoothed track. No number was chosen on
 these walks.
+
+ear: where the error of a walk with the phone at the ear comes from, beside the other walks of the same person. RMS
+errors after alignment on the first 20 % of the path: of the track, with the true direction or the true length of each
+step, without the constant drift of the direction that is best for the whole walk, and without the error of the
+direction as averaged over Hann windows of 9 and 33 steps. The last columns are the shares of positions outside their
+95 % ellipse if no head is ahead of the walking direction, and if it is.
 """
 
 from __future__ import annotations
@@ -41,17 +47,21 @@ import argparse
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Literal
+from unittest.mock import patch
 
 import numpy as np
 from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
+from pdr_filter.sensing.heading import walking_heading
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.tracking import trust_report as report
 from pdr_filter.tracking.step_statistics import is_handled, is_on_the_spot, is_unfamiliar
-from pdr_filter.values import BoolArray, FloatArray, interpolated_rows
+from pdr_filter.values import BoolArray, ComplexArray, FloatArray, interpolated_rows
 from tests.benchmarks.common import Tables, places_of, recordings, run
 
 RECIPES = ("default", "guo2018", "martinelli2018", "susi2013", "tian2016", "zhou2019")
@@ -312,5 +322,50 @@ def phone(tables: Tables, arguments: argparse.Namespace) -> None:
     tables.write("known_phone", columns, lines, about)
 
 
+def error_m(ends_m: FloatArray, move: ComplexArray, use: Literal["first", "all"] = "first") -> float:
+    """RMS error of the sum of moves (east + i north) after alignment on the first 20 % of the path, or on all."""
+    moved_m = np.cumsum(move)
+    return evaluate.position_rmse_m(np.column_stack([moved_m.real, moved_m.imag]), ends_m, use)
+
+
+def ear(tables: Tables, arguments: argparse.Namespace) -> None:
+    """Sources of the errors with the phone at the ear."""
+    lines = []
+    for walk in walks(arguments.data, ("tyrex",)):
+        with patch.object(walking_heading, "_HEAD_AHEAD_S", 0.0):
+            tracks = [pdr.track(walk.recording)]
+        tracks.append(pdr.track(walk.recording))
+        if tracks[0].n_steps < 20 or "running" in walk.group:
+            continue
+        time_s, duration_s = tracks[1].time_s, np.asarray(tracks[1].steps.duration_s)
+        inside = (time_s - duration_s > walk.time_s[0]) & (time_s < walk.time_s[-1])
+        time_s, duration_s = time_s[inside], duration_s[inside]
+        starts_m, ends_m = (interpolated_rows(t, walk.time_s, walk.position_m) for t in (time_s - duration_s, time_s))
+        east_north = np.array([1.0, 1.0j])
+        move = np.diff(tracks[1].position_m, axis=0, prepend=0.0)[inside] @ east_north
+        truth = (ends_m - starts_m) @ east_north
+        ahead = truth / np.abs(truth)
+        drifted = [move * np.exp(1j * rate * (time_s - time_s[0])) for rate in np.arange(-0.02, 0.0201, 0.0005)]
+        turned = [np.convolve(np.abs(truth) * move / np.abs(move) / ahead, np.hanning(n + 2), "same") for n in (9, 33)]
+        moves = [
+            move,
+            np.abs(move) * ahead,
+            np.abs(truth) * move / np.abs(move),
+            min(drifted, key=partial(error_m, ends_m, use="all")),
+            *(move * np.abs(each) / each for each in turned),
+        ]
+        outside = []
+        for track in tracks:
+            _, errors, cov, first = errors_and_cov(walk, track)
+            outside.append(f"{100 * np.mean(evaluate.nees(errors, cov)[~first] > chi2.ppf(0.95, 2)):.0f} %")
+        name = walk.recording.name.split("nexus5_")[1].replace("_", " ")
+        lines.append([name, len(move), *(f"{error_m(ends_m, each):.1f}" for each in moves), *outside])
+    columns = (
+        "walk | steps | track, m | true directions | true lengths | no drift | without 9 steps | without 33 steps | "
+    )
+    columns += "outside | outside, head ahead"
+    tables.write("at_the_ear", columns, lines)
+
+
 if __name__ == "__main__":
-    run(__doc__, expected, recipes, corridors, trust, phone)
+    run(__doc__, expected, recipes, corridors, trust, phone, ear)

@@ -167,8 +167,8 @@ class Directions:
     def step_var_rad2(self, turned_rad: FloatArray | float) -> FloatArray:
         """Return the variance (..., M) of the direction of a single step, rad2, for each of M modes.
 
-        A step in which the phone turns by an angle may lead anywhere in that range, which has the variance angle^2 /
-        12.
+        A step in a curve may lead anywhere in the range `turned_rad` (`Step.turned_rad`), which has the variance
+        turned_rad^2 / 12.
         """
         return self.heading_var_rad2 + turned_rad * turned_rad / 12.0
 

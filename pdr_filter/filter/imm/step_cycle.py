@@ -256,7 +256,7 @@ def step_motion(
     directions: Directions,
     turned_rad: FloatArray | float,
 ) -> StepMotion:
-    """Return the displacements of steps with lengths (..., M), during which the phone turned by `turned_rad`."""
+    """Return the displacements of steps with lengths (..., M) and the range `turned_rad` of possible directions."""
     scale = np.exp(log_scale)
     scaled_m = length_m * scale
     psi = device_heading_rad + heading_offset_rad + directions.heading_offset_rad

@@ -53,7 +53,10 @@ from pdr_filter.values import (
 )
 from pdr_filter.values.angles import UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2
 
-_TEXTING = CARRYING_MODES.index("texting")
+_TEXTING, _CALLING = CARRYING_MODES.index("texting"), CARRYING_MODES.index("calling")
+# Time by which the head is ahead of the walking direction at a corner, s (R. Grasso et al., Neuroscience Letters 253,
+# 1998, doi:10.1016/S0304-3940(98)00625-9).
+_HEAD_AHEAD_S = 1.0
 
 # Rows of the buffered signals.
 _FORCE, _UP, _EAST, _NORTH, _VERTICAL, _HEADING, _KNOWN = slice(3), slice(3, 6), 6, 7, 8, 9, 10
@@ -404,6 +407,8 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
         result: NumberedSteps = []
         for (number, step), stride, mode in zip(steps, strides, contexts.carrying_mode.tolist(), strict=True):
             state, changes = self._annotate(state, step, self._bias_error(state, step.time_s, number), stride, mode)
+            if mode == _CALLING:
+                changes["ahead_s"] = _HEAD_AHEAD_S
             result.append((number, replace_unchecked(step, **changes) if changes else step))
         return replace_unchecked(state, contacts_s=contacts_s[-2:]), result
 

@@ -102,6 +102,16 @@ def test_a_step_in_a_turn_may_lead_in_any_direction_within_the_turn() -> None:
     assert np.trace(cov[:2, :2]) == pytest.approx(0.7**2 * np.pi**2 / 12)
 
 
+def test_a_phone_that_turns_ahead_of_the_walking_direction_makes_steps_in_curves_less_certain() -> None:
+    step = replace(a_step(duration_s=0.5), turn_rate_radps=0.4)
+    at_ear = replace(step, ahead_s=1.0)
+    _, cov = advance_one(np.zeros(4), step=at_ear, length_m=0.7)
+    assert np.sqrt(cov[0, 0]) == pytest.approx(0.7 * 0.4 * (0.5 / np.sqrt(12.0) + 1.0), rel=1e-3)
+    straight = [replace(each, turn_rate_radps=0.0) for each in (step, at_ear)]
+    covs = [advance_one(np.zeros(4), step=each, length_m=0.7)[1] for each in straight]
+    np.testing.assert_array_equal(*covs)
+
+
 def test_the_estimated_scale_decays_towards_the_population_prior() -> None:
     noise = MotionNoise(log_scale_std=0.08, log_scale_drift_per_sqrt_step=0.01)
     memory = 1 - 0.01**2 / 0.08**2  # decay of the variance in a step

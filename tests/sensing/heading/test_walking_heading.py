@@ -296,6 +296,14 @@ def test_a_phone_that_is_read_during_most_strides_keeps_its_axis_when_some_label
     assert np.ptp(learnt_deg) < 2.0
 
 
+def test_only_a_phone_at_the_ear_turns_ahead_of_the_walking_direction() -> None:
+    parts = body(Rotation.from_euler("x", 1.5), 0.6, seconds=40.0)
+    labels = np.full(4000, CARRYING_MODES.index("swinging"))
+    labels[2000:] = CARRYING_MODES.index("calling")
+    _, result = STAGE.update(STAGE.init(), *parts[:2], ContextBlock(np.full(4000, -1), labels), parts[2])
+    assert {(number >= 2000, step.ahead_s) for number, step in result} == {(False, 0.0), (True, 1.0)}
+
+
 def test_a_second_pass_has_the_direction_of_all_strides_from_the_first_stride_of_each_place() -> None:
     """The push points backward for three seconds after the phone is moved, and forward for the rest of the walk."""
     pushes = np.where((np.arange(6000) > 2000) & (np.arange(6000) < 2300), -1.2, 1.2)
