@@ -116,7 +116,7 @@ def test_rejected_fixes_are_no_ground_truth_in_a_track_and_the_note_names_the_fr
     moved["east_m"] += 500.0
     on_map = replace(walk, truth=replace(walk.truth, position=moved))
     rows = [moved[k] for k in (len(moved) // 3, 2 * len(moved) // 3)]
-    fixes = [pdr.PositionFix(float(r["time_s"]), (float(r["east_m"]), float(r["north_m"])), np.eye(2)) for r in rows]
+    fixes = [pdr.PositionFix(float(r["time_s"]), np.array([r["east_m"], r["north_m"]]), np.eye(2)) for r in rows]
     track = pdr.track(on_map, fixes=fixes)
     assert [fix.outcome for fix in track.fixes] == ["rejected", "rejected"]
     assert not any("ground truth" in note for note in track.notes)
@@ -124,7 +124,7 @@ def test_rejected_fixes_are_no_ground_truth_in_a_track_and_the_note_names_the_fr
     assert told.endswith("as positions on a map, use a configuration of in_world_frame()")
     in_frame = pdr.track(on_map, pdr.recipes.default(walk.subject).in_world_frame(), fixes=fixes)
     assert any("2 of 2 position fixes are ground truth" in note for note in in_frame.notes)
-    late = [*fixes, pdr.PositionFix(fixes[-1].time_s + 1.0, (0.0, 900.0), 0.01 * np.eye(2))]
+    late = [*fixes, pdr.PositionFix(fixes[-1].time_s + 1.0, np.array([0.0, 900.0]), 0.01 * np.eye(2))]
     in_frame = pdr.track(on_map, pdr.recipes.default(walk.subject).in_world_frame(), fixes=late)
     (told,) = (note for note in in_frame.notes if "fit the track or its time" in note)
     assert "in_world_frame" not in told
