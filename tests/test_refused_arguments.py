@@ -395,7 +395,7 @@ SIMULATE: list[Refusal] = [
 TAKERS = (pdr.track, pdr.detect_steps, pdr.classify, pdr.smooth)
 WITH_RECORDING = [partial(taker, RECORDING) for taker in TAKERS]
 of_track, *_, of_smoothing = WITH_RECORDING
-HEIGHTS = (175, 0.0, -1.7, NAN, "1.8")
+HEIGHTS = (175, 0.0, -1.7, NAN, "1.8", True)
 NO_RECORDING = r"recording must be a Recording, .* pdr_filter\.read"
 NO_PLAN = r"plan must be a FloorPlan, got 'mall\.geojson': read one .* pdr_filter\.FloorPlan\.read"
 FACES: list[Refusal] = [
@@ -420,6 +420,7 @@ FACES: list[Refusal] = [
     (of_smoothing, {"fixes": recipes.default()}, r"fixes .* got Config\('default'.*by their names"),
     (pdr.calibrate, {"recordings": recipes.default()}, r"recordings .* got Config\('default'.*by their names"),
     (of_smoothing, {"loop_closures": "wlan"}, "loop_closures"),
+    *of(of_smoothing, "loop must be True or False, got .*loop_closures", loop=("yes", 1, None)),
     (partial(of_smoothing, loop_closures=[LoopClosure(1.0, 9.0, 1.0)]), {"anchor_interval_s": NAN}, "anchor_interval"),
     *of(of_smoothing, "start_heading_std_rad", start_heading_std_rad=(NAN, -1.0)),
     *of(partial(pdr.batch.calibrate, ["/nowhere.zip"]), "anchor_std_m must", anchor_std_m=(-1.0, NAN)),

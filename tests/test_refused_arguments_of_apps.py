@@ -181,6 +181,7 @@ CALIBRATION: Rows = [
     (lambda f: calibrate_segments([replace(good(), inside=np.zeros(14))]), "no steps"),
     (lambda f: calibrate_segments([]), "no segments"),
     (lambda f: calibrate([]), "no recordings"),
+    (lambda f: pdr.track(walk(), calibration=write(f / "plan.geojson")), "plan.geojson: not usable as calibration, "),
     (lambda f: calibrate_segments([good()], loss="tukey"), "loss must be one of"),
     (lambda f: calibrate_segments([good()], model="guess"), "model must be one of bounce, eq12, kim, .* got 'guess'"),
     (lambda f: calibrate_segments([good()], DEFAULT_PRIORS, model="kim"), "give only one of the two"),

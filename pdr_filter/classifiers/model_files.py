@@ -62,6 +62,9 @@ class ArtefactFormat:
         another kind or version, if `build` fails, or if a field of its result is not of its declared type.
         """
         json_path, npz_path = file_pair(path)
+        noun = self.kind.replace("_", " ")
+        if Path(path).suffix not in (".json", ".npz") and Path(path).is_file():
+            raise ValueError(f"{path}: not usable as {noun}, which is a file .json with a file .npz; {self.remedy}")
         for needed in (npz_path if str(path).endswith(".npz") else json_path, json_path):
             if not needed.is_file():
                 raise ValueError(f"{needed}: no such file; correct the path, or copy the file there")
@@ -73,7 +76,6 @@ class ArtefactFormat:
             return built
         except Exception as error:  # a damaged file can raise any exception
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-            noun = self.kind.replace("_", " ")
             raise ValueError(f"{json_path}: not usable as {noun}: {what}; {self.remedy}") from error
 
     def is_at(self, path: str | Path) -> bool:

@@ -155,7 +155,8 @@ class Calibration(CalibrationResult):
                 f"calibrated step lengths of {', '.join(sorted(unused))} are not used, because the recipe has no such "
                 "modes: give the configuration that was calibrated"
             )
-        notes = tuple(n for n in config.notes if n.about != "height" or person is None)
+        is_height_used = person is not None or (subject is not None and subject.height_m is not None)
+        notes = tuple(n for n in config.notes if n.about != "height" or not is_height_used)
         notes += (*(Note("step lengths", text) for text in found), *_replaced(config.model.modes, modes))
         return replace(config.with_model(modes=modes, noise=noise), notes=notes)
 
@@ -311,7 +312,12 @@ def read_person(person: Person | Calibration | str | Path, config: Config | None
         return person
     if not isinstance(person, str | PathLike):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise ValueError(f"person must be a Person, a Calibration, or the path of a saved one, got {person!r}")
-    return load_calibration(person, config) if FORMAT.is_at(person) else Person.load(person)
+    if FORMAT.is_at(person):
+        return load_calibration(person, config)
+    try:
+        return Person.load(person)
+    except ValueError as error:
+        raise ValueError(f"{error}, or a calibration with pdr-filter calibrate") from None
 
 
 def with_steps_of(config: Config, person: Person | Calibration | str | Path, subject: Subject) -> Config:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pdr_filter.filter.chain.weighted_tracker import DetectedStepTracker
@@ -43,6 +45,10 @@ _RUNNING = StepLengthFit(
 )
 _RUNNING_HEADING_STD_RAD = 0.35
 _STATIONARY = constant_fit(0.0, STANDING_STD_M)
+_ASSUMED = (
+    f"{USUAL_HEIGHT_M:.2f} m is assumed, and step lengths may be off by {100 * scale_std(None):.0f} % "
+    f"({100 * scale_std(USUAL_HEIGHT_M):.0f} % if the height is given)"
+)
 
 
 def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> tuple[Mode, ...]:
@@ -161,6 +167,15 @@ def height_notes(subject: Subject | None) -> tuple[Note, ...]:
     """
     if subject is not None and subject.height_m is not None:
         return ()
-    assumed = f"the person's height is not known: {USUAL_HEIGHT_M:.2f} m is assumed, and step lengths may be off by"
-    text = f"{assumed} {100 * scale_std(None):.0f} % ({100 * scale_std(USUAL_HEIGHT_M):.0f} % if the height is given)"
-    return (Note("height", text),)
+    return (Note("height", f"the person's height is not known: {_ASSUMED}"),)
+
+
+def notes_with_height_of(subject: Subject, notes: Sequence[Note]) -> tuple[Note, ...]:
+    """Return the notes of a configuration that has no height, for the recording of a subject that has one."""
+    if subject.height_m is None:
+        return tuple(notes)
+    text = (
+        f"the configuration does not use the person's height, which is {subject.height_m:.2f} m in the recording: "
+        f"{_ASSUMED}; give the person to the recipe, such as pdr_filter.recipes.default(recording.subject)"
+    )
+    return tuple(Note("height", text) if note.about == "height" else note for note in notes)

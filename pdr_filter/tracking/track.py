@@ -329,6 +329,9 @@ class Track(TrackRows):
     def plot(self, path: str | Path | None = None) -> Figure:
         """Draw the track with its 95 % uncertainty above its context probabilities over time.
 
+        A wide band of the uncertainty is drawn in part. The legend then states its largest half width, such as "±11 m,
+        cut off".
+
         Parameters
         ----------
         path : str or Path, optional

@@ -62,7 +62,12 @@ def notes_of(
     notes += [*config.notes, *height.notes(state.height, state.waiting_climbs.barometer, is_pressure_named)]
     if config.on_plan is not None:
         notes += config.on_plan.notes(state.particles)
-    return [*notes, *_frame_notes(config, state), *notes_of_rides(state.statistics.rides, vertices), *_fix_notes(state)]
+    return [
+        *notes,
+        *_frame_notes(config, state),
+        *notes_of_rides(state.statistics.rides, vertices),
+        *_fix_notes(config, state),
+    ]
 
 
 def _sample_notes(state: State) -> Iterator[str]:
@@ -223,11 +228,16 @@ def conflict_notes(conflict: FixConflict) -> Iterator[Note]:
         yield Note("fixes", words)
 
 
-def _fix_notes(state: State) -> Iterator[Note]:
-    yield from conflict_notes(part_of(state.chain, Hypotheses).conflict)
+def _fix_notes(config: Config, state: State) -> Iterator[Note]:
+    conflict = part_of(state.chain, Hypotheses).conflict
+    yield from conflict_notes(conflict)
     if n_rejected := state.statistics.n_rejected_fixes:
         words = f"fixes that do {criteria.REJECTED} were not used: {n_rejected}; check their accuracy, and "
-        yield Note("fixes", words + "that fixes and samples have one clock (pdr_filter.smooth estimates a shift)")
+        words += "that fixes and samples have one clock (pdr_filter.smooth estimates a shift)"
+        if config.model.frame.is_joined and not conflict.is_doubtful:
+            words += "; if they are not east and north of the start of the track, as positions on a map, use a "
+            words += "configuration of in_world_frame()"
+        yield Note("fixes", words)
     fixes = state.pedestrian.fixes
     stood = fixes.standstill_steps
     if n_walked := round(stood.n_contradicting):

@@ -17,6 +17,7 @@ from pdr_filter.filter.pedestrian.pedestrian_state import StepUpdate
 from pdr_filter.filter.pedestrian.person import Person
 from pdr_filter.recipes.calibration import Calibration, load_calibration, with_steps_of
 from pdr_filter.recipes.config import Config, check_config
+from pdr_filter.recipes.modes import notes_with_height_of
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merged_parts
 from pdr_filter.sensing.contexts.context_stage import with_climbs
@@ -103,7 +104,8 @@ def track(
     recording : Recording
         Recording to process, as returned by `pdr_filter.read`.
     config : Config, optional
-        Configuration, as returned by a recipe. The default is the default recipe.
+        Configuration, as returned by a recipe. The default is the default recipe for the person of the recording. A
+        recipe that is called without `recording.subject` does not use the person's height.
     weighting : {"imm", "wc", "hc"}, optional
         Combination of the context probabilities into step lengths: interacting multiple model, weighted context or
         highest context. The default is the weighting of the configuration ("imm" for the default recipe).
@@ -166,17 +168,17 @@ class Run:
     fixes: tuple[Fix, ...]  # fixes on the clock of the recording
     georeference: Georeference  # arguments for position, north and floor plan
     with_location: bool  # True if the locations of the recording are used
-    notes: tuple[str, ...] = ()  # notes on the arguments, for the track
+    truth_notes: tuple[str, ...] = ()  # notes on fixes that are ground truth, for a track that used fixes
 
     def with_given_origin(self, result: Track) -> Track:
-        """Return a track with the given origin and heading, the phone's own steps, and the notes on the arguments.
+        """Return a track with the given origin and heading, the phone's own steps, and the notes on ground truth.
 
         A further note tells if the locations were ignored because of the origin or the heading.
         """
         given, place = self.georeference, self.georeference.given_origin
         result = replace(
             result,
-            notes=(*result.notes, *self.notes),
+            notes=(*result.notes, *(self.truth_notes if any(fix.accepted for fix in result.fixes) else ())),
             phone_n_steps=read_only(phone_steps_at(self.recording.phone_step_count, result.time_s)),
             phone_heading_rad=read_only(phone_heading_at(self.recording.phone_heading, result.time_s)),
         )
@@ -227,6 +229,7 @@ def prepared_run(
         config = config.with_weighting(weighting)
     if with_location:
         config = config.in_world_frame()
+    config = replace(config, notes=notes_with_height_of(recording.subject, config.notes))
     config = with_north(config, recording, georeference, with_location)
     recording = with_north_of_attitude(recording, georeference.north)
     return Run(recording, config, fixes, georeference, with_location, notes)

@@ -155,7 +155,7 @@ class Georeference:
             if is_asked and missing:
                 raise MissingSensorError(
                     f'{recording.name or "the recording"} has no {" and no ".join(missing)}, which {name}="{given}" '
-                    f"requires: leave {name} out"
+                    f"(--{name} {given}) requires: omit it"
                 )
         has_metres = plan is not None and plan.origin is None
         if self.asks_for_locations and has_metres:

@@ -37,7 +37,7 @@ def check_height(height_m: float) -> None:
     >>> check_height(1.75)
     """
     low, high = limits.HEIGHT_RANGE_M
-    if not isinstance(height_m, Real) or not low <= height_m <= high:
+    if isinstance(height_m, bool) or not isinstance(height_m, Real) or not low <= height_m <= high:
         raise ValueError(f"height_m must be the height of a person in metres, {low} to {high}, got {height_m!r}")
 
 
@@ -190,7 +190,10 @@ class Recording:
         return Subject(**{f.name: known.get(f.name) for f in fields(Subject)})
 
     def of_height(self, height_m: float) -> Recording:
-        """Return a copy with another body height of the person, which changes the step lengths of the default recipe.
+        """Return a copy with another body height of the person.
+
+        The height changes the step lengths of `pdr_filter.track(recording)`, and of a recipe that is called with the
+        `subject` of the copy.
 
         Parameters
         ----------
@@ -243,7 +246,7 @@ class Recording:
         check_array("distance_m", distance_m, "positive", remedy="give the length of the walk in metres")
         if n_steps is not None:
             check_array("n_steps", n_steps, "positive", remedy="give the number of steps, or leave it out")
-            check_step_length("distance_m / n_steps", distance_m / n_steps)
+            check_step_length("distance_m (--distance) / n_steps (--steps)", distance_m / n_steps)
         start_s, end_s = (float(self.accelerometer.time_s[k]) for k in (0, -1))
         check_walked("distance_m", distance_m, end_s - start_s)
         known = {"start_s": [start_s], "end_s": [end_s], "distance_m": [float(distance_m)]}

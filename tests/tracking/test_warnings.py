@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,11 @@ from helpers import a_step
 import pdr_filter as pdr
 from pdr_filter.tracking.step_statistics import StepCounts, WindowCounts, is_in_standing
 from pdr_filter.tracking.warnings import _step_notes, _window_notes  # pyright: ignore[reportPrivateUsage]
+
+
+@pytest.fixture(scope="module")
+def walk() -> pdr.Recording:
+    return pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=20.0)], seed=2)
 
 
 @pytest.mark.parametrize(
@@ -76,3 +82,49 @@ def test_fixes_that_arrive_after_the_last_sample_are_late_and_not_on_another_clo
     (arrived,) = (note for note in notes if "arrived after the last sample" in note)
     assert arrived.startswith("1 fix not used") and "clock" not in arrived
     assert any(note.startswith("fixes from after the last sample were not used: 1; check") for note in notes)
+
+
+@pytest.mark.parametrize("recipe", [pdr.recipes.default, pdr.recipes.susi2013, pdr.recipes.tian2016])
+def test_a_recipe_without_the_person_says_that_the_height_of_the_recording_is_not_used(
+    walk: pdr.Recording, recipe: Callable[..., pdr.Config]
+) -> None:
+    def noted(recording: pdr.Recording, config: pdr.Config) -> list[str]:
+        return [note for note in pdr.track(recording, config).notes if "person's height" in note]
+
+    tall, unknown = walk.of_height(1.86), replace(walk, meta={})
+    (unused,) = noted(tall, recipe())
+    assert "does not use the person's height, which is 1.86 m in the recording: 1.70 m is assumed" in unused
+    assert unused.endswith("such as pdr_filter.recipes.default(recording.subject)")
+    assert noted(tall, recipe(tall.subject)) == []
+    assert noted(unknown, recipe())[0].startswith("the person's height is not known: 1.70 m is assumed")
+
+
+def test_the_height_of_the_recording_is_used_by_a_calibration_of_other_people(walk: pdr.Recording) -> None:
+    tall = replace(walk.of_height(1.86), name="tall")
+    others = [replace(walk.of_distance(20.0), meta={"subject": {"id": name}}) for name in ("anna", "ben")]
+    calibration = pdr.calibrate(others)
+    track = pdr.track(tall, pdr.recipes.default(), calibration=calibration)
+    assert not [note for note in track.notes if "person's height" in note]
+    assert any("of the calibrated population" in note for note in track.notes)
+
+
+def test_rejected_fixes_are_no_ground_truth_in_a_track_and_the_note_names_the_frame(walk: pdr.Recording) -> None:
+    """The true positions are those of a map, in which the walk begins far away from its start."""
+    position = walk.truth.position
+    assert position is not None
+    moved = position.copy()
+    moved["east_m"] += 500.0
+    on_map = replace(walk, truth=replace(walk.truth, position=moved))
+    rows = [moved[k] for k in (len(moved) // 3, 2 * len(moved) // 3)]
+    fixes = [pdr.PositionFix(float(r["time_s"]), np.array([r["east_m"], r["north_m"]]), np.eye(2)) for r in rows]
+    track = pdr.track(on_map, fixes=fixes)
+    assert [fix.outcome for fix in track.fixes] == ["rejected", "rejected"]
+    assert not any("ground truth" in note for note in track.notes)
+    (told,) = (note for note in track.notes if "fit the track or its time" in note)
+    assert told.endswith("as positions on a map, use a configuration of in_world_frame()")
+    in_frame = pdr.track(on_map, pdr.recipes.default(walk.subject).in_world_frame(), fixes=fixes)
+    assert any("2 of 2 position fixes are ground truth" in note for note in in_frame.notes)
+    late = [*fixes, pdr.PositionFix(fixes[-1].time_s + 1.0, np.array([0.0, 900.0]), 0.01 * np.eye(2))]
+    in_frame = pdr.track(on_map, pdr.recipes.default(walk.subject).in_world_frame(), fixes=late)
+    (told,) = (note for note in in_frame.notes if "fit the track or its time" in note)
+    assert "in_world_frame" not in told

@@ -215,12 +215,13 @@ def smooth_command(
     from pdr_filter.data.io.fix_files import loop_closures_of_file
     from pdr_filter.offline.smoothing.observations import waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
+    from pdr_filter.recipes.calibration import read_person
 
     before: dict[Path, int] = {}
     with console.one_line_errors(), console.progress("smoothing"):
         marked = Marks(file) if no_marks else read_marks(file, options.origin_deg(georeference.origin))
         if not no_marks and fixes is None:
-            console.say_unused_fixes(unused_fixes([file]))
+            console.say_unused_fixes(unused_fixes([file]), ", or from the file of --fixes")
         recording = marked.recording(pdr.read(file, file_format))
         if height_m is not None:
             recording = recording.of_height(height_m)
@@ -243,7 +244,8 @@ def smooth_command(
             position_fixes += options.wifi_fixes(pdr.RadioMap.load(radio), recording, georeference.plan is not None)
         position_fixes += options.ranges_of(ranges, anchors, arguments)
         if person is not None:
-            arguments["person"] = person
+            arguments["person"] = known = read_person(person)
+            recording = options.with_person_of_calibration(recording, file, known)
         if loop:
             arguments["loop"] = True
         result = pdr.smooth(recording, fixes=position_fixes, loop_closures=closed, **arguments)

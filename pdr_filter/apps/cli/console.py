@@ -91,10 +91,14 @@ def say_replaced(paths: Sequence[Path]) -> None:
         say(f"replaced existing files: {', '.join(map(str, paths))}")
 
 
-def say_unused_fixes(paths: Sequence[Path]) -> None:
-    """Print files `fixes.csv` that lie beside recordings and are not used, with the place where they are."""
-    for path in paths:
-        say(f"{path} is not used: known positions of walk.zip are read from walk.zip.marks/fixes.csv")
+def say_unused_fixes(unused: Mapping[Path, Path], or_from: str = "") -> None:
+    """Print files `fixes.csv` that lie beside recordings and are not used, with the place where they are read.
+
+    `unused` maps each file to the marks of a recording beside it, and `or_from` names another place.
+    """
+    for path, marks in unused.items():
+        recording = marks.parent.name.removesuffix(".marks")
+        say(f"{path} is not used: known positions of {recording} are read from {marks}{or_from}")
 
 
 def say_without_truth(names: Sequence[str]) -> None:

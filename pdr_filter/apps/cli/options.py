@@ -20,6 +20,8 @@ from pdr_filter.values.recording import check_height
 
 if TYPE_CHECKING:
     from pdr_filter.apps.maps.radio.radio_map import RadioMap
+    from pdr_filter.filter.pedestrian.person import Person
+    from pdr_filter.recipes.calibration import Calibration
     from pdr_filter.recipes.config import Config
     from pdr_filter.values import Origin
     from pdr_filter.values.recording import Recording
@@ -152,6 +154,8 @@ class GeoreferenceOptions:
 
         The origin of the plan is that of --origin, else `known`, the origin of the marks, so that there is one frame.
         """
+        if self.start is not None and self.plan is None:
+            raise ValueError(f"--start {self.start} is a place on a floor plan: give --plan, or omit --start")
         plan, origin = None, origin_deg(self.origin)
         if self.plan is not None:
             from pdr_filter.apps.maps.floor_plan import FloorPlan
@@ -228,6 +232,17 @@ def context_changes(
         return config if probable is None else recipes.with_transitions(config, probable)
 
     return changed
+
+
+def with_person_of_calibration(recording: Recording, file: Path, person: Person | Calibration | None) -> Recording:
+    """Return a recording with the person in the name of its file, as `pdr-filter calibrate` names it.
+
+    The recording is unchanged without a calibration, because only a calibration has step lengths of several persons.
+    """
+    from pdr_filter.data.io.folders import with_person_of_file
+    from pdr_filter.recipes.calibration import Calibration
+
+    return with_person_of_file(recording, file) if isinstance(person, Calibration) else recording
 
 
 def wifi_fixes(radio: RadioMap, recording: Recording, with_grids: bool) -> list[Any]:

@@ -135,6 +135,8 @@ class OutputOptions:
         """Raise ValueError for options that cannot be used. Call it before files are read."""
         from pdr_filter.data.io.files.track_writers import pandas_for_parquet
 
+        if self.tiles and not self.report:
+            raise ValueError(f"--tiles {self.tiles} is for the page of --report: give --report, or omit --tiles")
         if "parquet" in self.kinds:
             pandas_for_parquet(self.out or Path())
 
@@ -238,10 +240,11 @@ def track_command(
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
+        device, person = method.known()
+        recording = options.with_person_of_calibration(recording, file, person)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
         if radio is not None or ranges:
             config = config.in_world_frame()
-        device, person = method.known()
         heard = [] if radio is None else options.wifi_fixes(radio, recording, georeference.plan is not None)
         tracks = console.estimates(
             recording,
@@ -316,6 +319,7 @@ def _check_options(
         "--loop": method.loop,
         "--export": output.export,
         "--report": output.report,
+        "--tiles": output.tiles,
         "--json": as_json,
     }
     mode, writes = "--long", "writes the online track of a recording in parts"
@@ -335,25 +339,28 @@ def _track_long(
     output: OutputOptions,
 ) -> None:
     import pdr_filter as pdr
+    from pdr_filter.recipes.calibration import with_steps_of
 
     changes, written, learnt = method.changes(), set[str](), list[str]()
-
-    def config(head: Recording) -> Config:
-        head = head if source.height_m is None else head.of_height(source.height_m)
-        return changes(pdr.recipes.for_recording(method.recipe, head))
 
     def track_one(file: Path, progress: Callable[[float], None]) -> pdr.batch.WrittenTrack:
         name = console.unique_name(file.stem, written)
         out = (output.out or Path()) / f"{name}.{'parquet' if output.parquet else 'csv'}"
         console.say_replaced(console.existing(out))
         device, person = method.known()
+
+        def config(head: Recording) -> Config:
+            head = head if source.height_m is None else head.of_height(source.height_m)
+            found = changes(pdr.recipes.for_recording(method.recipe, head))
+            subject = options.with_person_of_calibration(head, file, person).subject
+            return found if person is None else with_steps_of(found, person, subject)
+
         done = pdr.batch.track_file(
             file,
             out,
             config,
             weighting=method.weighting,
             device=device,
-            person=person,
             gnss=georeference.gnss,
             file_format=source.file_format,
             progress=progress,

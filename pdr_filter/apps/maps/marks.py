@@ -261,13 +261,17 @@ def table_bytes(name: str, rows: list[list[float | None]]) -> bytes:
     return ("\n".join([",".join(columns), *lines]) + "\n").encode()
 
 
-def unused_fixes(recordings: Collection[Path]) -> list[Path]:
-    """Return the files `fixes.csv` in the folders of recordings that are not the marks of any of these recordings."""
-    folders = {path.parent for path in recordings}
+def unused_fixes(recordings: Collection[Path]) -> dict[Path, Path]:
+    """Return the files `fixes.csv` in the folders of recordings that are not the marks of any of these recordings.
+
+    Each is mapped to the file from which the marks of the first recording in its folder are read.
+    """
+    first = {path.parent: path for path in reversed(list(recordings))}
     used = {
         path if path.is_dir() else path.parent for path in recordings if path.is_dir() or path.stem == path.parent.name
     }
-    return [folder / FIXES for folder in sorted(folders - used) if (folder / FIXES).is_file()]
+    unused = [folder for folder in sorted(first.keys() - used) if (folder / FIXES).is_file()]
+    return {folder / FIXES: marks_folder(first[folder]) / FIXES for folder in unused}
 
 
 def _check_walk(walk: Any, path: Path) -> None:

@@ -87,12 +87,13 @@ def notes_on_people(recordings: Iterable[Recording]) -> list[str]:
 
 @lru_cache(maxsize=1000)
 def _people_in(folder: Path, suffix: str, *version: int) -> tuple[str, ...]:
-    """Return the names of people with which the files of a kind in a folder begin, as in `anna_walk1-2024-05-01.zip`.
+    """Return the names of people with which the recordings of a kind in a folder begin, as in `anna_1-2024-05-01.zip`.
 
     They begin with different names, of which one is there again or all have the date of an export. Words such as walk
     or trial are no names.
     """
-    names = [entry.name for entry in folder.iterdir() if entry.suffix == suffix]
+    files = [entry for entry in folder.iterdir() if entry.suffix == suffix]
+    names = [file.name for file in files if suffix.lower() in _FILES or _is_known(file)]  # not files of fixes
     found = [match[1].lower() for name in names if (match := _PERSON.match(name)) is not None]
     people = tuple(sorted(set(found)))
     if len(found) < len(names) or any(map(_NO_PERSON.fullmatch, found)) or len(people) < 2:

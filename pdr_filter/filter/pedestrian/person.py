@@ -188,7 +188,9 @@ class Person:
                 check_whole(session)
             return cls(sessions)
         except Exception as error:  # a damaged file can raise any error
-            raise ValueError(f"{path}: not a person file of pdr_filter ({error}); write one with Person.save") from None
+            raise ValueError(
+                f"{path}: not a person file of pdr_filter ({error}); write one with Person.save or track --person"
+            ) from None
 
     def in_model(self, model: PedestrianModel) -> PedestrianModel:
         """Return a filter model with the step lengths of this person.

@@ -184,14 +184,17 @@ def _is_inside(time_s: float, start_s: float, end_s: float) -> bool:
 
 
 def check_options(
+    loop: object,
     loop_closures: object,
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
 ) -> None:
-    """Raise ValueError if `loop_closures` is a text other than "wifi", or another option of `smooth` is out of range.
+    """Raise ValueError if an option of `smooth` is of the wrong type or out of range.
 
     `start_heading_std_rad` may be None.
     """
+    if not isinstance(loop, bool):
+        raise ValueError(f"loop must be True or False, got {loop!r}: give known places as loop_closures")
     if isinstance(loop_closures, str) and loop_closures != "wifi":
         raise ValueError(f'loop_closures must be a sequence of LoopClosure or "wifi", got {loop_closures!r}')
     if start_heading_std_rad is not None:

@@ -205,7 +205,7 @@ def smooth(
     recording : Recording
         The recording, from `pdr_filter.read`.
     config : Config, optional
-        Configuration. The default is `pdr_filter.recipes.default()`.
+        Configuration. The default is `pdr_filter.recipes.default(recording.subject)`.
     fixes : iterable of PositionFix, HeadingFix, SpeedFix, RangeFix or Standstill
         Fixes in any order; on a floor plan also GridFix. Positions may be in any frame, because the rotation to the
         phone's first heading is estimated. Fixes outside the recording are not used. On a plan, each fix is used at its
@@ -299,7 +299,7 @@ def smooth(
             "smoothing on a floor plan supports fixes alone, got loop, loop_closures, known_headings, floor_changes, "
             "start_heading_std_rad or factors together with plan: omit them"
         )
-    check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
+    check_options(loop, loop_closures, start_heading_std_rad, anchor_interval_s)
     georeference = Georeference(gnss, origin, heading_rad, north, plan, start)
     run = prepared_run(recording, config, fixes, georeference, weighting, calibration, device, person)
     if isinstance(loop_closures, str):

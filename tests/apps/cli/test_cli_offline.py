@@ -20,7 +20,7 @@ from pdr_filter.data.io.files.own_format import write_recording
 from pdr_filter.data.io.fix_files import fixes_of_file
 from pdr_filter.offline.smoothing.observations import LoopClosure, waypoint_fixes
 from pdr_filter.recipes.calibration import load_calibration
-from pdr_filter.simulate import Leg, simulate
+from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values.recording import Truth
 
 pytestmark = pytest.mark.usefixtures("sensing_once")
@@ -54,6 +54,19 @@ def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
     assert json.loads(result.stdout) == calibrated.summary()
     truth_m = 35.0
     assert abs(calibrated.distance_m - truth_m) < abs(pdr.smooth(recording).track.distance_m - truth_m) + 0.1
+
+
+def test_a_calibration_of_several_people_is_used_for_the_person_in_the_name_of_the_file(tmp_path: Path) -> None:
+    """Without and with --long, and smoothed: each as `pdr-filter calibrate` names the persons."""
+    for name, length_factor in (("anna_1", 0.85), ("anna_2", 0.85), ("ben_1", 1.15)):
+        gait = Gait(length_factor=length_factor)
+        recording = simulate([Leg("walking", distance_m=25.0)], gait, seed=len(name), name=name)
+        write_recording(replace(recording, meta={}), tmp_path / f"{name}.zip")
+    succeed("calibrate", tmp_path, "--out", tmp_path / "k.json", "--distance", 25)
+    assert load_calibration(tmp_path / "k.json").subject_ids == ("anna", "ben")
+    given = tmp_path / "anna_1.zip", "--person", tmp_path / "k.json", "--out", tmp_path / "out"
+    for command in (("track", *given), ("track", "--long", *given), ("smooth", *given)):
+        assert "step lengths of anna: calibrated for walking" in " ".join(succeed(*command).stdout.split()), command
 
 
 def test_model_loss_prior_and_person_of_a_calibration_are_options(tmp_path: Path) -> None:

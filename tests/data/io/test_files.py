@@ -218,3 +218,18 @@ def test_people_are_known_by_file_names_of_a_study(tmp_path: Path, names: str, p
     assert [f"names of files: {listed} (" in note for note in notes_on_people(recordings)] == [True][: len(listed)]
     named = replace(WALK, meta={"subject": {"id": "p1"}})
     assert with_person_of_file(named, tmp_path / names.split()[0]).subject.id == "p1"
+
+
+def test_files_of_fixes_beside_recordings_are_not_of_people(tmp_path: Path) -> None:
+    samples = "time_s,ax,ay,az\n" + "".join(f"{k / 50},0.1,0.2,9.8\n" for k in range(100))
+    fixes = "time_s,east_m,north_m\n1.0,0.0,0.0\n"
+    nameless = replace(WALK, meta={})
+
+    def people() -> list[str | None]:
+        return [with_person_of_file(nameless, tmp_path / f"{name}.csv").subject.id for name in ("b", "hall")]
+
+    for name, text in (("b.csv", samples), ("hall.csv", samples), ("fx_1.csv", fixes), ("fx_2.csv", fixes)):
+        write_text(tmp_path / name, text)
+    assert people() == [None, None]
+    write_text(tmp_path / "b_2.csv", samples)
+    assert people() == ["b", "hall"]
