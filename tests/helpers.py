@@ -56,6 +56,11 @@ def imu(
     )
 
 
+def of_nobody(recording: Recording) -> Recording:
+    """Return a recording without its person, whom an online filter does not know either."""
+    return replace(recording, meta={**recording.meta, "subject": None})
+
+
 def part_of(block: ImuBlock, part: slice | np.ndarray) -> ImuBlock:
     return ImuBlock(*(getattr(block, f.name)[part] for f in fields(ImuBlock)))
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import cut, cut_randomly, from_hand_to_pocket, part_of
+from helpers import cut, cut_randomly, from_hand_to_pocket, of_nobody, part_of
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -34,7 +34,7 @@ REAL = (
 
 @pytest.fixture(scope="module")
 def demo() -> Recording:
-    return from_hand_to_pocket()
+    return of_nobody(from_hand_to_pocket())
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import resumed
+from helpers import of_nobody, resumed
 from hypothesis import Phase, example, given, settings
 from hypothesis import strategies as st
 
@@ -245,7 +245,7 @@ def test_times_that_go_back_give_the_samples_of_the_recording_however_they_arriv
 
 @pytest.mark.parametrize("seed", [3, 7])
 def test_times_that_go_back_give_the_track_and_notes_of_the_recording_also_when_saved_between(seed: int) -> None:
-    moved = with_backward_times(WALK, seed)
+    moved = of_nobody(with_backward_times(WALK, seed))
     track = pdr.track(moved, pdr.recipes.default())
     online, updates = pdr.OnlineFilter(), list[pdr.StepUpdate]()
     for number, piece in enumerate(pieces_in_order(WALK, moved, seed)):

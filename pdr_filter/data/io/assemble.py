@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.data.io.checks import checked_streams, constant_axes, is_of_phone, up_cosine
+from pdr_filter.data.io.checks import checked_streams, constant_axis, is_of_phone, up_cosine
 from pdr_filter.data.io.files.own_format_writer import RESTORED_GRAVITY_KEY, TIME_COLUMNS
 from pdr_filter.data.io.row_times import in_order, streams_with_own_times
 from pdr_filter.data.io.wifi_rows import wifi_of
@@ -95,7 +95,7 @@ class Parsed:
 
         RecordingError if the samples do not show the vertical, or if an axis is constant.
         """
-        if still := constant_axes(self.streams["accelerometer"][1]):
+        if still := constant_axis(self.streams["accelerometer"][1]):
             raise RecordingError(
                 f"{where}: {self.linear}: {still}, and the other axes lack gravity; record all three axes"
             )

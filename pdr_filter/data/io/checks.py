@@ -44,7 +44,7 @@ def checked_streams(
         samples = Samples(time_s[known] - zero_s, values if known.all() else values[known])
         if name == "accelerometer":
             _check_rows(samples, f"{where}: {label}")
-            if still := constant_axes(samples.values):
+            if still := constant_axis(samples.values):
                 notes.append(f"{label}: {still}; record all three axes, because gravity and steps are wrong without it")
             _check_times(samples, f"{where}: {label}", is_unit_declared)
             _refuse(wrong_specific_force(median_norm(samples.values)), f"{where}: {label}")
@@ -58,12 +58,11 @@ def checked_streams(
     return streams
 
 
-def constant_axes(values: FloatArray) -> str:
-    """Return words about the axes of an accelerometer with one value in all rows, "" if none or all have."""
+def constant_axis(values: FloatArray) -> str:
+    """Return words about the axis of an accelerometer that alone has one value in all rows, or ""."""
     low, high = np.fmin.reduce(values, axis=0, initial=np.inf), np.fmax.reduce(values, axis=0, initial=-np.inf)
-    still = np.flatnonzero(low == high)
-    axes = ", ".join(f"{'xyz'[i]} is {low[i]:g} in all rows" for i in still)
-    return axes if len(still) < len(low) else ""
+    still = np.flatnonzero(low == high).tolist()
+    return f"{'xyz'[still[0]]} is {low[still[0]]:g} in all rows" if len(still) == 1 else ""
 
 
 def is_of_phone(name: str, time_s: FloatArray, values: FloatArray, duration_s: float) -> bool:

@@ -265,7 +265,7 @@ def test_a_gyroscope_without_values_is_left_out(tmp_path: Path, content: str) ->
 
 @pytest.mark.parametrize("value", ["inf", "-inf", "1e308", "1e999"])
 def test_infinite_and_absurd_values_are_unknown(tmp_path: Path, value: str) -> None:
-    recording, notes = noted(folder_with(tmp_path / "w", accelerometer=with_rows(f"0.0,{value},0,9.8")))
+    recording, notes = noted(folder_with(tmp_path / "w", accelerometer=with_rows(f"0.0,{value},-0.2,9.8")))
     assert np.isnan(recording.accelerometer.values[0, 0])
     assert notes == "accelerometer.csv: 1 infinite or absurdly large values taken as unknown"
 

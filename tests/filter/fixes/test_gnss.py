@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pymap3d
 import pytest
-from helpers import clockwise, cut_randomly, nees_of, pushed, true_position_m
+from helpers import clockwise, cut_randomly, nees_of, of_nobody, pushed, true_position_m
 from scipy.stats import chi2
 
 import pdr_filter as pdr
@@ -274,6 +274,7 @@ def test_a_hundred_locations_with_a_common_error_do_not_count_as_a_hundred(bare:
 
 
 def test_the_blocks_of_samples_and_locations_change_no_bit_of_an_online_track(walk: Recording) -> None:
+    walk = of_nobody(walk)
     whole = pdr.track(walk, recipes.default())
     location, sent = walk.location, 0
 

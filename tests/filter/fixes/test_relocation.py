@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import clockwise, nees_of, streamed, true_position_m
+from helpers import clockwise, nees_of, of_nobody, streamed, true_position_m
 from scipy.stats import chi2
 
 import pdr_filter as pdr
@@ -30,7 +30,7 @@ PATIENCE_S = PRIOR_LOG_ODDS * EPISODE_S + 11.0
 def walk() -> Recording:
     """Walk of five minutes through streets."""
     legs = [Leg("walking", distance_m=60.0, turn_rad=turn) for turn in (0.0, 1.2, -0.9, 1.6, 0.7, -1.4, 1.0)]
-    return simulate(legs, seed=3, name="walk")
+    return of_nobody(simulate(legs, seed=3, name="walk"))
 
 
 def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:

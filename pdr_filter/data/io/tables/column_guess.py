@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from pdr_filter.data.io.checks import constant_axes, is_of_phone, up_cosine
+from pdr_filter.data.io.checks import constant_axis, is_of_phone, up_cosine
 from pdr_filter.data.io.column_names import (
     ACCELERATION,
     ANGLES,
@@ -302,7 +302,7 @@ def _forces(
     instead = dialect.instead if dialect.app else "the accelerometer itself"
     if not linear and seen.group.quantity == GRAVITY:
         raise NoAccelerometerError(f"{where}: {app} of gravity alone ({seen.group.name}); export {instead} instead")
-    still = f"{still}, " if (still := constant_axes(seen.values)) else ""
+    still = f"{still}, " if (still := constant_axis(seen.values)) else ""
     raise NoAccelerometerError(
         f"{where}: {app}, whose acceleration ({seen.group.name}) lacks gravity: {still}the constant part of it is "
         f"{seen.constant:.2g}, and gravity is 9.8 m/s2 or 1 g; export {instead} instead"
