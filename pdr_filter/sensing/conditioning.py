@@ -665,7 +665,7 @@ def _check_clock(recording: Recording, sensor: str, stream: Samples | None, max_
     if len(own_s) < 2 or not len(at_s):
         return
     if own_s.min() > at_s.max() + max_gap_s or own_s.max() < at_s.min() - max_gap_s:
-        reading: Any = recording.meta.get(READING_KEY)  # of an untrusted file
+        reading: Any = recording.meta.get(READING_KEY)  # may come from an untrusted file, so that its type is checked
         clock = str(cast("dict[str, Any]", reading).get("clock", "")) if isinstance(reading, dict) else ""
         clock = f" ({clock[:300]})" if clock else ""
         raise RecordingError(

@@ -57,7 +57,7 @@ _OXFORD_PLACES = {
     "Armband": ("", "arm band on the upper arm"),
 }
 OXFORD = tuple(f"{place}_{n}" for place in _OXFORD_PLACES for n in (range(1, 5) if place == "InHand" else (1, 2)))
-# The same foot takes at least twice as long between two contacts.
+# Two contacts of the same foot are at least 0.9 s apart, twice this time.
 _SWITCH_BOUNCE_S = 0.45
 
 # Motions of the smartphone benchmark of the Tyrex team, as context, carrying mode and placement.

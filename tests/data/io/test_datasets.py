@@ -362,7 +362,7 @@ def test_oxford_has_the_times_steps_and_labels_of_the_published_files(
     np.testing.assert_array_equal(hand.accelerometer.time_s[:3], [0.0, 0.019725, 0.039451])
     np.testing.assert_array_equal(hand.accelerometer.values[0], [-1.829795, 2.526746, 9.544153])
     assert hand.gyroscope is None
-    # The switch is closed in the first row already, which is no step.
+    # The switch is already closed in the first row. This is not counted as a step.
     np.testing.assert_array_equal(hand.truth.steps["time_s"], [0.8305, 1.595438])
     (label,) = hand.truth.labels.tolist()
     assert label == (0.8305, 1.595438, "walking", "texting")
