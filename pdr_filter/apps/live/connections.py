@@ -116,8 +116,8 @@ class LimitedConnection(H11Protocol):
 class TlsConnection(SSLProtocol):
     """TLS layer of a `LimitedConnection`, which counts from the start of its handshake.
 
-    Handshake and first head have one timeout together. With the `ssl` of `uvicorn.Config`, connections would count after
-    the handshake, which may take a minute.
+    Handshake and first head have one timeout together. With the `ssl` of `uvicorn.Config`, connections would count
+    after the handshake, which may take a minute.
     """
 
     def __init__(self, context: SSLContext, **named: Any) -> None:
