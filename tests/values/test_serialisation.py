@@ -162,7 +162,7 @@ def test_bytes_that_name_other_classes_are_refused(value: Any) -> None:
 @pytest.mark.parametrize("number", [1, 5, 99])
 def test_a_filter_of_another_version_of_the_package_is_refused_with_a_remedy(number: int) -> None:
     old = zlib.compress(json.dumps({"format": number, "value": None}).encode())
-    words = rf"another version of pdr_filter, with format {number} instead of 6 to 11\): process the samples again"
+    words = rf"another version of pdr_filter, with format {number} instead of 6 to 12\): process the samples again"
     with pytest.raises(ValueError, match=words):
         from_bytes(old)
 
