@@ -656,7 +656,8 @@ class OnlineFilter:
         sensing = self.config.sensing.trimmed(state.sensing)
         state = replace(state, sensing=sensing, chain=for_saving(state.chain, path))
         try:
-            return serialise.to_bytes({"config": self.config, "state": state}, whole=models)
+            content = {"config": self.config, "state": state}
+            return serialise.to_bytes(content, whole=models, constant=self.config)
         except TypeError:  # classes of other packages in the configuration or in the state of a part
             pass
         try:

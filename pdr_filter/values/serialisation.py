@@ -54,16 +54,38 @@ class Shipped:
         raise NotImplementedError
 
 
-def to_bytes(value: object, first: object = None, *, whole: bool = False) -> bytes:
+def to_bytes(value: object, first: object = None, *, whole: bool = False, constant: object = None) -> bytes:
     """Return a value of arrays, numbers, strings, None, tuples, dicts and dataclasses as bytes.
 
     Dataclasses are those of this package, of `first` (the first state of the part that made the value), and of the
-    declared types of their fields. With `whole`, values of the package's files are stored with their content. TypeError
-    for any other class.
+    declared types of their fields. With `whole`, values of the package's files are stored with their content. A value
+    of a dict that never changes may be given as `constant`: its text is kept for the next call. TypeError for any other
+    class.
     """
-    encoder = _Encoder(_classes_in(first), whole)
+    kept = None if constant is None else _kept(constant, whole)
+    encoder = _Encoder(_classes_in(first), whole, kept)
     node = encoder.node(value)
-    return _packed(node, *encoder.arrays())
+    return _packed(node, *encoder.arrays(), kept)
+
+
+class _Kept(NamedTuple):
+    """Text of a value that never changes, and the bytes of its arrays, which come before all others."""
+
+    value: object
+    text: str
+    arrays: bytes
+
+
+_KEPT = '{"kept": null}'  # node in place of the value
+
+
+@lru_cache(maxsize=16)
+def _kept(value: object, whole: bool) -> _Kept | None:
+    """Return the text and the arrays of a value, or None if it has signals, whose positions depend on all others."""
+    encoder = _Encoder({}, whole)
+    node = encoder.node(value)
+    arrays, signals = encoder.arrays()
+    return None if signals else _Kept(value, json.dumps(node, check_circular=False), arrays)
 
 
 def _classes_in(first: object) -> dict[str, type[Any]]:
@@ -103,8 +125,9 @@ def _declared(cls: type[Any]) -> list[Any]:
         return []
 
 
-def _packed(node: Any, arrays: bytes = b"", signals: bytes = b"") -> bytes:
-    text = json.dumps(node, check_circular=False).encode()
+def _packed(node: Any, arrays: bytes = b"", signals: bytes = b"", kept: _Kept | None = None) -> bytes:
+    value = json.dumps(node, check_circular=False)
+    text = (value if kept is None else value.replace(_KEPT, kept.text, 1)).encode()
     head = f'{{"format": {_FORMAT}, "sha256": "{_checksum(text, arrays + signals)}"'.encode()
     _check_size(text, len(arrays) + len(signals))
     return compressed(b"".join([head, _VALUE, text, b"}"]), arrays, signals)
@@ -188,8 +211,8 @@ def _dtype_name(dtype: np.dtype[Any]) -> str:
 class _Encoder:
     """Turns values into nodes of JSON, which are complete after `arrays`."""
 
-    def __init__(self, own: Mapping[str, type[Any]], whole: bool) -> None:
-        self.own, self.whole = own, whole
+    def __init__(self, own: Mapping[str, type[Any]], whole: bool, kept: _Kept | None = None) -> None:
+        self.own, self.whole, self._kept = own, whole, kept
         self._small: list[tuple[dict[str, Any], bytes]] = []
         self._signals: list[tuple[dict[str, Any], np.ndarray[Any, Any]]] = []
 
@@ -208,6 +231,8 @@ class _Encoder:
             return {"tuple" if isinstance(value, tuple) else "list": nodes}
         if not self.whole and isinstance(value, Shipped) and (reference := value.reference()):
             return {"shipped": _name(cls), "reference": list(reference)}
+        if self._kept and value is self._kept.value:
+            return {"kept": None}
         of_class = _fields(cls)
         if of_class and (of_class.is_own or self.own.get(of_class.of) is cls):
             pairs = zip(of_class.names, of_class.read(value), strict=True)
@@ -244,7 +269,8 @@ class _Encoder:
         Positions count the bytes of both. A signal that equals the end of a longer one is not stored again, because the
         stages buffer signals up to the same sample.
         """
-        small, stored, n_bytes = list[bytes](), list[bytes](), 0
+        small, stored = [self._kept.arrays if self._kept else b""], list[bytes]()
+        n_bytes = len(small[0])
         for node, array in self._small:
             node["array"] = n_bytes
             small.append(array)
