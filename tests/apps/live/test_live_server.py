@@ -326,7 +326,7 @@ def test_a_replay_of_a_file_that_cannot_be_read_ends_the_server(tmp_path: Path) 
         if content is not None:
             (tmp_path / name).write_bytes(content)
         program = [sys.executable, "-c", COMMAND, "live", "--port", "0", "--replay"]
-        done = subprocess.run([*program, str(tmp_path / name)], capture_output=True, text=True, timeout=180, check=False)
+        done = subprocess.run([*program, str(tmp_path / name)], capture_output=True, text=True, timeout=90, check=False)
         assert done.returncode == 2
         assert f"{name}: " in done.stderr
         assert "page" not in done.stdout
