@@ -151,8 +151,8 @@ def stage_of(
         if without_gyroscope is None and (does_without or not model.needs_gyroscope):
             without_gyroscope = model
         models = replace(stage.models, with_gyroscope=model, without_gyroscope=without_gyroscope)
-        # Such a model may distinguish several kinds of rest, so that each window must be described.
-        return replace(stage, windows=replace(stage.windows, still_mps2=0.0, still_radps=0.0), models=models)
+        # Such a model may distinguish several kinds of rest.
+        return replace(stage, windows=_all_described(stage.windows), models=models)
     missing = sorted(set(model.feature_names) - set(ATTITUDE_FREE.names))
     raise ValueError(
         f"context model {model.name!r} needs features {missing[:5]}, which no feature set of the configuration has: "
@@ -186,4 +186,10 @@ def _with_features_of(models: Sequence[ContextModel | None], stage: LearnedConte
     if not model_features:
         return stage
     joined = JoinedFeatures((ATTITUDE_FREE, *model_features.values()))
-    return replace(stage, windows=replace(stage.windows, features=joined))
+    # Functions of the user may be undefined for constant signals.
+    return replace(stage, windows=replace(_all_described(stage.windows), features=joined))
+
+
+def _all_described(windows: FeatureWindows) -> FeatureWindows:
+    """Return the windows with the features of each, and none of them still."""
+    return replace(windows, still_mps2=0.0, still_radps=0.0)

@@ -315,6 +315,21 @@ def test_fit_contexts_also_fits_carrying_modes(tmp_path: Path) -> None:
         pdr.fit_contexts(odd, "forest", head="carrying_mode", people=list("abab"))
 
 
+def rate_kurtosis(signals: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Features of which constant signals do not have the first."""
+    from_mean = signals["rate_radps"] - signals["rate_radps"].mean()
+    return {"kurtosis": (from_mean**4).mean() / (from_mean**2).mean() ** 2, "force": signals["force_mps2"].std()}
+
+
+def test_own_features_of_a_carrying_model_are_computed_from_measured_samples_alone() -> None:
+    own = [walk(k, mode) for k, mode in enumerate(("pocket", "texting") * 2)]
+    model = pdr.fit_contexts(own, "forest", head="carrying_mode", features=rate_kurtosis, people=list("aabb"))
+    rng = np.random.default_rng(0)
+    noise = [pdr.Samples(0.01 * np.arange(500), rng.normal(0.0, std, (500, 3))) for std in (0.01, 0.001)]
+    rest = replace(own[0], accelerometer=replace(noise[0], values=noise[0].values + 5.0), gyroscope=noise[1])
+    assert len(pdr.classify(rest, pdr.recipes.default().with_carrying_model(model)).time_s) == 3
+
+
 def test_phones_at_places_without_a_carrying_mode_are_left_out_and_named_in_the_card() -> None:
     own = [walk(3 * k + i, mode) for k, mode in enumerate(("pocket", "texting")) for i in range(2)]
     chest = with_labels(own[0], NAMES, "chest")
