@@ -14,7 +14,7 @@ from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.recipes.config import Config
-from pdr_filter.sensing.front_end import KnownEvents, Sensing, SensingState
+from pdr_filter.sensing.front_end import KEPT_SAMPLES, KnownEvents, Sensing, SensingState
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import default_config, given_or_default, track
 from pdr_filter.values import FloatArray, ImuBlock, Table, TrackRows, steps_of, table
@@ -201,13 +201,21 @@ class _SensingOnce(Sensing):
 
     def update(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, KnownEvents]:
         n_before = state.conditioner.report.n_received
-        if n_before not in self.kept:
-            self.kept[n_before] = super().update(state, block)
-        return self.kept[n_before]
+        found = self.kept.get(n_before)
+        if found is None:
+            found = super().update(state, block)
+            if n_before < KEPT_SAMPLES:
+                self.kept[n_before] = found
+        return found
 
 
 def _sensing_once(config: Config) -> Config:
-    """Return the configuration for several filters of one recording, which differ only behind the front end."""
+    """Return the configuration for several filters of one recording, which differ only behind the front end.
+
+    A front end of the user is not changed.
+    """
+    if type(config.sensing) is not Sensing:
+        return config
     stages = {f.name: getattr(config.sensing, f.name) for f in fields(Sensing)}
     return replace(config, sensing=_SensingOnce(**stages))
 

@@ -421,8 +421,8 @@ class Sensing:
         )
 
 
-# Uniform samples whose results are kept for a second pass: eleven hours at 100 Hz, which take 1 GB.
-_KEPT_SAMPLES = 4_000_000
+# Samples whose results are kept for further passes: eleven hours at 100 Hz, which take 1 GB.
+KEPT_SAMPLES = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -451,7 +451,7 @@ class SensingForTwoPasses(Sensing):
         found = self.conditioned.get(at)
         if found is None:
             found = super()._condition(state, block)
-            if at < _KEPT_SAMPLES:
+            if at < KEPT_SAMPLES:
                 self.conditioned[at] = found
         return found
 
@@ -460,7 +460,7 @@ class SensingForTwoPasses(Sensing):
         found = self.detected.get(at_s)
         if found is None:
             found = super()._detect_steps(state, part)
-            if state.conditioner.report.n_received <= _KEPT_SAMPLES:
+            if state.conditioner.report.n_received <= KEPT_SAMPLES:
                 self.detected[at_s] = found
         return found
 

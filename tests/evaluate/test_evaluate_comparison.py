@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -11,9 +11,9 @@ import pdr_filter as pdr
 from pdr_filter.evaluate import comparison, runs, tracks
 from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, weighted_distances
-from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.front_end import KnownEvents, Sensing, SensingState
 from pdr_filter.simulate.walk import demo_legs
-from pdr_filter.values import steps_of
+from pdr_filter.values import ImuBlock, steps_of
 from pdr_filter.values.recording import Truth
 from tests.oracles import martinelli2018 as printed_algorithms
 from tests.oracles import track_scores as oracle
@@ -48,6 +48,23 @@ def test_the_samples_of_a_walk_are_sensed_once_for_all_weightings(
     runs.weighting_errors(walk)
     runs.threshold_sweep(walk, config, [0.0, 1.0])
     assert sum(sensed) == 2 * len(walk.accelerometer)
+    monkeypatch.setattr(runs, "KEPT_SAMPLES", 0)  # a recording that is too long to be kept
+    runs.threshold_sweep(walk, config, [0.0, 1.0])
+    assert sum(sensed) == 4 * len(walk.accelerometer)
+
+
+class WithoutSteps(Sensing):
+    """Front end of a user."""
+
+    def update(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, KnownEvents]:
+        state, events = super().update(state, block)
+        return state, [(time_s, event) for time_s, event in events if not isinstance(event, pdr.Step)]
+
+
+def test_a_front_end_of_the_user_is_compared_unchanged(walk: pdr.Recording, config: pdr.Config) -> None:
+    stages = {f.name: getattr(config.sensing, f.name) for f in fields(Sensing)}
+    own = replace(config, sensing=WithoutSteps(**stages))
+    assert {track.n_steps for track in runs.weighting_tracks(walk, own).values()} == {0}
 
 
 def test_the_weightings_are_those_of_the_default_recipe_if_none_is_given_and_report_their_progress(
