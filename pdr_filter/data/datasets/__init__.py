@@ -209,8 +209,8 @@ def fetch(name: str, folder: str | Path | None = None, mirror: str | Path | None
     the next call continues. Downloaded files are kept in `.raw` next to the zip files. Their checksums are in
     `SHA256SUMS`, in the format of `sha256sum --check`. No public address could be reached when the table of data sets
     was written. The table therefore contains no checksums yet. The checksums of the first complete download are also
-    kept in `folder / ".NAME.sha256"`. A later download from the same address is compared with them, also after the data
-    set was deleted.
+    kept in `folder / ".NAME.sha256"`. A later download from the same address, or a mirror of it, is compared with them,
+    also after the data set was deleted.
 
     Examples
     --------
@@ -250,8 +250,9 @@ def fetch(name: str, folder: str | Path | None = None, mirror: str | Path | None
             _remove_empty(partial)
             raise
         _write(name, dataset, partial, folder / "maps" / f"{name}.geojson")
-        rows = (partial / _RAW / _CHECKSUMS).read_text(encoding="utf-8").splitlines(keepends=True)
-        write_text(first, "".join(row.replace("  ", f"  {dataset.home}/", 1) for row in rows))
+        if mirror is None:
+            rows = (partial / _RAW / _CHECKSUMS).read_text(encoding="utf-8").splitlines(keepends=True)
+            write_text(first, "".join(row.replace("  ", f"  {dataset.home}/", 1) for row in rows))
         partial.rename(to)
     return recordings_in(to)
 

@@ -141,6 +141,20 @@ def test_a_file_that_differs_from_the_first_download_is_refused(tmp_path: Path, 
         datasets.fetch("little", tmp_path / "cache")
 
 
+def test_a_mirror_is_compared_with_a_download_but_no_download_with_a_mirror(
+    tmp_path: Path, home: str, publish: Publish
+) -> None:
+    publish(home)
+    shutil.copytree(tmp_path / "home", tmp_path / "mirror" / "little")
+    changed = tmp_path / "mirror" / "little" / FILES[0]
+    changed.write_bytes(changed.read_bytes() + b" ")
+    for mirror in (tmp_path / "mirror", None):
+        (folder,) = {path.parent for path in datasets.fetch("little", tmp_path / "cache", mirror=mirror)}
+        shutil.rmtree(folder)
+    with pytest.raises(ValueError, match="has changed since"):
+        datasets.fetch("little", tmp_path / "cache", mirror=tmp_path / "mirror")
+
+
 def test_a_download_that_broke_off_goes_on_where_it_was(tmp_path: Path, home: str, publish: Publish) -> None:
     publish(home)
     gone = tmp_path / "home" / FILES[2]
