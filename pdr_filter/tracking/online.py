@@ -631,7 +631,7 @@ class OnlineFilter:
         Parameters
         ----------
         models : bool, default False
-            Whether models of the package are stored whole, in up to 4 MB. By default they are stored by name and
+            Whether models of the package are stored whole, in 4.3 MB. By default they are stored by name and
             checksum, so that `load` needs a version with the same models.
         path : bool, default True
             Whether the past steps of `path` are stored. Without them the bytes do not grow with the walk, and `path`

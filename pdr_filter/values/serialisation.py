@@ -172,7 +172,7 @@ def _check_size(text: bytes, n_bytes_of_arrays: int) -> None:
         n_values = sum(text.count(mark) for mark in (b"{", b"[", b",", b":"))
     if n_bytes > _MAX_BYTES or n_values > _MAX_VALUES:
         raise ValueError(
-            f"saved data must have at most {_MAX_BYTES} bytes and {_MAX_VALUES} values, got {n_bytes} and about "
+            f"saved data must have at most {_MAX_BYTES} bytes and {_MAX_VALUES} values, got {n_bytes} and up to "
             f"{n_values}"
         )
 

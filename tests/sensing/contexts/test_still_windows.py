@@ -160,3 +160,15 @@ def test_persons_who_sit_and_stand_have_the_contexts_of_a_motionless_phone() -> 
     differ = (context_prob(found) != context_prob(expected)).any(axis=1)
     assert differ.sum() > 50
     np.testing.assert_allclose(context_prob(found), context_prob(expected), atol=1e-3)
+
+
+def test_without_gyroscope_persons_who_sit_and_stand_are_standing_and_make_the_same_steps() -> None:
+    walk = pdr.read(DataSets(DATA) / "difronzo" / "difronzo_user01_exp01.zip")
+    block = pdr.merge_streams(replace(walk, gyroscope=None))
+    found, expected = (filtered(config, [block]) for config in (pdr.recipes.default(), all_described()))
+    np.testing.assert_array_equal(rows(found), rows(expected))
+    still, described = context_prob(found), context_prob(expected)
+    differ = (still != described).any(axis=1)
+    assert differ.sum() > 50
+    assert (still[differ, 0] > 0.99).all()
+    assert 0.75 < described[differ, 0].min() < 0.85
