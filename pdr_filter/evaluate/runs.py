@@ -17,7 +17,7 @@ from pdr_filter.recipes.config import Config
 from pdr_filter.sensing.front_end import KEPT_SAMPLES, KnownEvents, Sensing, SensingState
 from pdr_filter.tracking.track import Track
 from pdr_filter.tracking.whole_recording import default_config, given_or_default, track
-from pdr_filter.values import FloatArray, ImuBlock, Table, TrackRows, steps_of, table
+from pdr_filter.values import FloatArray, ImuBlock, Table, TrackRows, all_fixes, steps_of, table
 from pdr_filter.values.recording import Recording
 
 
@@ -61,7 +61,8 @@ def weighting_tracks(
     ['hc', 'wc', 'imm']
     """
     tracks: dict[str, Track] = {}
-    config, options = _sensing_once(given_or_default(recording, config)), {"gnss": "off", **options}
+    config = _sensing_once(given_or_default(recording, config))
+    options = {"gnss": "off", **options, "fixes": all_fixes(options.get("fixes", ()))}
     for i, name in enumerate(WEIGHTINGS):
 
         def show(fraction: float, i: int = i) -> None:

@@ -67,6 +67,12 @@ def test_a_front_end_of_the_user_is_compared_unchanged(walk: pdr.Recording, conf
     assert {track.n_steps for track in runs.weighting_tracks(walk, own).values()} == {0}
 
 
+def test_all_weightings_use_the_fixes_of_an_iterator(walk: pdr.Recording, config: pdr.Config) -> None:
+    fix = pdr.PositionFix(30.0, (1.0, 0.0), np.eye(2))
+    tracks = runs.weighting_tracks(walk, config, fixes=iter([fix]))
+    assert [len(track.fixes) for track in tracks.values()] == [1, 1, 1]
+
+
 def test_the_weightings_are_those_of_the_default_recipe_if_none_is_given_and_report_their_progress(
     walk: pdr.Recording, by_weighting: dict[str, pdr.Track]
 ) -> None:
