@@ -167,7 +167,7 @@ def _checksum(text: bytes, arrays: bytes) -> str:
 
 
 def _check_size(text: bytes, n_bytes_of_arrays: int) -> None:
-    n_bytes, n_values = len(text) + n_bytes_of_arrays, len(text)  # each value has a mark
+    n_bytes, n_values = len(text) + n_bytes_of_arrays, len(text)  # an upper limit, because each value has a mark
     if n_values > _MAX_VALUES:
         n_values = sum(text.count(mark) for mark in (b"{", b"[", b",", b":"))
     if n_bytes > _MAX_BYTES or n_values > _MAX_VALUES:

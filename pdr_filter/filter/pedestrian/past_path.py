@@ -176,7 +176,7 @@ class RelatedStep:
 
 @dataclass(frozen=True, eq=False)
 class SavedEvents:
-    """Events of a saved path. A few arrays are saved in less time than the many of single events.
+    """Events of a saved path. Saving a few arrays takes less time than saving the arrays of each event.
 
     A row is a `RelatedStep`, or a `BackwardRelation` alone if its time is NaN.
     """
@@ -204,7 +204,7 @@ class SavedEvents:
 
     @property
     def events(self) -> tuple[RelatedStep | BackwardRelation, ...]:
-        """The events of which this was made."""
+        """Events from which `of` made the arrays."""
         backs = starmap(BackwardRelation, zip(self.gain, self.error_cov, self.correction, self.scale, strict=True))
         rows = zip(self.time_s.tolist(), self.updated_mean, backs, strict=True)
         return tuple(back if math.isnan(t) else RelatedStep(t, mean, back) for t, mean, back in rows)

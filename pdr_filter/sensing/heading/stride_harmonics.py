@@ -83,7 +83,7 @@ class Stride:
         return cls((ux, uy, uz), (ax, ay, az), axis_rad, device_rad, pointing_rad, runs > 0, vectors, (x, y, z))
 
 
-N_NUMBERS = 19  # of a stride
+N_NUMBERS = 19  # length of `Stride.numbers`
 
 
 @dataclass(frozen=True, slots=True, eq=False)
