@@ -94,9 +94,7 @@ def with_first_pass(
     device, known_device = config.sensing.device(state), None
     if config.sensing.attitude.bias.device is None and steps[-1].on_axes:
         config, known_device = config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
-        config = replace(config, sensing=replace(sensing, attitude=config.sensing.attitude, detected={}))
-        _, events = run_sensing(replace(config.sensing, **_WITHOUT_LATER_STAGES), recording)
-        steps = [event for event in events if isinstance(event, Step)]
+        config = replace(config, sensing=sensing.with_bias_of(config.sensing.attitude))
     heading = after_first_pass(config.sensing.heading, step_table(steps))
     return replace(config, sensing=replace(config.sensing, heading=heading)), known_device
 
