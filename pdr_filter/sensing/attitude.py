@@ -318,7 +318,8 @@ class AttitudeEstimator:
             Attitude of each sample.
         """
         state, attitude = first
-        lengths, biases, changes = [span.n_samples for span in attitude.spans], list[GyroBiasState](), list[FloatArray]()
+        biases, changes = list[GyroBiasState](), list[FloatArray]()
+        lengths = [span.n_samples for span in attitude.spans]
         up_s = attitude.up_sensor * (block.angular_rate_known / self.rate_hz)[:, None]
         sums_s, before_rad = np.add.reduceat(up_s, np.cumsum([0, *lengths[:-1]])), turn_rad
         for span, sum_s in zip(attitude.spans, sums_s, strict=True):
@@ -336,9 +337,9 @@ class AttitudeEstimator:
             **_heading_errors(attitude.up_sensor, biases, lengths),
         )
         window = state.window.copy()
-        window[:, _HEADING] += turn_rad
-        window[:, _QUAT] = _turned_quat(window[:, _QUAT], np.array(turn_rad))
-        heading_rad = state.device_heading_rad + turn_rad
+        window[:, _HEADING] += turn[-1]
+        window[:, _QUAT] = _turned_quat(window[:, _QUAT], turn[-1:])
+        heading_rad = float(attitude.device_heading_rad[-1])
         return replace_unchecked(state, device_heading_rad=heading_rad, bias=bias, window=window), attitude
 
     def _estimate_attitudes(self, state: AttitudeState, estimator: Any, rows: FloatArray) -> AttitudeState:
