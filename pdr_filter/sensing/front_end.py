@@ -435,7 +435,7 @@ class HeadingRevision(StepStage[None]):
     yaw_bias_std_radps: FloatArray  # (N,) standard deviation of the bias about the vertical at these times, rad/s
 
     def finish(self, state: None, steps: NumberedSteps) -> tuple[None, NumberedSteps]:
-        """Return the steps with corrected headings. The turn rate, which the bias hardly changes, stays as it is."""
+        """Return the steps with corrected headings. Their turn rates hardly depend on the bias, and stay the same."""
         ends_s = np.array([step.time_s for _, step in steps])
         starts_s = ends_s - np.array([step.duration_s for _, step in steps])
         before, after = (np.interp(t, self.time_s, self.turn_rad).tolist() for t in (starts_s, ends_s))
@@ -473,7 +473,10 @@ class SensingForTwoPasses(Sensing):
     @classmethod
     def keeping(cls, sensing: Sensing) -> SensingForTwoPasses:
         """Return a front end with the stages of another one, which has not kept anything yet."""
-        return cls(**{f.name: getattr(sensing, f.name) for f in fields(Sensing)})
+        stages = {f.name: getattr(sensing, f.name) for f in fields(Sensing)}
+        if isinstance(sensing.heading, WalkingHeading):
+            stages["heading"] = replace(sensing.heading, kept_strides={})
+        return cls(**stages)
 
     def with_bias_of(self, attitude: AttitudeEstimator) -> SensingForTwoPasses:
         """Return a front end for a second pass with the gyroscope bias of another attitude estimator.
@@ -495,10 +498,18 @@ class SensingForTwoPasses(Sensing):
             self.detected[at_s] = found._replace(state=changed, attitude=again)
         return replace(self, attitude=attitude, revision=HeadingRevision(*np.concatenate(rows, axis=1)))
 
-    def forget(self) -> None:
-        """Release all results, which no further pass needs."""
+    def released(self) -> Sensing:
+        """Release all results, and return a front end with the same bias that senses again.
+
+        It has known walking directions only if they refer to the headings that it estimates.
+        """
         self.conditioned.clear()
         self.detected.clear()
+        stages = {f.name: getattr(self, f.name) for f in fields(Sensing)}
+        if isinstance(self.heading, WalkingHeading):
+            known = self.heading.known_placements if self.revision is None else ()
+            stages["heading"] = replace(self.heading, known_placements=known, kept_strides=None)
+        return Sensing(**stages)
 
     @cached_property
     def _step_stages(self) -> dict[str, StepStage[Any]]:
