@@ -146,7 +146,7 @@ class Browser:
             raise RuntimeError(str(answer["exceptionDetails"]))
         return answer["result"].get("value")
 
-    def until(self, expression: str, timeout_s: float = 20.0) -> Any:
+    def until(self, expression: str, timeout_s: float = 60.0) -> Any:
         """Wait until an expression is true."""
         end = time.monotonic() + timeout_s
         while not (value := self.value(expression)):

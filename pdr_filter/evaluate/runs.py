@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, cast
 
 import numpy as np
@@ -14,9 +14,10 @@ from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.imm.motion_model import Mode
 from pdr_filter.filter.imm.weighting import WEIGHTINGS
 from pdr_filter.recipes.config import Config
+from pdr_filter.sensing.front_end import KnownEvents, Sensing, SensingState
 from pdr_filter.tracking.track import Track
-from pdr_filter.tracking.whole_recording import default_config, track
-from pdr_filter.values import FloatArray, Table, TrackRows, steps_of, table
+from pdr_filter.tracking.whole_recording import default_config, given_or_default, track
+from pdr_filter.values import FloatArray, ImuBlock, Table, TrackRows, steps_of, table
 from pdr_filter.values.recording import Recording
 
 
@@ -60,7 +61,7 @@ def weighting_tracks(
     ['hc', 'wc', 'imm']
     """
     tracks: dict[str, Track] = {}
-    options = {"gnss": "off", **options}
+    config, options = _sensing_once(given_or_default(recording, config)), {"gnss": "off", **options}
     for i, name in enumerate(WEIGHTINGS):
 
         def show(fraction: float, i: int = i) -> None:
@@ -119,7 +120,7 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     ['hc', 'wc', 'wc, always']
     """
     labels = recording.truth.labels
-    config = config or default_config(recording)
+    config = _sensing_once(config or default_config(recording))
     model = config.model
     model.check_one_mode_for_each_context()
     weighted = {name: track(recording, config, weighting=name, gnss="off") for name in ("hc", "wc", "imm")}
@@ -187,8 +188,28 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
     >>> pdr.evaluate.threshold_sweep(walk, pdr.recipes.default(), [0.0, 1.0]).threshold.tolist()
     [0.0, 1.0]
     """
+    config = _sensing_once(config)
     tracks = [track(recording, _with_threshold(config, float(t)), gnss="off") for t in thresholds]
     return table({"threshold": np.asarray(thresholds, float), "distance_m": np.array([t.distance_m for t in tracks])})
+
+
+@dataclass(frozen=True, eq=False)
+class _SensingOnce(Sensing):
+    """Front end that keeps its results for further filters of the same recording. All its copies share them."""
+
+    kept: dict[int, Any] = field(default_factory=dict[int, Any])  # by samples before
+
+    def update(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, KnownEvents]:
+        n_before = state.conditioner.report.n_received
+        if n_before not in self.kept:
+            self.kept[n_before] = super().update(state, block)
+        return self.kept[n_before]
+
+
+def _sensing_once(config: Config) -> Config:
+    """Return the configuration for several filters of one recording, which differ only behind the front end."""
+    stages = {f.name: getattr(config.sensing, f.name) for f in fields(Sensing)}
+    return replace(config, sensing=_SensingOnce(**stages))
 
 
 def _with_threshold(config: Config, threshold: float) -> Config:

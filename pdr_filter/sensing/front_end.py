@@ -335,12 +335,12 @@ class Sensing:
         # The samples that a stage of a user needs, subclasses included, are not known.
         if state.n_samples == 0 or not isinstance(self.steps, BaseStepDetector) or type(self.gate) not in _KNOWN_GATES:
             return state
-        contact_s = state.processed_s - self.steps.latency_s - _CONTACT_MARGIN_S
+        contact_s, undecided_s = state.processed_s - self.steps.latency_s - _CONTACT_MARGIN_S, ()
         of_steps: dict[str, Any] = dict(state.of_steps)
         if self.gate is not None:
-            of_steps["gate"], contact_s = self.gate.trimmed(of_steps["gate"], contact_s)
+            of_steps["gate"], undecided_s = self.gate.trimmed(of_steps["gate"], contact_s)
         if type(self.heading) is WalkingHeading:
-            of_steps["heading"] = self.heading.trimmed(of_steps["heading"], contact_s)
+            of_steps["heading"] = self.heading.trimmed(of_steps["heading"], undecided_s, contact_s)
         return replace_unchecked(state, of_steps=of_steps)
 
     def _process_block(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, KnownEvents]:

@@ -2,7 +2,7 @@
 
 Version 0.2.0 saved format 6; formats 1 to 5 were never released. There is one function for each format: it takes a
 dataclass of this format, as its name and the nodes of its fields, and returns the node of the next format.
-`serialisation` describes the nodes. Filters of formats 7 to 10 continue as in the version that saved them,
+`serialisation` describes the nodes. Filters of formats 7 to 11 continue as in the version that saved them,
 but for the counts of the unit check, which may differ by one before format 11. In filters of
 format 6, the detections of repeated fixes, of stuck sensors and of motion without steps begin again.
 """
@@ -33,7 +33,7 @@ def in_present_format(node: Any, number: int, arrays: bytes) -> Any:
 
     `arrays` has the bytes of the arrays of format 10 or later.
     """
-    for change in (*_CHANGES, partial(_from_10, arrays))[number - EARLIER_FORMATS[0] :]:
+    for change in (*_CHANGES, partial(_from_10, arrays), _from_11)[number - EARLIER_FORMATS[0] :]:
         node = _changed(node, change)
     return node
 
@@ -272,5 +272,14 @@ def _from_10(arrays: bytes, name: str, fields: _Fields) -> Any:
     return _node(name, fields)
 
 
+# --- from format 11 to 12: strides of undecided steps instead of their samples ----------------------------------------
+
+
+def _from_11(name: str, fields: _Fields) -> Any:
+    if name.endswith(":WalkingHeadingState"):  # which has all samples
+        fields |= {"saved_bias": _array(np.empty((0, 4))), "saved_strides": _array(np.empty((0, 41)))}
+    return _node(name, fields)
+
+
 _CHANGES = (_from_6, _from_7, _from_8, _from_9)
-EARLIER_FORMATS = (6, 7, 8, 9, 10)
+EARLIER_FORMATS = (6, 7, 8, 9, 10, 11)

@@ -14,10 +14,11 @@ import hashlib
 import importlib
 import json
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
-from typing import Any, Self, cast, get_args, get_type_hints
+from operator import attrgetter
+from typing import Any, NamedTuple, Self, cast, get_args, get_type_hints
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from pdr_filter.values.saved_bytes import compressed, decompressed
 from pdr_filter.values.saved_formats import EARLIER_FORMATS, in_present_format, n_values
 
 _PACKAGE = "pdr_filter"
-_FORMAT = 11  # `saved_formats` describes the earlier ones
+_FORMAT = 12  # `saved_formats` describes the earlier ones
 _VALUE = b', "value": '  # separates the header from the text of the checksum
 # A filter with own models has some MB, nearly all of it arrays, and some thousand values.
 _MAX_BYTES = 64 << 20
@@ -53,16 +54,38 @@ class Shipped:
         raise NotImplementedError
 
 
-def to_bytes(value: object, first: object = None, *, whole: bool = False) -> bytes:
+def to_bytes(value: object, first: object = None, *, whole: bool = False, constant: object = None) -> bytes:
     """Return a value of arrays, numbers, strings, None, tuples, dicts and dataclasses as bytes.
 
     Dataclasses are those of this package, of `first` (the first state of the part that made the value), and of the
-    declared types of their fields. With `whole`, values of the package's files are stored with their content. TypeError
-    for any other class.
+    declared types of their fields. With `whole`, values of the package's files are stored with their content. A value
+    of a dict that never changes may be given as `constant`: its text is kept for the next call. TypeError for any other
+    class.
     """
-    encoder = _Encoder(_classes_in(first), whole)
+    kept = None if constant is None else _kept(constant, whole)
+    encoder = _Encoder(_classes_in(first), whole, kept)
     node = encoder.node(value)
-    return _packed(node, *encoder.arrays())
+    return _packed(node, *encoder.arrays(), kept)
+
+
+class _Kept(NamedTuple):
+    """Text of a value that never changes, and the bytes of its arrays, which come before all others."""
+
+    value: object
+    text: str
+    arrays: bytes
+
+
+_KEPT = '{"kept": null}'  # node in place of the value
+
+
+@lru_cache(maxsize=16)
+def _kept(value: object, whole: bool) -> _Kept | None:
+    """Return the text and the arrays of a value, or None if it has signals, whose positions depend on all others."""
+    encoder = _Encoder({}, whole)
+    node = encoder.node(value)
+    arrays, signals = encoder.arrays()
+    return None if signals else _Kept(value, json.dumps(node, check_circular=False), arrays)
 
 
 def _classes_in(first: object) -> dict[str, type[Any]]:
@@ -102,8 +125,9 @@ def _declared(cls: type[Any]) -> list[Any]:
         return []
 
 
-def _packed(node: Any, arrays: bytes = b"", signals: bytes = b"") -> bytes:
-    text = json.dumps(node, check_circular=False).encode()
+def _packed(node: Any, arrays: bytes = b"", signals: bytes = b"", kept: _Kept | None = None) -> bytes:
+    value = json.dumps(node, check_circular=False)
+    text = (value if kept is None else value.replace(_KEPT, kept.text, 1)).encode()
     head = f'{{"format": {_FORMAT}, "sha256": "{_checksum(text, arrays + signals)}"'.encode()
     _check_size(text, len(arrays) + len(signals))
     return compressed(b"".join([head, _VALUE, text, b"}"]), arrays, signals)
@@ -143,8 +167,9 @@ def _checksum(text: bytes, arrays: bytes) -> str:
 
 
 def _check_size(text: bytes, n_bytes_of_arrays: int) -> None:
-    n_values = sum(text.count(mark) for mark in (b"{", b"[", b",", b":"))
-    n_bytes = len(text) + n_bytes_of_arrays
+    n_bytes, n_values = len(text) + n_bytes_of_arrays, len(text)  # each value has a mark
+    if n_values > _MAX_VALUES:
+        n_values = sum(text.count(mark) for mark in (b"{", b"[", b",", b":"))
     if n_bytes > _MAX_BYTES or n_values > _MAX_VALUES:
         raise ValueError(
             f"saved data must have at most {_MAX_BYTES} bytes and {_MAX_VALUES} values, got {n_bytes} and about "
@@ -155,16 +180,39 @@ def _check_size(text: bytes, n_bytes_of_arrays: int) -> None:
 _PLAIN = frozenset({type(None), bool, int, float, str})
 
 
+class _Fields(NamedTuple):
+    """Name of a dataclass, names of its fields, and the function that reads the fields of a value."""
+
+    of: str
+    is_own: bool  # a class of this package
+    names: tuple[str, ...]
+    read: Callable[[Any], tuple[Any, ...]]
+
+
 @lru_cache(maxsize=1024)
-def _field_names(cls: type[Any]) -> tuple[str, ...]:
-    return tuple(f.name for f in fields(cls) if f.init)
+def _fields(cls: type[Any]) -> _Fields | None:
+    """Return the fields of a dataclass, or None for any other class."""
+    if not is_dataclass(cls):
+        return None
+    names = tuple(f.name for f in fields(cls) if f.init)
+    read: Callable[[Any], tuple[Any, ...]] = lambda value: tuple(getattr(value, name) for name in names)  # noqa: E731
+    if len(names) > 1:  # an attrgetter of one name returns no tuple
+        read = attrgetter(*names)
+    return _Fields(_name(cls), cls.__module__.partition(".")[0] == _PACKAGE, names, read)
+
+
+@lru_cache(maxsize=64)
+def _dtype_name(dtype: np.dtype[Any]) -> str:
+    if dtype.kind not in "biuf":
+        raise TypeError(f"an array of {dtype} cannot be saved: use an array of numbers")
+    return dtype.str
 
 
 class _Encoder:
     """Turns values into nodes of JSON, which are complete after `arrays`."""
 
-    def __init__(self, own: Mapping[str, type[Any]], whole: bool) -> None:
-        self.own, self.whole = own, whole
+    def __init__(self, own: Mapping[str, type[Any]], whole: bool, kept: _Kept | None = None) -> None:
+        self.own, self.whole, self._kept = own, whole, kept
         self._small: list[tuple[dict[str, Any], bytes]] = []
         self._signals: list[tuple[dict[str, Any], np.ndarray[Any, Any]]] = []
 
@@ -173,18 +221,23 @@ class _Encoder:
         cls = cast(type[Any], type(value))
         if cls in _PLAIN:
             return value
-        if isinstance(value, np.generic):
-            return value.item()
         if isinstance(value, np.ndarray):
             return self._array(value)
+        if isinstance(value, np.generic):
+            return value.item()
         if isinstance(value, (tuple, list)):
             items = cast(tuple[Any, ...], value)
-            return {"tuple" if isinstance(value, tuple) else "list": [self.node(v) for v in items]}
+            nodes = [v if type(v) in _PLAIN else self.node(v) for v in items]
+            return {"tuple" if isinstance(value, tuple) else "list": nodes}
         if not self.whole and isinstance(value, Shipped) and (reference := value.reference()):
             return {"shipped": _name(cls), "reference": list(reference)}
-        if is_dataclass(cls) and (cls.__module__.partition(".")[0] == _PACKAGE or self.own.get(_name(cls)) is cls):
-            content = {name: self.node(getattr(value, name)) for name in _field_names(cls)}
-            return {"dataclass": _name(cls), "fields": content}
+        if self._kept and value is self._kept.value:
+            return {"kept": None}
+        of_class = _fields(cls)
+        if of_class and (of_class.is_own or self.own.get(of_class.of) is cls):
+            pairs = zip(of_class.names, of_class.read(value), strict=True)
+            content = {name: v if type(v) in _PLAIN else self.node(v) for name, v in pairs}
+            return {"dataclass": of_class.of, "fields": content}
         if isinstance(value, Mapping):
             mapping = cast(Mapping[Any, Any], value)
             if not all(isinstance(key, str) for key in mapping):
@@ -192,7 +245,7 @@ class _Encoder:
             return {"dict": {key: self.node(v) for key, v in mapping.items()}}
         if isinstance(value, (int, float, str)):  # such as an IntEnum
             return value
-        if is_dataclass(cls):
+        if of_class:
             raise TypeError(
                 f"a {cls.__qualname__} cannot be saved, because the first state has none: let init() put a value of "
                 "this class there, declare it as the type of a field of a dataclass, or use arrays, numbers and tuples"
@@ -200,14 +253,14 @@ class _Encoder:
         raise TypeError(f"a {cls.__qualname__} cannot be saved: keep states to arrays, numbers and dataclasses")
 
     def _array(self, array: np.ndarray[Any, Any]) -> dict[str, Any]:
-        if array.dtype.kind not in "biuf":
-            raise TypeError(f"an array of {array.dtype} cannot be saved: use an array of numbers")
-        node = {"array": None, "dtype": array.dtype.str, "shape": list(array.shape)}
-        signals = _signals(array)
-        if signals.shape[-1] >= _MIN_SIGNAL and array.dtype.str == "<f8":
-            self._signals.append((node, signals))
-        else:
-            self._small.append((node, array.tobytes()))
+        dtype = _dtype_name(array.dtype)
+        node = {"array": None, "dtype": dtype, "shape": [*array.shape]}
+        if array.size >= _MIN_SIGNAL and dtype == "<f8":
+            signals = _signals(array)
+            if signals.shape[-1] >= _MIN_SIGNAL:
+                self._signals.append((node, signals))
+                return node
+        self._small.append((node, array.tobytes()))
         return node
 
     def arrays(self) -> tuple[bytes, bytes]:
@@ -216,7 +269,8 @@ class _Encoder:
         Positions count the bytes of both. A signal that equals the end of a longer one is not stored again, because the
         stages buffer signals up to the same sample.
         """
-        small, stored, n_bytes = list[bytes](), list[bytes](), 0
+        small, stored = [self._kept.arrays if self._kept else b""], list[bytes]()
+        n_bytes = len(small[0])
         for node, array in self._small:
             node["array"] = n_bytes
             small.append(array)

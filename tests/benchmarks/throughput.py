@@ -209,14 +209,15 @@ def write_long_walk(hours: float, path: Path) -> Path:
 
 
 def mostly_resting(hours: float, walking_share: float) -> pdr.Recording:
-    """A phone that rests on a table before and after a walk."""
+    """A phone that rests on a table before and after a walk, which takes exactly its share of the time."""
     walk = long_walk(hours * walking_share)
-    n = int(0.5 * (hours * 3600 - walk.duration_s) * 100)
+    n_walking = int(hours * walking_share * 360_000)
+    n = (int(hours * 360_000) - n_walking) // 2
     rng = np.random.default_rng(0)
 
     def around_walk(stream: Samples, mean: np.ndarray, std: float) -> Samples:
         rest = [mean + rng.normal(0.0, std, (n, 3)) for _ in range(2)]
-        values = np.concatenate([rest[0], stream.values, rest[1]])
+        values = np.concatenate([rest[0], stream.values[:n_walking], rest[1]])
         return Samples(0.01 * np.arange(len(values)), values)
 
     assert walk.gyroscope is not None

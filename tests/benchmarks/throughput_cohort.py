@@ -222,6 +222,13 @@ def timed(path: str) -> Timed:
     return Timed(os.getpid(), begin_s, time.process_time(), time.thread_time() - start_s, peak_mb())
 
 
+def waited(_: str) -> Timed:
+    """Wait as long as Dask needs for its messages, without work."""
+    begin_s = time.process_time()
+    time.sleep(0.3)
+    return Timed(os.getpid(), begin_s, time.process_time(), 0.0, peak_mb())
+
+
 def peak_mb() -> float:
     """Largest memory of this process. `ru_maxrss` may be that of its parent."""
     lines = Path("/proc/self/status").read_text().splitlines()
@@ -241,14 +248,14 @@ class Cost:
     peak_mb: float
 
 
-def cost(files: list[str], running: Cluster | None = None, jobs: int = 1) -> Cost:
-    """Cost of tracking files on a cluster, or on processes of this machine."""
+def cost(files: list[str], running: Cluster | None = None, jobs: int = 1, work: str = "timed") -> Cost:
+    """Cost of tracking files, or of other work with them, on a cluster or on processes of this machine."""
     from tests.benchmarks import throughput_cohort  # other processes cannot import the main script
 
     where: dict[str, Any] = {"jobs": jobs} if running is None else {"scheduler": running.address}
     start, own_s, others_s = time.perf_counter(), time.process_time(), running.used_s() if running else 0.0
     found = list[Timed]()
-    for _, result in batch.each(throughput_cohort.timed, files, **where):
+    for _, result in batch.each(getattr(throughput_cohort, work), files, **where):
         if isinstance(result, batch.Failure):
             raise RuntimeError(result.reason)
         found.append(result)
@@ -299,6 +306,8 @@ def scaling(tables: Tables, arguments: argparse.Namespace) -> None:
                 cost(files[:1], running)  # the scheduler imports the package
                 idle = f"{1e3 * running.idle_share():.0f} ms"
                 add(what, n, cost(files, running), idle)
+                if (what, n) == ("Dask", 2):
+                    add("Dask, waiting 0.3 s instead", n, cost(files, running, work="waited"), idle)
     columns = (
         "on | workers | recordings a minute | cores in use | tracking | other threads of the worker | scheduler, nanny "
         "and client | more than tracking | idle, each second | memory of a worker"

@@ -11,6 +11,7 @@ import pdr_filter as pdr
 from pdr_filter.evaluate import comparison, runs, tracks
 from pdr_filter.filter.chain.weighted_tracker import WeightedTracker
 from pdr_filter.filter.imm.weighting import HC, weighted_distances
+from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.simulate.walk import demo_legs
 from pdr_filter.values import steps_of
 from pdr_filter.values.recording import Truth
@@ -31,6 +32,22 @@ def config(walk: pdr.Recording) -> pdr.Config:
 @pytest.fixture(scope="module")
 def by_weighting(walk: pdr.Recording, config: pdr.Config) -> dict[str, pdr.Track]:
     return runs.weighting_tracks(walk, config)
+
+
+def test_the_samples_of_a_walk_are_sensed_once_for_all_weightings(
+    walk: pdr.Recording, config: pdr.Config, by_weighting: dict[str, pdr.Track], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, track in by_weighting.items():
+        alone = pdr.track(walk, config, weighting=name, gnss="off")
+        np.testing.assert_array_equal(track.position_m, alone.position_m)
+        np.testing.assert_array_equal(track.position_cov_m2, alone.position_cov_m2)
+        assert track.notes == alone.notes
+    sensed: list[int] = []
+    update = Sensing.update
+    monkeypatch.setattr(Sensing, "update", lambda *of: (sensed.append(len(of[2].time_s)), update(*of))[1])
+    runs.weighting_errors(walk)
+    runs.threshold_sweep(walk, config, [0.0, 1.0])
+    assert sum(sensed) == 2 * len(walk.accelerometer)
 
 
 def test_the_weightings_are_those_of_the_default_recipe_if_none_is_given_and_report_their_progress(

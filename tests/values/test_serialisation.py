@@ -14,6 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+import pdr_filter as pdr
 from pdr_filter.filter.imm.motion_model import MotionNoise
 from pdr_filter.filter.step_length.models import known_length
 from pdr_filter.values import PositionFix, saved_bytes, saved_formats, serialisation
@@ -159,10 +160,19 @@ def test_bytes_that_name_other_classes_are_refused(value: Any) -> None:
         from_bytes(_packed(value))
 
 
+@pytest.mark.parametrize("whole", [False, True])
+def test_bytes_with_a_constant_value_are_the_same_at_each_call(whole: bool) -> None:
+    online = pdr.OnlineFilter()
+    content = {"config": online.config, "state": online.state}
+    expected = to_bytes(content, whole=whole)
+    for _ in range(2):
+        assert (to_bytes(content, whole=whole, constant=online.config) == expected) is True
+
+
 @pytest.mark.parametrize("number", [1, 5, 99])
 def test_a_filter_of_another_version_of_the_package_is_refused_with_a_remedy(number: int) -> None:
     old = zlib.compress(json.dumps({"format": number, "value": None}).encode())
-    words = rf"another version of pdr_filter, with format {number} instead of 6 to 11\): process the samples again"
+    words = rf"another version of pdr_filter, with format {number} instead of 6 to 12\): process the samples again"
     with pytest.raises(ValueError, match=words):
         from_bytes(old)
 

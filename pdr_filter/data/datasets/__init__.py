@@ -14,7 +14,7 @@ import logging
 import os
 import shutil
 import sys
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -89,7 +89,7 @@ class Dataset:
         checked = (
             "checked: sha256 of each file"
             if len(self.sha256) == len(self.files)
-            else f"checked: only the commit in the address, no sha256 is known yet; {_CHECKSUMS} has those received"
+            else "checked: only the commit in the address, no sha256 is known yet, except from an earlier download"
         )
         terms = f"licence: {self.licence}\nattribution: {self.attribution}"
         return f"{self.title}\n{terms}\nfrom: {self.home}\n{checked}\n"
@@ -208,7 +208,9 @@ def fetch(name: str, folder: str | Path | None = None, mirror: str | Path | None
     `folder / name` appears when the data set is complete. Until then its files are in `folder / ".NAME.partial"`, where
     the next call continues. Downloaded files are kept in `.raw` next to the zip files. Their checksums are in
     `SHA256SUMS`, in the format of `sha256sum --check`. No public address could be reached when the table of data sets
-    was written. The table therefore contains no checksums to compare with yet.
+    was written. The table therefore contains no checksums yet. The checksums of the first complete download are also
+    kept in `folder / ".NAME.sha256"`. A later download from the same address is compared with them, also after the data
+    set was deleted.
 
     Examples
     --------
@@ -234,7 +236,7 @@ def fetch(name: str, folder: str | Path | None = None, mirror: str | Path | None
         )
     dataset = DATASETS[name]
     folder = Path(folder) if folder is not None else cache_folder()
-    to, partial = folder / name, folder / f".{name}.partial"
+    to, partial, first = folder / name, folder / f".{name}.partial", folder / f".{name}.sha256"
     if not (to / _ATTRIBUTION).is_file():
         if to.exists():
             raise ValueError(
@@ -243,11 +245,13 @@ def fetch(name: str, folder: str | Path | None = None, mirror: str | Path | None
         source = dataset.home if mirror is None else Path(mirror) / name
         print(f"{dataset.about()}{_size(source, dataset.files)}", end="", file=sys.stderr)
         try:
-            _load(name, dataset, source, partial / _RAW)
+            _load(name, dataset, source, partial / _RAW, _known_checksums(dataset, first))
         except BaseException:
             _remove_empty(partial)
             raise
         _write(name, dataset, partial, folder / "maps" / f"{name}.geojson")
+        rows = (partial / _RAW / _CHECKSUMS).read_text(encoding="utf-8").splitlines(keepends=True)
+        write_text(first, "".join(row.replace("  ", f"  {dataset.home}/", 1) for row in rows))
         partial.rename(to)
     return recordings_in(to)
 
@@ -277,13 +281,20 @@ def _write(name: str, dataset: Dataset, to: Path, plan: Path) -> None:
     write_text(to / _ATTRIBUTION, dataset.about())
 
 
-def _load(name: str, dataset: Dataset, source: str | Path, raw: Path) -> None:
+def _known_checksums(dataset: Dataset, first: Path) -> dict[str, str]:
+    """Return the checksums by file: those of the table, or else those of the first download from the same address."""
+    rows = first.read_text(encoding="utf-8").splitlines() if first.is_file() else []
+    received = {where: checksum for checksum, _, where in (row.partition("  ") for row in rows)}
+    known = {file: received[where] for file in dataset.files if (where := f"{dataset.home}/{file}") in received}
+    return known | dict(zip(dataset.files, dataset.sha256, strict=False))
+
+
+def _load(name: str, dataset: Dataset, source: str | Path, raw: Path, known: Mapping[str, str]) -> None:
     """Copy the missing files of a data set to a folder, from an address or from the folder of a mirror.
 
     Each file is written under another name, and renamed when it is complete and its checksum is right. ValueError if a
     file has another checksum, ConnectionError if it cannot be loaded.
     """
-    known = dict(zip(dataset.files, dataset.sha256, strict=False))
     for file in dataset.files:
         if (raw / file).is_file():
             continue
@@ -300,8 +311,9 @@ def _load(name: str, dataset: Dataset, source: str | Path, raw: Path) -> None:
                     received = hashlib.file_digest(written, "sha256").hexdigest()
                 if known.get(file, received) != received:
                     raise ValueError(
-                        f"{name}: {where} has changed since its checksum was recorded: do not use the file, and report "
-                        "this to the maintainers of pdr_filter"
+                        f"{name}: {where} has changed since its checksum was recorded, in the table of data sets or, "
+                        f"at the first download, in .{name}.sha256: do not use the file, and report this to the "
+                        "maintainers of pdr_filter"
                     )
         except OSError as error:  # some errors of requests are also ValueError
             raise ConnectionError(

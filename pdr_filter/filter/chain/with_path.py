@@ -51,7 +51,7 @@ def _changed(path: PastPath, changes: tuple[Callable[[PastPath], PastPath], ...]
 def for_saving(state: Any, path: bool) -> Any:
     """Return the state of a chain, and of a second hypothesis in it, for saving with or without its `path`."""
     if isinstance(state, PathState):
-        steps = state.path.with_related_steps() if path else replace(state.path, earlier=NO_STEPS, events=())
+        steps = state.path.for_saving() if path else replace(state.path, earlier=NO_STEPS, events=())
         return replace(state, path=steps)
     if not isinstance(state, Around):
         return state

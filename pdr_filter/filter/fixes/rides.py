@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -78,7 +78,7 @@ class Rides:
 
     def with_windows(self, seen_s: float, moving_s: float) -> Rides:
         """Return the rides after more time with samples, of which `moving_s` with a moving phone."""
-        return replace(self, seen_s=self.seen_s + seen_s, moving_s=self.moving_s + moving_s)
+        return Rides(self.found, self.last, self.seen_s + seen_s, self.moving_s + moving_s)
 
     def plus(self, fix: PositionFix, step_time_s: FloatArray) -> Rides:
         """Return the vehicle rides with one more fix. Steps are given by their times (K,), s.

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import starmap
 
 import numpy as np
 
@@ -173,6 +174,42 @@ class RelatedStep:
     back: BackwardRelation
 
 
+@dataclass(frozen=True, eq=False)
+class SavedEvents:
+    """Events of a saved path. A few arrays are saved in less time than the many of single events.
+
+    A row is a `RelatedStep`, or a `BackwardRelation` alone if its time is NaN.
+    """
+
+    time_s: FloatArray  # (N,)
+    updated_mean: FloatArray  # (N, 4)
+    gain: FloatArray  # (N, 4, 4)
+    error_cov: FloatArray  # (N, 4, 4)
+    correction: FloatArray  # (N, 4)
+    scale: tuple[float, ...]  # (N,)
+
+    @classmethod
+    def of(cls, events: Sequence[RelatedStep | BackwardRelation]) -> SavedEvents:
+        """Return the events in arrays."""
+        steps = [event if isinstance(event, RelatedStep) else None for event in events]
+        backs = [event.back if isinstance(event, RelatedStep) else event for event in events]
+        return cls(
+            np.array([step.time_s if step else math.nan for step in steps]),
+            np.array([step.updated_mean if step else np.zeros(N_STATES) for step in steps]),
+            np.array([back.gain for back in backs]),
+            np.array([back.error_cov for back in backs]),
+            np.array([back.correction for back in backs]),
+            tuple(back.scale for back in backs),
+        )
+
+    @property
+    def events(self) -> tuple[RelatedStep | BackwardRelation, ...]:
+        """The events of which this was made."""
+        backs = starmap(BackwardRelation, zip(self.gain, self.error_cov, self.correction, self.scale, strict=True))
+        rows = zip(self.time_s.tolist(), self.updated_mean, backs, strict=True)
+        return tuple(back if math.isnan(t) else RelatedStep(t, mean, back) for t, mean, back in rows)
+
+
 def _relations_over_steps(steps: Sequence[WalkedStep]) -> list[BackwardRelation]:
     """Return the backward relation over each step, from the combined state after the step to that before it."""
     (_, updated, prob, mean, cov, drifted_cov, turned_mean, turned_cov, ahead_mean, ahead_cov, by_state) = (
@@ -278,6 +315,8 @@ class PastPath:
         errors, for example those of consider parameters, grow in proportion to the displacement from this position.
     shared_from_s : float
         Time at which the track was at `shared_from_m`.
+    saved_events : SavedEvents, optional
+        The events of a saved path, instead of `events`.
     """
 
     earlier: PastSteps = NO_STEPS
@@ -285,6 +324,12 @@ class PastPath:
     since_s: float = -math.inf
     shared_from_m: FloatArray = field(default_factory=lambda: np.zeros(2))
     shared_from_s: float = -math.inf
+    saved_events: SavedEvents | None = None
+
+    def __post_init__(self) -> None:
+        if self.saved_events is not None:  # in a loaded path
+            object.__setattr__(self, "events", self.saved_events.events)
+            object.__setattr__(self, "saved_events", None)
 
     def with_event(self, event: WalkedStep | BackwardRelation) -> PastPath:
         """Return the path after one more event: a step, or a backward relation over a change of the state."""
@@ -321,12 +366,14 @@ class PastPath:
             back = (event.back if isinstance(event, RelatedStep) else event).followed_by(back)
         return back, _related_steps(steps[::-1], after_steps[::-1]) if steps else NO_STEPS
 
-    def with_related_steps(self) -> PastPath:
+    def for_saving(self) -> PastPath:
         """Return the path with the backward relations of all steps, which a saved path needs instead of their moments.
 
         The bits of a relation do not depend on the other steps with which it is computed.
         """
-        return replace_unchecked(self, events=self._related_events())
+        if not self.events:
+            return self
+        return replace_unchecked(self, events=(), saved_events=SavedEvents.of(self._related_events()))
 
     def _related_events(self) -> tuple[RelatedStep | BackwardRelation, ...]:
         walked = [event for event in self.events if isinstance(event, WalkedStep)]

@@ -293,6 +293,9 @@ class ContextModels:
     the model knows, in which a window is weighted by its probability of motion. Without a carrying model all modes stay
     equally probable.
 
+    All still windows have the same features (`FeatureWindows`), so each model assesses them once. They give no evidence
+    of the carrying mode.
+
     Parameters
     ----------
     with_gyroscope : ContextModel
@@ -435,7 +438,7 @@ class ContextModels:
         assessment = context_assessment or Assessment(model.training_prior, 1.0, 1.0, True)
         prob, unknown, unlike_stairs, is_unlike = assessment
         prob = (1 - unknown) * prob + unknown * model.training_prior
-        moving = 1.0 - float(sum(prob[standing].tolist()))
+        moving = 0.0 if window.is_still else 1.0 - float(sum(prob[standing].tolist()))
         carrying_prob = self._update_carrying(carrying_prob, window, carrying_assessment, moving)
         if model.stairs is not None and self.carrying_with_gyroscope is not None:
             unlike_stairs = 1.0 - (1.0 - unlike_stairs) * float(carrying_prob[_POCKET])
@@ -575,10 +578,14 @@ def _has_gate(names: tuple[str, ...]) -> bool:
 
 
 def _irregular_probs(windows: Sequence[FeatureWindow]) -> list[float]:
-    """Return the probability of irregular motion for each window; zero where features of the gate are missing."""
+    """Return the probability of irregular motion for each window.
+
+    It is zero at rest and where features of the gate are missing.
+    """
     prob = np.zeros(len(windows))
+    described = [(i, w) for i, w in enumerate(windows) if not w.is_still and _has_gate(w.names)]
     for has_gyroscope in (True, False):
-        selected = [i for i, w in enumerate(windows) if w.has_gyroscope == has_gyroscope and _has_gate(w.names)]
+        selected = [i for i, w in described if w.has_gyroscope == has_gyroscope]
         if selected:
             features = np.array([windows[i].features for i in selected])
             prob[selected] = irregular_prob(windows[selected[0]].names, features, has_gyroscope)
@@ -597,9 +604,20 @@ def _assessments(
         selected = [i for i, window in enumerate(windows) if window.has_gyroscope == has_gyroscope]
         if model is not None and selected:
             columns = _feature_columns(model.feature_names, windows[0].names)
-            assessed = model.assess_all(np.array([windows[i].features[columns] for i in selected]))
-            found |= zip(selected, assessed, strict=True)
+            moving = [i for i in selected if not windows[i].is_still]
+            if moving:
+                assessed = model.assess_all(np.array([windows[i].features[columns] for i in moving]))
+                found |= zip(moving, assessed, strict=True)
+            still = [i for i in selected if windows[i].is_still]
+            if still:
+                found |= dict.fromkeys(still, _assessed_once(model, windows[still[0]].features[columns].tobytes()))
     return found
+
+
+@lru_cache
+def _assessed_once(model: ContextModel, features: bytes) -> Assessment:
+    """Return the assessment of a window from the bytes of its features, which is kept for the next such window."""
+    return model.assess(np.frombuffer(features))
 
 
 @lru_cache

@@ -6,6 +6,7 @@ No window spans a gap.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -14,15 +15,23 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features import carrying, invariant, stride
-from pdr_filter.sensing.features.sliding_windows import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
+from pdr_filter.sensing.features.sliding_windows import (
+    DescribedWindow,
+    SampleWindow,
+    SlidingWindows,
+    WindowBuffer,
+    no_samples,
+)
 from pdr_filter.sensing.signal_filters import butterworth, filtered_rows
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
-from pdr_filter.values import FeatureSet, FloatArray
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FeatureSet, FloatArray, read_only
 
 # Signals of a window that a feature set receives: |f| and low-passed |f| in m/s2, |omega| in rad/s, |m| in uT, and then
 # `invariant.SIGNALS`. `values.WINDOW_SIGNALS` has their names.
 N_MAGNITUDES = 4
 N_SIGNALS = N_MAGNITUDES + len(invariant.SIGNALS)
+# Rows of the specific force and of the angular rate in the samples of a window, after the row of known angular rates.
+_FORCE, _RATE = (slice(i, i + 3) for i in (N_SIGNALS - 2, N_SIGNALS - 8))
 
 
 @dataclass(frozen=True)
@@ -66,11 +75,14 @@ class FeatureWindow(DescribedWindow):
         Values of the features, shape (F,).
     has_gyroscope : bool
         True if the angular rate is known in all samples of the window.
+    is_still : bool
+        True if the features are those of a motionless phone (`FeatureWindows`).
     """
 
     names: tuple[str, ...]
     features: FloatArray
     has_gyroscope: bool
+    is_still: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,11 +109,15 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
         Time between the starts of consecutive windows, s, at most `window_s`.
     features : FeatureSet
         Feature set: names, cutoff of the low-pass, and a function of the signals of windows.
+    still_mps2, still_radps : float, default 0
+        A window is still if the standard deviations of its specific force and of its angular rate are below these
+        limits. Each is the square root of the summed variances of the three axes. A still window has the features of a
+        motionless phone, which are computed only once. With 0, no window is still.
 
     Raises
     ------
     ValueError
-        If a parameter is not positive, or `hop_s` is longer than `window_s`.
+        If a parameter is out of its range, or `hop_s` is longer than `window_s`.
 
     Examples
     --------
@@ -122,6 +138,10 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
     """
 
     features: FeatureSet = field(kw_only=True)
+    still_mps2: float = field(default=0.0, kw_only=True)
+    still_radps: float = field(default=0.0, kw_only=True)
+
+    _may_be_zero = ("still_mps2", "still_radps")
 
     @cached_property
     def _sos(self) -> FloatArray | None:
@@ -156,11 +176,28 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
         )
         if not windows:
             return WindowState(zi, buffer), []
-        samples = np.array([w.samples for w in windows])
-        features = self.features.describe(samples[:, 1:], self.rate_hz)
-        has_gyroscope = samples[:, 0].min(axis=1) > 0
+        has_gyroscope = (np.array([w.samples[0] for w in windows]).min(axis=1) > 0).tolist()
+        still, names = self._are_still(windows), self.features.names
+        moving = [w.samples for w, is_still in zip(windows, still, strict=True) if not is_still]
+        features = iter(self.features.describe(np.array(moving)[:, 1:], self.rate_hz) if moving else ())
         found = [
-            (w.last, FeatureWindow(w.start_s, w.end_s, self.features.names, features[i], bool(has_gyroscope[i])))
-            for i, w in enumerate(windows)
+            (w.last, FeatureWindow(w.start_s, w.end_s, names, self._at_rest if rests else next(features), known, rests))
+            for w, known, rests in zip(windows, has_gyroscope, still, strict=True)
         ]
         return WindowState(zi, buffer), found
+
+    def _are_still(self, windows: Sequence[SampleWindow]) -> list[bool]:
+        """Return True for each still window, which depends on the standard deviations of this window alone."""
+        if not (self.still_mps2 and self.still_radps):
+            return [False] * len(windows)
+        motion = np.array([(w.samples[_FORCE], w.samples[_RATE]) for w in windows])
+        variance = invariant.mean_square(invariant.about_mean(motion)).sum(axis=2)
+        return (variance < np.square([self.still_mps2, self.still_radps])).all(axis=1).tolist()
+
+    @cached_property
+    def _at_rest(self) -> FloatArray:
+        """Features (F,) of a motionless phone, which lies face up."""
+        signals = np.zeros((1, N_SIGNALS, self.window_samples))
+        signals[:, [0, 1, N_MAGNITUDES + invariant.SIGNALS.index("force_z")]] = STANDARD_GRAVITY_MPS2
+        signals[:, N_MAGNITUDES + invariant.SIGNALS.index("up_z")] = 1.0
+        return read_only(self.features.describe(signals, self.rate_hz)[0])

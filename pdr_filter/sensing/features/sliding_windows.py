@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import numpy as np
 
@@ -120,8 +120,10 @@ class SlidingWindows(ABC, Generic[W, X]):
     window_s: float = 2.0
     hop_s: float = 1.0
 
+    _may_be_zero: ClassVar[tuple[str, ...]] = ()  # names of the parameters that may be 0
+
     def __post_init__(self) -> None:
-        check_numbers(self)
+        check_numbers(self, zero=self._may_be_zero)
         if not 1 <= self.hop_samples <= self.window_samples:
             raise ValueError(
                 f"hop_s must be positive and at most window_s, got {self.hop_s} s ({self.hop_samples} samples) and "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -71,6 +72,23 @@ class Stride:
             vectors=(a * turn, b * turn, c * turn),
             powers=self.powers,
         )
+
+    @property
+    def numbers(self) -> list[float]:
+        """All numbers of the stride, as `of_numbers` takes them."""
+        vectors = [part for vector in self.vectors for part in (vector.real, vector.imag)]
+        angles = self.axis_heading_rad, self.device_heading_rad, self.pointing_rad
+        return [*self.up, *self.axis, *angles, float(self.runs), *vectors, *self.powers]
+
+    @classmethod
+    def of_numbers(cls, numbers: Sequence[float]) -> Stride:
+        """Return the stride with these `numbers`."""
+        ux, uy, uz, ax, ay, az, axis_rad, device_rad, pointing_rad, runs, a, b, c, d, e, f, *powers = numbers
+        vectors, (x, y, z) = (complex(a, b), complex(c, d), complex(e, f)), powers
+        return cls((ux, uy, uz), (ax, ay, az), axis_rad, device_rad, pointing_rad, runs > 0, vectors, (x, y, z))
+
+
+N_NUMBERS = 19  # of a stride
 
 
 @dataclass(frozen=True, slots=True, eq=False)

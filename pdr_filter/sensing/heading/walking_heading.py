@@ -23,7 +23,7 @@ import cmath
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
 from operator import attrgetter
 from typing import Any
@@ -36,13 +36,21 @@ from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
 from pdr_filter.sensing.heading.heading_offset import AXIS_MEASUREMENT, STRIDE_MEASUREMENT, Offset
 from pdr_filter.sensing.heading.phone_placement import Placement, StrideAgreement
 from pdr_filter.sensing.heading.reported_heading import Reported, Shown
-from pdr_filter.sensing.heading.stride_harmonics import Phases, Stride, StrideSamples, carry_axis, strides_of
+from pdr_filter.sensing.heading.stride_harmonics import (
+    N_NUMBERS,
+    Phases,
+    Stride,
+    StrideSamples,
+    carry_axis,
+    strides_of,
+)
 from pdr_filter.sensing.heading.vectors import Vector, cross, dot, linear_sum, unit
 from pdr_filter.sensing.steps.step_detector import ContextBlock, unknown_contexts
 from pdr_filter.sensing.steps.step_log import NumberedSteps
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.values import (
     CARRYING_MODES,
+    BoolArray,
     FloatArray,
     HeadingDrift,
     Step,
@@ -86,6 +94,7 @@ _MAX_GROUP = 32
 # seconds of samples, and follows slowly.
 _LABEL_LAG_S = 10.0
 _NO_DIRECTION = (0.0, 0.0, 0.0)
+_NO_BIAS, _NO_STRIDES = np.empty((0, 4)), np.empty((0, 3 + 2 * N_NUMBERS))
 # Turn of a pedestrian while no stride is measured: a random walk of 3 degrees per square root of a second.
 _TURN_VAR_RAD2_PER_S = math.radians(3.0) ** 2
 
@@ -165,6 +174,11 @@ class WalkingHeadingState:
     direction: Vector  # last walking direction, a unit vector perpendicular to `direction_up`, sensor frame
     direction_up: Vector  # mean unit vector up of that stride, sensor frame
     previous_placements: tuple[PreviousPlacement, ...]  # up to three previous placements of the phone
+    # Results for the steps that waited at the gate when the filter was saved, instead of their samples. A row of
+    # `saved_bias` (B, 4) is a contact and the numbers of its `BiasError`. A row of `saved_strides` (S, 41) is the three
+    # contacts of a stride, and the numbers of the stride if the pedestrian walks, and if the pedestrian runs.
+    saved_bias: FloatArray
+    saved_strides: FloatArray
 
 
 @dataclass(frozen=True)
@@ -299,6 +313,8 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
             direction=_NO_DIRECTION,
             direction_up=_NO_DIRECTION,
             previous_placements=(),
+            saved_bias=_NO_BIAS,
+            saved_strides=_NO_STRIDES,
         )
 
     def after_gap(self, state: WalkingHeadingState) -> WalkingHeadingState:
@@ -324,6 +340,8 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
             walking_rad=math.nan,
             walking_s=math.nan,
             previous_placements=(),
+            saved_bias=_NO_BIAS,
+            saved_strides=_NO_STRIDES,
         )
 
     def update(
@@ -376,24 +394,50 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
         n_since = state.n_samples - round((state.contacts_s[0] - state.start_s) * self.rate_hz)
         return min(max(n_since, 1), self._n_kept)
 
-    def trimmed(self, state: WalkingHeadingState, contact_s: float) -> WalkingHeadingState:
-        """Return the state without samples that no later step needs.
+    def trimmed(
+        self, state: WalkingHeadingState, undecided_s: Sequence[float], contact_s: float
+    ) -> WalkingHeadingState:
+        """Return the state without samples that no later step needs, and with the strides of undecided steps instead.
 
         Parameters
         ----------
         state : WalkingHeadingState
             State after any number of samples.
+        undecided_s : sequence of float
+            Contacts of the detected steps that may still arrive, in order of time, s. If one of them arrives, all later
+            ones do.
         contact_s : float
-            Earliest contact of a later step, s.
+            Earliest contact of a step that is not detected yet, s.
 
         Returns
         -------
         WalkingHeadingState
             State with fewer signals.
         """
-        first = round((contact_s - _MAX_STRIDE_S - state.start_s) * self.rate_hz)
-        n_needed = min(max(state.n_samples - first, 1), self._n_needed(state))
-        return replace_unchecked(state, signals=state.signals[:, -n_needed:])
+        # A stride of a later step begins at one of these contacts, or later.
+        recent_s = [t for t in (*state.contacts_s, *undecided_s) if t >= contact_s - _MAX_STRIDE_S]
+        first = math.floor((min([*recent_s, contact_s]) - state.start_s) * self.rate_hz) - 1
+        first = max(first, state.n_samples - state.signals.shape[1])
+        last = state.n_samples - 1
+        bias = [
+            [t, *astuple(self._bias_error(state, t, last))]
+            for t in undecided_s
+            if last + 1 - self._n_kept <= self._sample(state, t) - 1 < first
+        ]
+        parts = ((*state.contacts_s, *undecided_s[i : i + 3]) for i in range(len(undecided_s)))
+        strides = dict.fromkeys(triple for part in parts for triple in zip(part, part[1:], part[2:], strict=False))
+        found = {s: self._stride_samples(state, s, last) for s in strides if self._sample(state, s[0]) < first}
+        sampled = {s: samples for s, samples in found.items() if isinstance(samples, np.ndarray)}
+        runs = np.repeat([False, True], len(sampled))
+        both = self._strides_of_samples([*sampled.values()] * 2, runs) if sampled else []
+        found |= dict(zip(sampled, zip(both[: len(sampled)], both[len(sampled) :], strict=True), strict=True))
+        rows = [[*s, *of[0].numbers, *of[1].numbers] for s, of in found.items() if isinstance(of, tuple)]
+        return replace_unchecked(
+            state,
+            signals=state.signals[:, first - state.n_samples :],
+            saved_bias=np.array(bias) if bias else _NO_BIAS,
+            saved_strides=np.array(rows) if rows else _NO_STRIDES,
+        )
 
     def _with_headings(
         self, state: WalkingHeadingState, steps: NumberedSteps, contexts: ContextBlock
@@ -504,10 +548,17 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
 
     def _bias_error(self, state: WalkingHeadingState, contact_s: float, number: int) -> BiasError:
         """Return the error of the device heading at a contact, or that of the previous step if it is not buffered."""
-        index = round((contact_s - state.start_s) * self.rate_hz) - 1
+        index = self._sample(state, contact_s) - 1
         if not max(number + 1 - self._n_kept, 0) <= index <= number:
             return state.bias
+        if index < state.n_samples - state.signals.shape[1]:
+            saved = next((error for t, *error in state.saved_bias.tolist() if t == contact_s), None)
+            return state.bias if saved is None else BiasError(*saved)
         return BiasError(*state.signals[_ERROR:, index - state.n_samples].tolist())
+
+    def _sample(self, state: WalkingHeadingState, time_s: float) -> int:
+        """Return the number of the sample at a time in the segment."""
+        return round((time_s - state.start_s) * self.rate_hz)
 
     def drift_in_time(self, state: WalkingHeadingState) -> tuple[float, float]:
         """Return the error of the device heading accumulated over time, and its variance.
@@ -553,24 +604,33 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
 
     def _stride_samples(
         self, state: WalkingHeadingState, contacts_s: tuple[float, ...], number: int
-    ) -> FloatArray | None:
-        """Return the samples of the last two steps, or None if they do not form a regular stride with angular rate."""
+    ) -> FloatArray | tuple[Stride, Stride] | None:
+        """Return the samples of the last two steps, or None if they do not form a regular stride with angular rate.
+
+        If the samples were left out when the filter was saved, return the stride, of walking and of running.
+        """
         if len(contacts_s) < 3:
             return None
         start_s, middle_s, end_s = contacts_s
         longer_s = max(middle_s - start_s, end_s - middle_s)
         if not _MIN_STRIDE_S <= end_s - start_s <= _MAX_STRIDE_S or longer_s > _MAX_SHARE * (end_s - start_s):
             return None
-        first, last = (round((t - state.start_s) * self.rate_hz) for t in (start_s, end_s))
+        first, last = self._sample(state, start_s), self._sample(state, end_s)
         # Samples after sample `number`, which revealed the step, are not used even if they are in the block. Otherwise
         # the result would depend on the length of the blocks.
         if first < max(number + 1 - self._n_kept, 0) or last > number + 1:
             return None
         oldest = state.n_samples - state.signals.shape[1]
+        if first < oldest:
+            rows = (row for row in state.saved_strides.tolist() if (*row[:3],) == contacts_s)
+            row = next(rows, None)
+            return row and (Stride.of_numbers(row[3 : 3 + N_NUMBERS]), Stride.of_numbers(row[3 + N_NUMBERS :]))
         samples = state.signals[:, first - oldest : last - oldest]
         return samples if samples[_KNOWN].all() else None
 
-    def _strides(self, samples: Sequence[FloatArray | None], contexts: ContextBlock) -> list[Stride | None]:
+    def _strides(
+        self, samples: Sequence[FloatArray | tuple[Stride, Stride] | None], contexts: ContextBlock
+    ) -> list[Stride | None]:
         """Return the stride of each step, or None.
 
         A step has no stride if its samples are missing or the pedestrian walks sideways or backward, because the push
@@ -578,19 +638,27 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
         """
         strides: list[Stride | None] = [None] * len(samples)
         is_turned, is_running = contexts.is_turned.tolist(), contexts.runs.tolist()
-        usable = [(i, s) for i, s in enumerate(samples) if s is not None and not is_turned[i]]
+        usable = list[tuple[int, FloatArray]]()
+        for i, of_step in enumerate(samples):
+            if isinstance(of_step, tuple):
+                strides[i] = None if is_turned[i] else of_step[is_running[i]]
+            elif of_step is not None and not is_turned[i]:
+                usable.append((i, of_step))
         for start in range(0, len(usable), _MAX_GROUP):
-            group = usable[start : start + _MAX_GROUP]
-            joined = np.concatenate([s for _, s in group], axis=1)
-            ends = np.cumsum([0, *(s.shape[1] for _, s in group)])
-            stride_samples = StrideSamples(
-                ends, joined[_FORCE], joined[_UP], joined[_EAST], joined[_NORTH], joined[_VERTICAL], joined[_HEADING]
-            )
-            runs = np.array([is_running[i] for i, _ in group])
-            group_strides = strides_of(stride_samples, runs, self.rate_hz, self._phases)
-            for (i, _), stride in zip(group, group_strides, strict=True):
+            numbers, group = zip(*usable[start : start + _MAX_GROUP], strict=True)
+            group_strides = self._strides_of_samples(group, np.array([is_running[i] for i in numbers]))
+            for i, stride in zip(numbers, group_strides, strict=True):
                 strides[i] = stride
         return strides
+
+    def _strides_of_samples(self, samples: Sequence[FloatArray], runs: BoolArray) -> list[Stride]:
+        """Return the strides of K buffered signals. `runs` (K,) is True for strides of running."""
+        joined = np.concatenate(samples, axis=1)
+        ends = np.cumsum([0, *(s.shape[1] for s in samples)])
+        stride_samples = StrideSamples(
+            ends, joined[_FORCE], joined[_UP], joined[_EAST], joined[_NORTH], joined[_VERTICAL], joined[_HEADING]
+        )
+        return strides_of(stride_samples, runs, self.rate_hz, self._phases)
 
     @cached_property
     def _phases(self) -> Phases:

@@ -230,8 +230,8 @@ class StepGate(StepStage[StepGateState]):
         state, released = self._judge(state, numbers)
         return replace_unchecked(state, rows=state.rows[-self._n_rows_kept :]), released
 
-    def trimmed(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, float]:
-        """Return the state without samples that no later window needs, and the earliest contact of a later release.
+    def trimmed(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, tuple[float, ...]]:
+        """Return the state without samples that no later window needs, and the contacts of the undecided steps.
 
         Parameters
         ----------
@@ -244,14 +244,18 @@ class StepGate(StepStage[StepGateState]):
         -------
         state : StepGateState
             State with fewer rows of specific force.
-        contact_s : float
-            Earliest contact of a step that the gate can still release, s.
+        contacts_s : tuple of float
+            Contacts of the steps that the gate can still release, in order of time, s. A release has a step and all
+            later ones.
         """
-        contact_s = min((step.time_s for _, step in state.waiting), default=contact_s)
+        waiting_s = [step.time_s for _, step in state.waiting]
+        contact_s = min(waiting_s, default=contact_s)
         first = math.floor((contact_s - state.start_s) * EVIDENCE_HZ)
         n_rows = (state.n_samples - len(state.rest)) // self._samples_per_row
         n_needed = max(n_rows - first + round(MAX_SLOWNESS * self._n_before), 1)
-        return replace_unchecked(state, rows=state.rows[-n_needed:]), self._first_releasable_s(state, contact_s)
+        first_s = self._first_releasable_s(state, contact_s)
+        held_s = [judged.step.time_s for judged in state.held if judged.step.time_s >= first_s]
+        return replace_unchecked(state, rows=state.rows[-n_needed:]), (*held_s, *waiting_s)
 
     def _first_releasable_s(self, state: StepGateState, contact_s: float) -> float:
         """Return the earliest contact of a step that may be released when a step at `contact_s` or later is judged."""

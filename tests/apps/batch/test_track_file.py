@@ -216,7 +216,7 @@ def test_a_killed_batch_of_tracks_in_parts_has_whole_files_alone_and_goes_on(
             assert running.poll() is None
             time.sleep(0.01)
     os.killpg(running.pid, signal.SIGKILL)  # The process and its workers are a session of their own.
-    running.wait(timeout=30)
+    running.wait(timeout=90)
     running.stdout.close()
     before = [*out.glob("walk_*.csv")]
     assert len(before) >= done

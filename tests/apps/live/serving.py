@@ -69,7 +69,7 @@ class Server:
         address = re.sub(r"//[^:]+:", "//127.0.0.1:", found[1])
         self.address = address
         headers = {"Authorization": f"Bearer {self.token}"} if self.token else {}
-        self.http = httpx.Client(base_url=address, headers=headers, timeout=30, verify=False)
+        self.http = httpx.Client(base_url=address, headers=headers, timeout=90, verify=False)
         self._listening = threading.Thread(target=self._listen, daemon=True)  # a full pipe would stop the server
         self._listening.start()
 
@@ -161,7 +161,7 @@ def events_of(answer: httpx.Response) -> Iterator[dict[str, Any]]:
             yield json.loads(line[6:])
 
 
-def until(condition: Any, timeout_s: float = 20.0) -> Any:
+def until(condition: Any, timeout_s: float = 60.0) -> Any:
     """What a function returns when it first is true."""
     end, wait_s = time.monotonic() + timeout_s, 0.02
     while not (value := condition()):

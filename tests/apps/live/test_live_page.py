@@ -148,7 +148,8 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         select(browser, "ended")
         assert browser.words("#state") == "This session has ended."
         assert browser.value("document.getElementById('state').className") == ""
-        assert numbers(browser)[0] == str(pdr.track(replace(walk, meta={})).n_steps)
+        n_steps = str(pdr.track(replace(walk, meta={})).n_steps)
+        browser.until(f"document.getElementById('n_steps').textContent === '{n_steps}'")
         browser.shot(tmp_path / "ended.png")
 
         select(browser, "unsigned")

@@ -235,8 +235,9 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
     take_all(devices, [*fix, *rest])
     devices.close()
     assert positions(session)[-1, 1] - unfixed.position_m[-1, 1] > 0.5
-    corrected = [e for e in events if e["event"] == "path"]
-    drawn, path = np.array(corrected[-1]["path"]), session.online.path()
+    assert any(e["event"] == "path" for e in events)
+    (shown,) = (e["path"] for e in session.snapshot() if e["event"] == "path")
+    drawn, path = np.array(shown), session.online.path()
     np.testing.assert_allclose(drawn[:, 1:], path.position_m[: path.n_steps], atol=1.0)
     lines = (session.recorder.folder / "fixes.csv").read_text().splitlines()
     assert lines[0] == "time_s,east_m,north_m,std_m"

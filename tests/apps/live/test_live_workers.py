@@ -104,10 +104,10 @@ def test_phones_are_refused_after_a_while_although_a_start_takes_longer(monkeypa
 
         workers = Workers(start, 1, lambda _: None)
         await workers.start()
-        answers = await asyncio.wait_for(asyncio.gather(*(workers.take(taken_of(b)) for b in (b"deadly", b"1"))), 20.0)
+        answers = await asyncio.wait_for(asyncio.gather(*(workers.take(taken_of(b)) for b in (b"deadly", b"1"))), 60.0)
         ready.set()
         await asyncio.sleep(0.5)
-        answers.append(await asyncio.wait_for(workers.take(taken_of(b"2")), 20.0))
+        answers.append(await asyncio.wait_for(workers.take(taken_of(b"2")), 60.0))
         await workers.close()
         return [answer.status for answer in answers]
 
@@ -167,7 +167,7 @@ def test_a_phone_that_ends_its_process_at_each_start_is_set_aside_and_others_go_
         workers = Workers(start, 1, lambda _: None)
         await workers.start()
         sent = [("good", 0), ("bad", 0), ("good", 1), ("bad", 1), ("good", 2), ("bad", 2), ("good", 3)]
-        answers = [await asyncio.wait_for(workers.take(still(*one)), 10.0) for one in sent]
+        answers = [await asyncio.wait_for(workers.take(still(*one)), 60.0) for one in sent]
         await workers.close()
         return [answer.status for answer in answers]
 
@@ -198,7 +198,7 @@ def test_a_fix_whose_process_dies_before_its_answer_is_in_the_track_once_and_the
         workers = Workers(start, 1, lambda _: None)
         await workers.start()
         batches = [still("p", 0), *(MessageBatch("p", parse(fix), 0.0) for _ in range(2)), still("p", 1)]
-        answers = [await asyncio.wait_for(workers.take(batch), 10.0) for batch in batches]
+        answers = [await asyncio.wait_for(workers.take(batch), 60.0) for batch in batches]
         await workers.close()
         return [answer.status for answer in answers]
 

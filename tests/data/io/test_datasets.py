@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import shutil
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -127,6 +128,17 @@ def test_what_came_without_a_known_checksum_says_so_and_can_be_checked_later(
         assert hashlib.sha256((tmp_path / "home" / name).read_bytes()).hexdigest() == checksum
     checked = publish(home, tuple(checksum for checksum, _ in rows))
     assert "checked: sha256 of each file" in checked.about()
+
+
+def test_a_file_that_differs_from_the_first_download_is_refused(tmp_path: Path, home: str, publish: Publish) -> None:
+    publish(home)
+    (first,) = {path.parent for path in datasets.fetch("little", tmp_path / "cache")}
+    shutil.rmtree(first)
+    assert datasets.fetch("little", tmp_path / "cache")
+    shutil.rmtree(first)
+    (tmp_path / "home" / FILES[0]).write_bytes(b"changed")
+    with pytest.raises(ValueError, match=r"has changed since .*\.little\.sha256: do not use"):
+        datasets.fetch("little", tmp_path / "cache")
 
 
 def test_a_download_that_broke_off_goes_on_where_it_was(tmp_path: Path, home: str, publish: Publish) -> None:
