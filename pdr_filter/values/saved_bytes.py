@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-# Text of a saved filter, whose numbers are omitted. It must never change: filters since format 11 are compressed with it.
+# Text of a saved filter, whose numbers are omitted. It must never change: filters since format 11 are compressed with
+# it.
 _EXAMPLE = Path(__file__).with_name("saved_example.txt")
 # Begin of the second part of the text: the state of a filter, after its configuration.
 _STATE = b'"state": '
