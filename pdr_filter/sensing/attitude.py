@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from vqf import VQF
@@ -32,6 +32,14 @@ _RATE, _FORCE, _FIELD, _ONE, _QUAT = slice(0, 3), slice(3, 6), slice(6, 9), 9, s
 _FIELD_AND_ONE = slice(6, 10)
 _HEADING, _RATE_KNOWN, _FIELD_KNOWN = 14, 15, 16
 _NO_SAMPLES = np.empty((0, 17))
+
+
+class BiasSpan(NamedTuple):
+    """Consecutive samples whose angular rate was corrected with one estimate of the gyroscope bias."""
+
+    n_samples: int
+    bias_radps: FloatArray  # (3,) estimate of the bias, rad/s
+    window: BiasWindow | None  # bias window that ended at the first sample. None if no window ended there.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +71,8 @@ class AttitudeBlock:
         rad2.
     quat : FloatArray
         Unit quaternions wxyz that rotate the sensor frame to the attitude frame, shape (N, 4).
+    spans : tuple of BiasSpan
+        Parts of the block with one estimate of the gyroscope bias each.
 
     Examples
     --------
@@ -83,6 +93,7 @@ class AttitudeBlock:
     heading_error_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))
     heading_lost_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))
     quat: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
+    spans: tuple[BiasSpan, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,33 +266,81 @@ class AttitudeEstimator:
         if state.vqf is not None:
             estimator.state = state.vqf
         rows, first = _buffer_with_block(state.window, block), len(state.window)
-        begin, biases, lengths = 0, list[GyroBiasState](), list[int]()
+        begin, biases, spans = 0, list[GyroBiasState](), list[BiasSpan]()
         while first < len(rows):
+            window = None
             if first - begin == self._window_samples:
-                state, begin = replace_unchecked(state, bias=self._after_window(state.bias, rows[begin:first])), first
+                window = _bias_window(rows[begin:first])
+                state, begin = replace_unchecked(state, bias=self.bias.update(state.bias, window)), first
             end = min(begin + self._window_samples, len(rows))
             biases.append(state.bias)
-            lengths.append(end - first)
+            spans.append(BiasSpan(end - first, state.bias.bias_radps, window))
             state = self._estimate_attitudes(state, estimator, rows[first:end])
             first = end
         new = rows[len(state.window) :]
         quat = np.ascontiguousarray(new[:, _QUAT])
         up = _up_in_sensor_frame(quat)
-        bias_cov = np.repeat([bias.bias_cov_radps2 for bias in biases], lengths, axis=0)
-        errors = [(b.heading_error_rad, b.heading_error_var_rad2, b.heading_lost_var_rad2) for b in biases]
-        error_rad, error_var_rad2, lost_var_rad2 = np.repeat(errors, lengths, axis=0).T
         attitude = AttitudeBlock(
             vertical_mps2=_row_dots(up, block.specific_force_mps2) - STANDARD_GRAVITY_MPS2,
             horizontal_mps2=_horizontal(quat, block.specific_force_mps2),
             up_sensor=up,
             device_heading_rad=new[:, _HEADING].copy(),
-            yaw_bias_std_radps=np.sqrt(_variance_along(up, bias_cov)),
-            heading_error_rad=error_rad,
-            heading_error_var_rad2=error_var_rad2,
-            heading_lost_var_rad2=lost_var_rad2,
             quat=quat,
+            spans=tuple(spans),
+            **_heading_errors(up, biases, [span.n_samples for span in spans]),
         )
         return replace_unchecked(state, vqf=estimator.state, window=rows[begin:].copy()), attitude
+
+    def with_other_bias(
+        self, bias: GyroBiasState, turn_rad: float, block: UniformBlock, first: tuple[AttitudeState, AttitudeBlock]
+    ) -> tuple[AttitudeState, AttitudeBlock]:
+        """Return a result of `update` for another estimate of the gyroscope bias.
+
+        The bias is estimated again from the statistics of the windows. Its change only turns the attitude about the
+        vertical. The inclination, which follows the specific force, stays the same.
+
+        Parameters
+        ----------
+        bias : GyroBiasState
+            State of the other bias estimation before the block.
+        turn_rad : float
+            Change of the device heading before the block, clockwise, rad.
+        block : UniformBlock
+            Uniform samples.
+        first : tuple of AttitudeState and AttitudeBlock
+            Result of `update` for this block.
+
+        Returns
+        -------
+        state : AttitudeState
+            State after the block. Its state of VQF has not been turned.
+        attitude : AttitudeBlock
+            Attitude of each sample.
+        """
+        state, attitude = first
+        biases, changes = list[GyroBiasState](), list[FloatArray]()
+        lengths = [span.n_samples for span in attitude.spans]
+        up_s = attitude.up_sensor * (block.angular_rate_known / self.rate_hz)[:, None]
+        sums_s, before_rad = np.add.reduceat(up_s, np.cumsum([0, *lengths[:-1]])), turn_rad
+        for span, sum_s in zip(attitude.spans, sums_s, strict=True):
+            if span.window is not None:
+                bias = self.bias.update(bias, _turned_window(span.window, turn_rad))
+            biases.append(bias)
+            changes.append(bias.bias_radps - span.bias_radps)
+            turn_rad += float(sum_s.dot(changes[-1]))
+        turn = before_rad + np.cumsum(_row_dots(up_s, np.repeat(changes, lengths, axis=0)))
+        attitude = replace(
+            attitude,
+            horizontal_mps2=_turned(attitude.horizontal_mps2, turn),
+            device_heading_rad=attitude.device_heading_rad + turn,
+            quat=_turned_quat(attitude.quat, turn),
+            **_heading_errors(attitude.up_sensor, biases, lengths),
+        )
+        window = state.window.copy()
+        window[:, _HEADING] += turn[-1]
+        window[:, _QUAT] = _turned_quat(window[:, _QUAT], turn[-1:])
+        heading_rad = float(attitude.device_heading_rad[-1])
+        return replace_unchecked(state, device_heading_rad=heading_rad, bias=bias, window=window), attitude
 
     def _estimate_attitudes(self, state: AttitudeState, estimator: Any, rows: FloatArray) -> AttitudeState:
         """Return the state after consecutive samples of one bias window.
@@ -348,6 +407,43 @@ def _bias_window(rows: FloatArray) -> BiasWindow:
         magnetic_field_ut=field_ut,
         magnetic_field_known=bool(mean[_FIELD_KNOWN] == 1.0),
     )
+
+
+def _heading_errors(up: FloatArray, biases: list[GyroBiasState], lengths: list[int]) -> dict[str, FloatArray]:
+    """Return the fields of an `AttitudeBlock` that describe the errors of the heading.
+
+    `up` (N, 3) are the directions up in the sensor frame. `biases` are the states of the bias estimation, each for as
+    many consecutive samples as its element of `lengths`.
+    """
+    bias_cov = np.repeat([bias.bias_cov_radps2 for bias in biases], lengths, axis=0)
+    errors = [(b.heading_error_rad, b.heading_error_var_rad2, b.heading_lost_var_rad2) for b in biases]
+    error_rad, error_var_rad2, lost_var_rad2 = np.repeat(errors, lengths, axis=0).T
+    return {
+        "yaw_bias_std_radps": np.sqrt(_variance_along(up, bias_cov)),
+        "heading_error_rad": error_rad,
+        "heading_error_var_rad2": error_var_rad2,
+        "heading_lost_var_rad2": lost_var_rad2,
+    }
+
+
+def _turned_window(window: BiasWindow, turn_rad: float) -> BiasWindow:
+    """Return a bias window of a device that is turned clockwise about the vertical."""
+    (east, north, up), cosine, sine = window.magnetic_field_ut.tolist(), math.cos(turn_rad), math.sin(turn_rad)
+    field_ut = np.array([cosine * east + sine * north, cosine * north - sine * east, up])
+    return replace(window, heading_rad=window.heading_rad + turn_rad, magnetic_field_ut=field_ut)
+
+
+def _turned(vectors: FloatArray, turn_rad: FloatArray) -> FloatArray:
+    """Return vectors (N, 2), east and north, turned clockwise by angles (N,)."""
+    (east, north), cosine, sine = vectors.T, np.cos(turn_rad), np.sin(turn_rad)
+    return np.stack([cosine * east + sine * north, cosine * north - sine * east], axis=1)
+
+
+def _turned_quat(quat: FloatArray, turn_rad: FloatArray) -> FloatArray:
+    """Return attitudes (N, 4) turned clockwise about the vertical by angles (N,)."""
+    (w, x, y, z), cosine, sine = quat.T, np.cos(0.5 * turn_rad), np.sin(0.5 * turn_rad)
+    parts = cosine * w + sine * z, cosine * x + sine * y, cosine * y - sine * x, cosine * z - sine * w
+    return np.stack(parts, axis=1)
 
 
 def _real_and_along_up(quat: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -22,6 +22,7 @@ from pdr_filter.sensing.steps.contact_time_smoothing import ContactTimeSmoothing
 from pdr_filter.sensing.steps.detector_protocol import StepDetector
 from pdr_filter.sensing.steps.step_detector import BaseStepDetector, ContextBlock
 from pdr_filter.sensing.steps.step_gate import StepGate
+from pdr_filter.sensing.steps.step_log import NumberedSteps
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.sensing.vehicle_vibration import VehicleVibration, VehicleVibrationState
 from pdr_filter.values import (
@@ -426,25 +427,97 @@ KEPT_SAMPLES = 4_000_000
 
 
 @dataclass(frozen=True, eq=False)
+class HeadingRevision(StepStage[None]):
+    """Stage that corrects the headings of steps for another estimate of the gyroscope bias."""
+
+    time_s: FloatArray  # (N,) times in s, rising
+    turn_rad: FloatArray  # (N,) changes of the device heading at these times, clockwise, rad
+    yaw_bias_std_radps: FloatArray  # (N,) standard deviation of the bias about the vertical at these times, rad/s
+
+    def finish(self, state: None, steps: NumberedSteps) -> tuple[None, NumberedSteps]:
+        """Return the steps with corrected headings. Their turn rates hardly depend on the bias, and stay the same."""
+        ends_s = np.array([step.time_s for _, step in steps])
+        starts_s = ends_s - np.array([step.duration_s for _, step in steps])
+        before, after = (np.interp(t, self.time_s, self.turn_rad).tolist() for t in (starts_s, ends_s))
+        bias_std = np.interp(ends_s, self.time_s, self.yaw_bias_std_radps).tolist()
+        return None, [
+            (
+                number,
+                replace_unchecked(
+                    step,
+                    device_heading_rad=step.device_heading_rad + 0.5 * (first + last),
+                    heading_change_rad=step.heading_change_rad + last - first,
+                    yaw_bias_std_radps=std,
+                ),
+            )
+            for (number, step), first, last, std in zip(steps, before, after, bias_std, strict=True)
+        ]
+
+
+# Interval in samples at which a `HeadingRevision` has the changes of the heading.
+_REVISION_SAMPLES = 25
+
+
+@dataclass(frozen=True, eq=False)
 class SensingForTwoPasses(Sensing):
     """Front end that keeps what does not depend on the walking direction for a second pass over the same samples.
 
-    The second pass may have another stage `heading`. `keeping` returns such a front end. All copies that
-    `dataclasses.replace` makes share the results.
+    The second pass may have another stage `heading`, and with `with_bias_of` another estimate of the gyroscope bias.
+    `keeping` returns such a front end. All copies that `dataclasses.replace` makes share the results.
     """
 
     conditioned: dict[int, Any] = field(default_factory=dict[int, Any])  # by the number of samples before
     detected: dict[float, Detected] = field(default_factory=dict[float, Detected])  # by the first time of the block
+    revision: HeadingRevision | None = None  # correction of the kept steps
 
     @classmethod
     def keeping(cls, sensing: Sensing) -> SensingForTwoPasses:
         """Return a front end with the stages of another one, which has not kept anything yet."""
-        return cls(**{f.name: getattr(sensing, f.name) for f in fields(Sensing)})
+        stages = {f.name: getattr(sensing, f.name) for f in fields(Sensing)}
+        if isinstance(sensing.heading, WalkingHeading):
+            stages["heading"] = replace(sensing.heading, kept_strides={})
+        return cls(**stages)
 
-    def forget(self) -> None:
-        """Release all results, which no further pass needs."""
+    def with_bias_of(self, attitude: AttitudeEstimator) -> SensingForTwoPasses:
+        """Return a front end for a second pass with the gyroscope bias of another attitude estimator.
+
+        The bias turns the attitudes about the vertical and hardly changes the direction of up, so that the windows,
+        contexts and steps stay. The headings of the steps are corrected. The results of the first pass are no longer
+        available.
+        """
+        state, turn_rad, rows = attitude.init(), np.zeros(1), list[FloatArray]()
+        for at_s, found in self.detected.items():
+            if found.part.gap_before_s > 0:
+                state = attitude.after_gap(state)
+            first = found.state.attitude, found.attitude
+            state, again = attitude.with_other_bias(state.bias, float(turn_rad[-1]), found.part, first)
+            turn_rad = again.device_heading_rad - found.attitude.device_heading_rad
+            columns = np.array([found.part.time_s, turn_rad, again.yaw_bias_std_radps])
+            rows.append(np.append(columns[:, :-1:_REVISION_SAMPLES], columns[:, -1:], axis=1))
+            changed = replace_unchecked(found.state, attitude=state)
+            self.detected[at_s] = found._replace(state=changed, attitude=again)
+        return replace(self, attitude=attitude, revision=HeadingRevision(*np.concatenate(rows, axis=1)))
+
+    def released(self) -> Sensing:
+        """Release all results, and return a front end with the same bias that senses again.
+
+        It has known walking directions only if they refer to the headings that it estimates.
+        """
         self.conditioned.clear()
         self.detected.clear()
+        stages = {f.name: getattr(self, f.name) for f in fields(Sensing)}
+        if isinstance(self.heading, WalkingHeading):
+            known = self.heading.known_placements if self.revision is None else ()
+            stages["heading"] = replace(self.heading, known_placements=known, kept_strides=None)
+        return Sensing(**stages)
+
+    @cached_property
+    def _step_stages(self) -> dict[str, StepStage[Any]]:
+        stages = super()._step_stages
+        if self.revision is None:
+            return stages
+        gate = {name: stage for name, stage in stages.items() if name == "gate"}
+        return {**gate, "revision": self.revision, **stages}
 
     def _condition(self, state: SensingState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
         at = state.conditioner.report.n_received

@@ -15,6 +15,7 @@ from pdr_filter.sensing.attitude import (
     _mean_up_and_vector,
 )
 from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.gyroscope_bias import GyroBias
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
@@ -239,6 +240,32 @@ def test_a_complete_bias_window_counts_before_the_next_sample_arrives() -> None:
     np.testing.assert_array_equal(estimator.bias_state(state).bias_radps, expected)
     np.testing.assert_array_equal(estimator.after_gap(state).bias.bias_radps, expected)
     np.testing.assert_array_equal(estimator.bias_state(later).bias_radps, expected)
+
+
+def test_a_change_of_the_bias_gives_the_attitude_that_is_estimated_with_the_new_bias() -> None:
+    bias = 0.02 * np.array([0.0, np.sin(0.7), np.cos(0.7)])
+    block, _, _ = a_walk(60, 6, bias)
+    before, known = AttitudeEstimator(), AttitudeEstimator(bias=GyroBias(device=Device(bias, 1e-6 * np.eye(3))))
+    first, expected, other = before.init(), known.init(), known.init()
+    turn_rad = 0.0
+    for part in cut_uniform(block, [1730, 1750, 4000]):
+        first, old = before.update(first, part)
+        expected, wanted = known.update(expected, part)
+        other, found = known.with_other_bias(other.bias, turn_rad, part, (first, old))
+        turn = found.device_heading_rad - old.device_heading_rad
+        turn_rad = turn[-1]
+        np.testing.assert_allclose(found.device_heading_rad, wanted.device_heading_rad, atol=0.01)
+        np.testing.assert_allclose(found.heading_error_rad, wanted.heading_error_rad, atol=0.01)
+        for name in ("yaw_bias_std_radps", "heading_error_var_rad2", "heading_lost_var_rad2"):
+            np.testing.assert_allclose(getattr(found, name), getattr(wanted, name), rtol=0.05, atol=1e-6)
+        np.testing.assert_allclose(other.bias.bias_radps, expected.bias.bias_radps, atol=2e-4)
+        assert other.device_heading_rad == found.device_heading_rad[-1]
+        # the axes of the phone turn with its heading, and not up
+        attitudes = (Rotation.from_quat(a.quat[:, [1, 2, 3, 0]]) for a in (old, found))
+        old_axes, axes = (attitude.as_matrix() for attitude in attitudes)
+        np.testing.assert_allclose(axes, about("z", -turn).as_matrix() @ old_axes, atol=1e-12)
+        np.testing.assert_allclose(found.horizontal_mps2, _horizontal(found.quat, part.specific_force_mps2), atol=1e-9)
+    assert turn_rad > 0.1
 
 
 def test_rotated_vectors_agree_with_the_rotations_of_scipy() -> None:

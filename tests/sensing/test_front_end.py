@@ -11,11 +11,13 @@ from pdr_filter import recipes
 from pdr_filter.recipes.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.front_end import Sensing, SensingForTwoPasses
+from pdr_filter.sensing.heading.walking_heading import KnownPlacement, WalkingHeading
 from pdr_filter.sensing.steps.step_detector import ContextBlock
 from pdr_filter.sensing.steps.step_stage import StepStage
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, Step, WindowContext, known_context
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, ImuBlock, Samples, Step, WindowContext, known_context
 from pdr_filter.values.events import Gap
 from tests.sensed_once import MIN_SAMPLES, sense_once
 
@@ -208,6 +210,50 @@ def test_a_second_pass_with_kept_results_equals_one_that_senses_again(monkeypatc
     ]
     steps, wanted = ([e for _, e in events if isinstance(e, pdr.Step)] for events in (again, expected))
     assert steps == wanted
+
+
+def test_a_second_pass_with_another_bias_keeps_the_steps_and_corrects_their_headings() -> None:
+    walk = simulate([Leg("walking", distance_m=20.0)])
+    assert walk.gyroscope is not None
+    bias = np.array([0.0, 0.01, 0.02])
+    blocks: list[ImuBlock] = []
+    for start_s in (0.0, 60.0):
+        force = Samples(walk.accelerometer.time_s + start_s, walk.accelerometer.values)
+        rate = Samples(walk.gyroscope.time_s + start_s, walk.gyroscope.values + bias)
+        blocks += pdr.merge_streams(pdr.Recording("biased", force, rate)).parts(700)
+    config = pdr.recipes.default()
+    known = config.with_device(Device(bias, 1e-8 * np.eye(3))).sensing
+    kept = SensingForTwoPasses.keeping(config.sensing)
+    first = sensed(kept, blocks)
+    again, expected = sensed(kept.with_bias_of(known.attitude), blocks), sensed(known, blocks)
+    old, found, wanted = ([e for _, e in events if isinstance(e, Step)] for events in (first, again, expected))
+    assert [step.time_s for step in found] == [step.time_s for step in old]
+    assert len(found) == len(wanted) > 40
+    assert [e for _, e in again if isinstance(e, WindowContext)] == [
+        e for _, e in first if isinstance(e, WindowContext)
+    ]
+    for name, atol in {"device_heading_rad": 0.01, "heading_change_rad": 0.01, "yaw_bias_std_radps": 5e-4}.items():
+        values, of_bias, before = ([getattr(step, name) for step in steps] for steps in (found, wanted, old))
+        np.testing.assert_allclose(values, of_bias, atol=atol)
+        assert np.abs(np.subtract(before, of_bias)).max() > atol
+    assert abs(old[-1].device_heading_rad - wanted[-1].device_heading_rad) > 0.1
+
+
+def test_a_released_front_end_senses_again_with_the_bias_of_the_second_pass() -> None:
+    walk = simulate([Leg("walking", distance_m=12.0)])
+    blocks = [*pdr.merge_streams(walk).parts(500)]
+    config = pdr.recipes.default()
+    known = config.with_device(Device(np.array([0.0, 0.01, 0.02]), 1e-8 * np.eye(3))).sensing
+    kept = SensingForTwoPasses.keeping(config.sensing)
+    sensed(kept, blocks)
+    second = kept.with_bias_of(known.attitude)
+    assert isinstance(second.heading, WalkingHeading)
+    directed = replace(second.heading, known_placements=(KnownPlacement(0.0, 1.0, 0.1),))
+    second = replace(second, heading=directed)  # relative to headings that are not estimated again
+    again, expected = sensed(second.released(), blocks), sensed(known, blocks)
+    assert [e for _, e in again if isinstance(e, Step)] == [e for _, e in expected if isinstance(e, Step)]
+    assert not second.detected
+    assert not second.conditioned
 
 
 def test_stored_events_give_the_track_of_the_same_samples_and_of_no_others(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -343,9 +343,13 @@ def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: 
         )
     n_steps = len(mode_prob)
     if lag is None:
-        smoothed = mode_prob.copy()
-        for k in range(n_steps - 2, -1, -1):
-            smoothed[k] = _one_step_back(mode_prob[k], smoothed[k + 1], transition_prob)
+        smoothed, predicted = mode_prob.copy(), mode_prob @ transition_prob
+        predicted[predicted <= 0] = np.inf
+        for k in range(n_steps - 2, -1, -1):  # the equation of `_one_step_back`, of which each step needs the next one
+            row = mode_prob[k] * transition_prob.dot(smoothed[k + 1] / predicted[k])
+            total = float(np.add.reduce(row))
+            if total > 0:
+                smoothed[k] = row / total
         return smoothed
     k = np.arange(n_steps)
     end = np.minimum(k + lag, n_steps - 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import NamedTuple
@@ -265,6 +266,25 @@ class PedestrianModel:
         length_m, parameter_var_m2 = self.moves * length_m, self.moves * parameter_var_m2
         residual_var_m2 = self.own_var_m2(step, length_m)
         return ModeLengths(length_m, residual_var_m2 + parameter_var_m2, residual_var_m2, np.sqrt(parameter_var_m2))
+
+    def lengths_of_all(self, steps: Sequence[Step]) -> list[ModeLengths]:
+        """Return the lengths of many steps in each mode, which equal those of `lengths` except for rounding.
+
+        Parameters
+        ----------
+        steps : sequence of Step
+            Detected steps.
+
+        Returns
+        -------
+        list of ModeLengths
+            Lengths and variances of each step.
+        """
+        length_m, parameter_var_m2 = (self.moves * moment for moment in self._lengths.moments_of_all(steps))
+        each = [self.own_var_m2(step, row) for step, row in zip(steps, length_m, strict=True)]
+        own_m2 = np.array(each).reshape(length_m.shape)
+        rows = zip(length_m, own_m2 + parameter_var_m2, own_m2, np.sqrt(parameter_var_m2), strict=True)
+        return [ModeLengths(*row) for row in rows]
 
     def own_var_m2(self, step: Step, length_m: FloatArray) -> FloatArray:
         """Return the variance of a single step about the length of each mode.

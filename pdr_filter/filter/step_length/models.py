@@ -8,7 +8,7 @@ the papers (martinelli2018, tian2016, guo2018, zhou2019) have the full reference
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, TypeGuard
@@ -737,16 +737,30 @@ class StepLengths:
 
         Lengths are in m and never negative, variances in m2. Both have the shape (M,).
         """
+        moments = self._of_terms.dot(np.array(self._terms(step))).reshape(2, len(self.fits))
+        for i, fit in self._smooth:
+            moments[:, i] = _moments(fit.model, step, fit.theta, fit.theta_cov)
+        moments = np.maximum(moments, 0.0)
+        return moments[0], moments[1]
+
+    def moments_of_all(self, steps: Sequence[Step]) -> tuple[FloatArray, FloatArray]:
+        """Return the lengths and variances (K, M) of K steps, which equal those of `moments` except for rounding."""
+        terms = np.array([self._terms(step) for step in steps]).reshape(len(steps), self._of_terms.shape[1])
+        moments = (terms @ self._of_terms.T).reshape(len(steps), 2, len(self.fits))
+        for i, fit in self._smooth:
+            of_fit = [_moments(fit.model, step, fit.theta, fit.theta_cov) for step in steps]
+            moments[:, :, i] = np.array(of_fit).reshape(len(steps), 2)
+        moments = np.maximum(moments, 0.0)
+        return moments[:, 0], moments[:, 1]
+
+    def _terms(self, step: Step) -> list[float]:
+        """Return the terms of a step by which `_of_terms` is multiplied."""
         terms: list[float] = []
         for model in self._linear:
             r = np.asarray(model.regressors(step)).tolist()
             terms += r
             terms += [a * b for a in r for b in r]
-        moments = self._of_terms.dot(np.array(terms)).reshape(2, len(self.fits))
-        for i, fit in self._smooth:
-            moments[:, i] = _moments(fit.model, step, fit.theta, fit.theta_cov)
-        moments = np.maximum(moments, 0.0)
-        return moments[0], moments[1]
+        return terms
 
     @cached_property
     def _smooth(self) -> list[tuple[int, StepLengthFit]]:

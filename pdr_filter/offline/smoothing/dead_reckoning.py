@@ -62,7 +62,7 @@ def dead_reckoned(
     track = with_arrivals(replace(found, device=known_device or found.device))
     stood_steps = end.pedestrian.fixes.standstill_steps
     if isinstance(own.sensing, SensingForTwoPasses):
-        own.sensing.forget()
+        own = replace(own, sensing=own.sensing.released())
     return own, track, end.sensing if known_device is None else None, stood_steps
 
 
@@ -77,10 +77,10 @@ def with_first_pass(
     The caller runs the second pass, which has the final estimates of the first pass from its first step on. The walking
     direction relative to the phone is best known at the end of the time in one carrying position. The axes of a
     building determine the gyroscope bias only after some corners. The bias of the first pass is used if building axes
-    contributed to it and the configuration has no bias of its own. In that case the walking directions are estimated
-    again with this bias, because they depend on it for a phone that is turned over. The covariance of the bias is
-    doubled, because the second pass uses the same samples again. Without building axes the bias is not used: straight
-    walking would be counted twice, which makes tracks worse as often as better.
+    contributed to it and the configuration has no bias of its own. The second pass then turns the attitudes of the
+    first pass, so that the walking directions relative to the phone stay valid. The covariance of the bias is doubled,
+    because the second pass uses the same samples again. Without building axes the bias is not used: straight walking
+    would be counted twice, which makes tracks worse as often as better.
     """
     if "gyroscope" not in recording.streams:
         return config, None
@@ -94,9 +94,7 @@ def with_first_pass(
     device, known_device = config.sensing.device(state), None
     if config.sensing.attitude.bias.device is None and steps[-1].on_axes:
         config, known_device = config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
-        config = replace(config, sensing=replace(sensing, attitude=config.sensing.attitude, detected={}))
-        _, events = run_sensing(replace(config.sensing, **_WITHOUT_LATER_STAGES), recording)
-        steps = [event for event in events if isinstance(event, Step)]
+        config = replace(config, sensing=sensing.with_bias_of(config.sensing.attitude))
     heading = after_first_pass(config.sensing.heading, step_table(steps))
     return replace(config, sensing=replace(config.sensing, heading=heading)), known_device
 

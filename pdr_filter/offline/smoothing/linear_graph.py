@@ -109,16 +109,16 @@ def joint_covariances(
     with_error_cov = np.zeros((len(error_node), N_STATES + N_ERRORS, N_STATES + N_ERRORS))
     for conditional, parents, first in zip(conditionals[::-1], parents_of[::-1], first_of[::-1], strict=True):
         inverse = np.linalg.inv(conditional.R())
-        m, known = len(inverse), np.zeros((0, 0))
-        cov = inverse @ inverse.T
+        m, cov = len(inverse), inverse @ inverse.T
         if first is not None:
             known = cliques[first].of(parents)
             n_waiting[first] -= 1
             if not n_waiting[first]:
                 del cliques[first]
             gain = -inverse @ conditional.S()
-            mixed = gain @ known
-            cov = np.block([[cov + mixed @ gain.T, mixed], [mixed.T, known]])
+            mixed, own = gain @ known, cov
+            cov = np.empty((m + len(known), m + len(known)))
+            cov[:m, :m], cov[:m, m:], cov[m:, :m], cov[m:, m:] = own + mixed @ gain.T, mixed, mixed.T, known
         key = conditional.keys()[0]
         sizes[key] = m
         clique = _Clique.of_sizes(cov, {k: sizes[k] for k in (key, *parents)})

@@ -92,7 +92,7 @@ def increments(
     would therefore grow with the errors of the fixes.
     """
     n, noise, each = len(steps), model.noise, steps_of(steps)
-    lengths, directions = [model.lengths(step) for step in each], [model.directions] * n
+    lengths, directions = model.lengths_of_all(each), [model.directions] * n
     parameter_std_m = np.array([of.parameter_std_m for of in lengths]).reshape(n, -1) * mode_prob
     prob = mode_prob
     if is_weighted:
@@ -171,7 +171,7 @@ def mode_steps(steps: Table, model: PedestrianModel, unknown_var_rad2: FloatArra
     `unknown_var_rad2` (K,) are the variances of the heading from time without angular rate (`Increments`).
     """
     each = steps_of(steps)
-    lengths = [model.lengths(step) for step in each]
+    lengths = model.lengths_of_all(each)
     way, move = _motion(each, lengths, [model.directions] * len(each))
     along, across = move.along, move.across
     around_m2 = way.extra_var_m2 + unknown_var_rad2[:, None] / 3.0 * move.length_m**2

@@ -325,7 +325,7 @@ def smooth(
     )
     guess = online_path(run.recording, config, run.fixes)
     walk = ReckonedWalk(track, config, observed, where, stood, guess, start_heading_std_rad, anchor_interval_s)
-    smoothed, walked_var_m2, walk = walk.smoothed()
+    smoothed, cov, walk = walk.smoothed()
     if factors is not None and track.n_steps:
         smoothed = walk.with_factors(smoothed, factors)
     if sensing is not None and (np.asarray(smoothed.observations.weight) > 0.5).any():
@@ -336,6 +336,7 @@ def smooth(
         located = replace(walk, track=track, observed=replace(observed, locations=locations_of(location)[1]), clocks={})
         shift = located.smoothed()[2].clocks.get("locations", ClockShift())
         location = Samples(location.time_s - shift.late_s, location.values)
+        walked_var_m2 = np.array([walked_var(P) for P in cov])
         smoothed, where, locations = aligned_walk(smoothed, walked_var_m2, location)
         smoothed = replace(smoothed, notes=(*smoothed.notes, *shift.notes("locations")))
         return with_given_origin(run, on_earth(smoothed, where, locations, observed))
@@ -552,7 +553,7 @@ class ReckonedWalk:
         return posed, solve(posed.problem, least_gain)
 
     def smoothed(self) -> tuple[Smoothed, FloatArray, ReckonedWalk]:
-        """Return the smoothed walk, the variances of `result`, and this walk with its clocks and mode probabilities.
+        """Return the smoothed walk, the covariances of `result`, and this walk with its clocks and mode probabilities.
 
         The smoothed walk includes the person's step scale if the fixes determine it.
         """
@@ -562,7 +563,7 @@ class ReckonedWalk:
         if walk.track.n_steps == 0:
             places = compress((*observed.fixes, *observed.locations), observed.fixes_inside(*ends_s))
             known = independent([f for f in places if isinstance(f, PositionFix)])
-            return without_steps(walk.track, observed, known), np.zeros(0), walk
+            return without_steps(walk.track, observed, known), np.zeros((0, 4, 4)), walk
         found = walk.solved()
         for source in get_args(Source):
             places = [fix for fix in getattr(observed, source) if isinstance(fix, PositionFix)]
@@ -572,10 +573,10 @@ class ReckonedWalk:
                 walk = walk._with_clock(source, shift)
                 found = walk.solved() if shift.late_s else found
         walk, found = walk._with_observed_modes(self.track, found)
-        smoothed, walked_var_m2 = walk.result(*found)
+        smoothed, cov = walk.result(*found)
         if len(found[0].problem.errors):
             # the shrinkage of the locations follows the shape of the walk, which the first solution knows best
-            smoothed, walked_var_m2 = walk.result(*replace(walk, shape_m=_shape_m(smoothed)).solved())
+            smoothed, cov = walk.result(*replace(walk, shape_m=_shape_m(smoothed)).solved())
         length_fixes = LengthFixes()
         for fix, result in zip((*observed.fixes, *observed.locations), smoothed.track.fixes, strict=True):
             length_fixes = length_fixes.plus(fix) if result.accepted else length_fixes
@@ -585,7 +586,7 @@ class ReckonedWalk:
         if session is not None:
             person = (self.config.person or Person()).pooled(Person((session,)))
             smoothed = replace(smoothed, track=replace(smoothed.track, person=person))
-        return smoothed, walked_var_m2, walk
+        return smoothed, cov, walk
 
     def _with_clock(self, source: Source, shift: ClockShift) -> ReckonedWalk:
         """Return the walk with the shift of the clock of one source."""
@@ -663,10 +664,7 @@ class ReckonedWalk:
         return on_earth(smoothed, self.where, self.on_clock.locations, self.on_clock)
 
     def result(self, posed: Posed, found: Solution) -> tuple[Smoothed, FloatArray]:
-        """Return the result of a solved problem, and the variance (K,) in m2 of each position for a known heading.
-
-        The variance is the part of the position variance that the heading offset does not explain, mean of both axes.
-        """
+        """Return the result of a solved problem, and the covariance (K, 4, 4) of the state after each step."""
         track, observed = self.track, self.observed
         steps, parameter_error_m, used, problem = posed
         mean, cov = step_states(problem.intervals, found.mean, found.joint_cov)
@@ -745,7 +743,7 @@ class ReckonedWalk:
             floor=floors_at_steps(track, observed.floor_changes),
             notes=notes,
         )
-        return result, np.array([walked_var(P) for P in cov])
+        return result, cov
 
 
 def _on_plan(run: Run, plan: Plan, passes: Passes, *, is_given: bool) -> Smoothed:

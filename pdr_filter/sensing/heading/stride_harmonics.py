@@ -9,7 +9,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -52,6 +52,11 @@ class Stride:
     def axis_offset_rad(self) -> float:
         """Direction of the reference axis, clockwise from the device heading, rad."""
         return self.axis_heading_rad - self.device_heading_rad
+
+    def turned(self, turn_rad: float) -> Stride:
+        """Return the stride with all headings changed by an angle."""
+        axis_rad, device_rad = self.axis_heading_rad + turn_rad, self.device_heading_rad + turn_rad
+        return replace(self, axis_heading_rad=axis_rad, device_heading_rad=device_rad)
 
     def about(self, axis: Vector) -> Stride:
         """Return the stride relative to another axis perpendicular to up."""

@@ -225,6 +225,9 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
         Directions from a first pass over the same recording, in order of time. If given, strides are not used.
     drift : HeadingDrift, optional
         Heading drift of the filter of the track (`MotionNoise.heading_drift`). `Config` refuses a different one.
+    kept_strides : dict, optional
+        Memory for the strides of a first pass, by the time of their step, each with the device heading of the step. A
+        second pass takes them from here.
 
     Attributes
     ----------
@@ -266,6 +269,7 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
     corridors: Corridors = field(default_factory=Corridors)
     known_placements: tuple[KnownPlacement, ...] = ()
     drift: HeadingDrift = field(default_factory=HeadingDrift)
+    kept_strides: dict[float, tuple[Stride | None, float]] | None = field(default=None, compare=False, repr=False)
 
     learns_directions = True
 
@@ -441,13 +445,21 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
         """Return the new state and the steps with their walking headings."""
         if not steps:
             return state, []
-        contacts_s = (*state.contacts_s, *(step.time_s for _, step in steps))
-        first = len(state.contacts_s) + 1
-        samples = [
-            self._stride_samples(state, contacts_s[max(first + i - 3, 0) : first + i], number)
-            for i, (number, _) in enumerate(steps)
-        ]
-        strides = self._strides(samples, contexts)
+        contacts_s, kept = (*state.contacts_s, *(step.time_s for _, step in steps)), self.kept_strides or {}
+        if all(step.time_s in kept for _, step in steps):
+            strides = [_at_heading(*kept[step.time_s], step.device_heading_rad) for _, step in steps]
+        else:
+            first = len(state.contacts_s) + 1
+            samples = [
+                self._stride_samples(state, contacts_s[max(first + i - 3, 0) : first + i], number)
+                for i, (number, _) in enumerate(steps)
+            ]
+            strides = self._strides(samples, contexts)
+            if self.kept_strides is not None:
+                pairs = zip(steps, strides, strict=True)
+                self.kept_strides.update(
+                    (step.time_s, (stride, step.device_heading_rad)) for (_, step), stride in pairs
+                )
         result: NumberedSteps = []
         for (number, step), stride, mode in zip(steps, strides, contexts.carrying_mode.tolist(), strict=True):
             state, changes = self._annotate(state, step, self._bias_error(state, step.time_s, number), stride, mode)
@@ -767,6 +779,13 @@ class WalkingHeading(StepStage[WalkingHeadingState]):
         direction = forward / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
         shown = offset.after_measurement(STRIDE_MEASUREMENT, direction, (1.0 - share) / share / weight)
         return (offset if placement.n_strides < _FIRST_STRIDES else shown), shown, share
+
+
+def _at_heading(stride: Stride | None, before_rad: float, device_heading_rad: float) -> Stride | None:
+    """Return the stride of a step whose device heading has changed from `before_rad`."""
+    return (
+        stride if stride is None or device_heading_rad == before_rad else stride.turned(device_heading_rad - before_rad)
+    )
 
 
 def _shown_fields(state: WalkingHeadingState, on_axes: bool = False) -> dict[str, Any]:

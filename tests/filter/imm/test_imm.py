@@ -156,6 +156,14 @@ def test_smoothed_mode_probabilities_are_those_of_the_exact_forward_backward_alg
         expected = filtered[k] * beta
         np.testing.assert_allclose(lagged[k], expected / expected.sum(), atol=1e-12)
     np.testing.assert_array_equal(smoothed_mode_prob(np.array(filtered), T, 0), filtered)
+    of_all = smoothed_mode_prob(np.array(filtered), T)
+    np.testing.assert_allclose(of_all, smoothed_mode_prob(np.array(filtered), T, n_steps), atol=1e-12)
+
+
+def test_a_later_step_that_is_impossible_does_not_change_the_mode_probabilities() -> None:
+    filtered = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]])
+    for lag in (None, 2):
+        np.testing.assert_array_equal(smoothed_mode_prob(filtered, np.eye(2), lag)[:2], filtered[:2])
 
 
 def test_smoothing_of_no_steps_gives_no_steps() -> None:

@@ -238,8 +238,8 @@ def random_fit(model: StepLengthModel, rng: np.random.Generator) -> StepLengthFi
 
 
 @settings(max_examples=50)
-@given(step=steps, seed=st.integers(0, 10_000))
-def test_fits_together_give_the_results_of_each_alone(step: Step, seed: int) -> None:
+@given(step=steps, other=steps, seed=st.integers(0, 10_000))
+def test_fits_together_give_the_results_of_each_alone(step: Step, other: Step, seed: int) -> None:
     rng = np.random.default_rng(seed)
     fits = tuple(random_fit(MODELS[i], rng) for i in rng.integers(0, len(MODELS), rng.integers(1, 12)))
     together = StepLengths(fits)
@@ -247,6 +247,10 @@ def test_fits_together_give_the_results_of_each_alone(step: Step, seed: int) -> 
     variance = parameter_var + together.residual_var_m2
     alone = np.array([fit.predict(step) for fit in fits])
     np.testing.assert_allclose(np.stack([length, variance], axis=1), alone, rtol=1e-9, atol=1e-9)
+    of_all = zip(*together.moments_of_all([other, step]), strict=True)
+    for found, each in zip(of_all, (other, step), strict=True):
+        np.testing.assert_allclose(found, together.moments(each), rtol=1e-9, atol=1e-9)
+    assert together.moments_of_all([])[0].shape == (0, len(fits))
 
 
 @every_model

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import a_step, uniform_block
+from helpers import a_step, clockwise, uniform_block
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation
@@ -322,6 +322,28 @@ def test_a_second_pass_has_the_direction_of_all_strides_from_the_first_stride_of
         early = [s.shown_offset_rad for s in found if 21.0 < s.time_s < 23.0]
         assert (np.abs(np.array(early) - found[-1].shown_offset_rad).max() < 0.05) == is_right
     assert result[-1][1].shown_offset_std_rad == pytest.approx(first[-1].shown_offset_std_rad, rel=0.1)
+
+
+def test_a_second_pass_takes_the_strides_of_the_first_at_corrected_headings(monkeypatch: pytest.MonkeyPatch) -> None:
+    stage, rate_radps = replace(STAGE, kept_strides={}), 0.02
+    block, attitude, steps = body(Rotation.from_euler("xyz", [1.0, 0.4, 2.0]), 1.0, turned_rad=2.0, seconds=24.0)
+    stage.update(stage.init(), block, attitude, modes(2400, "pocket"), steps)
+    turn_rad = rate_radps * block.time_s
+    force = np.einsum("abn,nb->na", clockwise(turn_rad), attitude.horizontal_mps2)
+    heading_rad = attitude.device_heading_rad + turn_rad
+    turned = replace(attitude, horizontal_mps2=force, device_heading_rad=heading_rad)
+    middle_s = [step.time_s - 0.5 * step.duration_s for _, step in steps]
+    at = [
+        (known, replace(step, device_heading_rad=step.device_heading_rad + rate_radps * t))
+        for (known, step), t in zip(steps, middle_s, strict=True)
+    ]
+    expected_state, expected = STAGE.update(STAGE.init(), block, turned, modes(2400, "pocket"), at)
+    monkeypatch.setattr("pdr_filter.sensing.heading.walking_heading.strides_of", None)
+    state, found = stage.update(stage.init(), block, turned, modes(2400, "pocket"), at)
+    assert state.walking_rad == pytest.approx(expected_state.walking_rad, abs=0.01)
+    assert np.isfinite(expected[-1][1].shown_offset_std_rad)
+    for (_, step), (_, wanted) in zip(found, expected, strict=True):
+        assert asdict(step) == pytest.approx(asdict(wanted), abs=0.01)
 
 
 def test_acceleration_corrects_the_axis_of_a_reader_in_part() -> None:
