@@ -313,7 +313,7 @@ class AttitudeEstimator:
         Returns
         -------
         state : AttitudeState
-            State after the block. Its state of VQF has not been turned.
+            State after the block.
         attitude : AttitudeBlock
             Attitude of each sample.
         """
@@ -339,8 +339,17 @@ class AttitudeEstimator:
         window = state.window.copy()
         window[:, _HEADING] += turn[-1]
         window[:, _QUAT] = _turned_quat(window[:, _QUAT], turn[-1:])
-        heading_rad = float(attitude.device_heading_rad[-1])
-        return replace_unchecked(state, device_heading_rad=heading_rad, bias=bias, window=window), attitude
+        vqf, reference = dict(state.vqf or {}), state.reference_quat
+        (vqf["accQuat"],) = _turned_quat(np.array([vqf["accQuat"]]), turn[-1:])
+        state = replace_unchecked(
+            state,
+            vqf=vqf,
+            device_heading_rad=float(attitude.device_heading_rad[-1]),
+            reference_quat=None if reference is None else _turned_quat(reference[None], turn[-1:])[0],
+            bias=bias,
+            window=window,
+        )
+        return state, attitude
 
     def _estimate_attitudes(self, state: AttitudeState, estimator: Any, rows: FloatArray) -> AttitudeState:
         """Return the state after consecutive samples of one bias window.

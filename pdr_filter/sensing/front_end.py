@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -438,8 +439,9 @@ class HeadingRevision(StepStage[None]):
         """Return the steps with corrected headings. Their turn rates hardly depend on the bias, and stay the same."""
         ends_s = np.array([step.time_s for _, step in steps])
         starts_s = ends_s - np.array([step.duration_s for _, step in steps])
-        before, after = (np.interp(t, self.time_s, self.turn_rad).tolist() for t in (starts_s, ends_s))
-        bias_std = np.interp(ends_s, self.time_s, self.yaw_bias_std_radps).tolist()
+        # later samples are sensed with the other bias, from attitudes that are turned already
+        before, after = (np.interp(t, self.time_s, self.turn_rad, right=0.0).tolist() for t in (starts_s, ends_s))
+        bias_std = np.interp(ends_s, self.time_s, self.yaw_bias_std_radps, right=np.nan).tolist()
         return None, [
             (
                 number,
@@ -447,7 +449,7 @@ class HeadingRevision(StepStage[None]):
                     step,
                     device_heading_rad=step.device_heading_rad + 0.5 * (first + last),
                     heading_change_rad=step.heading_change_rad + last - first,
-                    yaw_bias_std_radps=std,
+                    yaw_bias_std_radps=step.yaw_bias_std_radps if math.isnan(std) else std,
                 ),
             )
             for (number, step), first, last, std in zip(steps, before, after, bias_std, strict=True)
@@ -482,8 +484,8 @@ class SensingForTwoPasses(Sensing):
         """Return a front end for a second pass with the gyroscope bias of another attitude estimator.
 
         The bias turns the attitudes about the vertical and hardly changes the direction of up, so that the windows,
-        contexts and steps stay. The headings of the steps are corrected. The results of the first pass are no longer
-        available.
+        contexts and steps stay. The headings of the steps are corrected. Samples whose results are not kept are sensed
+        again. The results of the first pass are no longer available.
         """
         state, turn_rad, rows = attitude.init(), np.zeros(1), list[FloatArray]()
         for at_s, found in self.detected.items():
@@ -496,6 +498,8 @@ class SensingForTwoPasses(Sensing):
             rows.append(np.append(columns[:, :-1:_REVISION_SAMPLES], columns[:, -1:], axis=1))
             changed = replace_unchecked(found.state, attitude=state)
             self.detected[at_s] = found._replace(state=changed, attitude=again)
+        # contacts are half a sample after the last sample of their step
+        rows.append(rows[-1][:, -1:] + np.array([[0.75 / attitude.rate_hz], [0.0], [0.0]]))
         return replace(self, attitude=attitude, revision=HeadingRevision(*np.concatenate(rows, axis=1)))
 
     def released(self) -> Sensing:
