@@ -78,7 +78,8 @@ def with_first_pass(
     direction relative to the phone is best known at the end of the time in one carrying position. The axes of a
     building determine the gyroscope bias only after some corners. The bias of the first pass is used if building axes
     contributed to it and the configuration has no bias of its own. The second pass then turns the attitudes of the
-    first pass, so that the walking directions relative to the phone stay valid. The covariance of the bias is doubled,
+    first pass, so that its walking directions relative to the phone stay valid. They are not estimated again with the
+    new bias, so that they may be less certain while the phone is handled. The covariance of the bias is doubled,
     because the second pass uses the same samples again. Without building axes the bias is not used: straight walking
     would be counted twice, which makes tracks worse as often as better.
     """
