@@ -257,7 +257,7 @@ def test_a_second_pass_with_another_bias_keeps_the_steps_and_corrects_their_head
 def test_a_second_pass_with_another_bias_senses_samples_without_kept_results(
     monkeypatch: pytest.MonkeyPatch, n_kept: int
 ) -> None:
-    monkeypatch.setattr("pdr_filter.sensing.front_end._KEPT_SAMPLES", n_kept)
+    monkeypatch.setattr("pdr_filter.sensing.front_end.KEPT_SAMPLES", n_kept)
     bias = np.array([0.0, 0.01, 0.02])
     blocks, config = walked_twice(bias), pdr.recipes.default()
     known = config.with_device(Device(bias, 1e-8 * np.eye(3))).sensing
