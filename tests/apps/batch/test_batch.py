@@ -201,7 +201,7 @@ def test_a_killed_batch_goes_on_where_it_was(
     for line in process.stdout:
         if int(line) == 2:
             break
-    os.killpg(process.pid, signal.SIGKILL)  # its own session: the process and its workers, nothing else
+    os.killpg(process.pid, signal.SIGKILL)  # The process and its workers are a session of their own.
     process.wait(timeout=90)
     process.stdout.close()
     before = batch.read_table(table)
